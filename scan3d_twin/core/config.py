@@ -1,0 +1,212 @@
+"""Every knob of a run: nested frozen dataclasses in SI units, defaults with their source.
+
+Importing this module costs nothing (no numpy), so that ``twin --help`` can list the options.
+The docstring below a field is its help text; invalid values are refused, never repaired.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from scan3d_twin.core.errors import ConfigError
+
+Tour = Literal["front", "full"]
+Scope = Literal["target", "sweep"]
+Criterion = Literal["displacement", "eq3", "nn"]
+
+
+def _check(condition: bool, message: str) -> None:
+    if not condition:
+        raise ConfigError(message)
+
+
+def _positive(section: str, **values: float) -> None:
+    for name, value in values.items():
+        _check(value > 0 and math.isfinite(value), f"{section}.{name} must be > 0, got {value:g}")
+
+
+def _share(section: str, **values: float) -> None:
+    for name, value in values.items():
+        _check(0.0 < value <= 1.0, f"{section}.{name} must be in (0, 1], got {value:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class SweepConfig:
+    """Turning on the spot while the scan lines sweep out a 3D image (paper section 3)."""
+
+    width: float = math.radians(60.0)
+    """Horizontal angle of a sweep, the paper's C [rad]; 60 deg see 1.15 m at the 1 m standoff."""
+    yaw_rate: float = math.radians(5.0)
+    """Speed of the turn [rad/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
+    look_rate: float = math.radians(30.0)
+    """Speed of the first look around [rad/s]; 3 deg between lines are enough to find a target."""
+    settle: float = 0.3
+    """Rest before a sweep [s]; several periods of the 11 to 18 Hz mast, so that it stops shaking."""
+    retries: int = 5
+    """How often missing lines are scanned again before the run gives up."""
+
+    def __post_init__(self) -> None:
+        _positive("sweep", width=self.width, yaw_rate=self.yaw_rate, look_rate=self.look_rate)
+        _check(self.width <= math.tau, f"sweep.width must be <= 2 pi rad, got {self.width:g}")
+        _check(self.settle >= 0, f"sweep.settle must be >= 0 s, got {self.settle:g}")
+        _check(self.retries >= 0, f"sweep.retries must be >= 0, got {self.retries}")
+
+
+@dataclass(frozen=True, slots=True)
+class GapConfig:
+    """Gap filling (paper section 4.1)."""
+
+    max_angle: float = math.radians(5.0)
+    """Widest gap that is filled, along a line or across lines [rad]."""
+    depth_edge: float = 0.04
+    """Two readings that differ by more than this lie on different surfaces [m]; 4 sigma at 4 m."""
+
+    def __post_init__(self) -> None:
+        _positive("gaps", max_angle=self.max_angle, depth_edge=self.depth_edge)
+
+
+@dataclass(frozen=True, slots=True)
+class TargetConfig:
+    """Target extraction (paper section 4.2)."""
+
+    window: float = math.radians(75.0)
+    """Vertical angle around the horizontal that is modelled [rad]; paper section 4.2: 75 deg."""
+    max_range: float = 4.0
+    """Readings beyond this are not used [m]; URG-04LX data sheet."""
+    floor_height: float = 0.03
+    """Points below this are floor [m]; 3 sigma of the range noise at 1 m."""
+    cluster_gap: float = 0.20
+    """Two things closer than this in the top view are one target [m]."""
+    min_points: int = 30
+    """Smaller groups of points are stray points."""
+
+    def __post_init__(self) -> None:
+        _positive("target", window=self.window, max_range=self.max_range, cluster_gap=self.cluster_gap)
+        _check(self.min_points >= 1, f"target.min_points must be >= 1, got {self.min_points}")
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationConfig:
+    """Registration of two views (paper eq. 1)."""
+
+    scope: Scope = "target"
+    """Which points are registered: the target's alone as in the paper, or the whole sweep's."""
+    max_correspondence_distance: float = 0.10
+    """Pairs farther apart than this are no correspondence [m]."""
+    max_iterations: int = 60
+    """Iterations after which ICP stops."""
+    translation_epsilon: float = 1e-5
+    """Converged when a step is shorter than this [m] ..."""
+    rotation_epsilon: float = 1e-5
+    """... and turns less than this [rad]."""
+    max_points: int = 3000
+    """Source points used per registration; more are thinned out evenly."""
+    min_fitness: float = 0.3
+    """A smaller share of source points with a correspondence is no registration."""
+
+    def __post_init__(self) -> None:
+        _positive(
+            "registration",
+            max_correspondence_distance=self.max_correspondence_distance,
+            max_iterations=self.max_iterations,
+            translation_epsilon=self.translation_epsilon,
+            rotation_epsilon=self.rotation_epsilon,
+            max_points=self.max_points,
+        )
+        _share("registration", min_fitness=self.min_fitness)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningConfig:
+    """Viewpoint planning (paper section 5)."""
+
+    epsilon: float = 0.010
+    """Predefined accuracy: wanted registration error, root mean square [m]; paper section 6."""
+    eta_min: float = 0.2
+    """Smallest overlap tried; paper, pseudo-code step 1."""
+    eta_max: float = 0.8
+    """Largest overlap tried; paper, pseudo-code step 1."""
+    eta_step: float = 0.1
+    """Step between the overlaps tried."""
+    default_overlap: float = 0.8
+    """Overlap taken when none meets epsilon; paper section 5."""
+    alpha: float = 0.9
+    """Share of Q that the virtual scan holds, eq. (5)."""
+    lambda_: float = 0.02
+    """Translation error per metre of the move, eq. (2)."""
+    gamma: float = 0.01
+    """Rotation error per radian of the turn, eq. (2) [rad/rad]."""
+    sigma: float = 0.005
+    """Range noise added to the virtual scan, N_noise of eq. (2) [m]; URG-04LX 4.2 to 5.2 mm at 0.5 to 2 m."""
+    criterion: Criterion = "displacement"
+    """Error E: eq. (3) on noise-free points, eq. (3) as printed, or the nearest-neighbour residual."""
+    trials: int = 1
+    """Random draws per overlap; the paper draws once."""
+    quantile: float = 0.9
+    """Share of the draws that must meet epsilon."""
+    standoff: float = 1.0
+    """Distance from the surface at which a viewpoint is wanted [m]."""
+
+    def __post_init__(self) -> None:
+        _positive("planning", epsilon=self.epsilon, eta_step=self.eta_step, standoff=self.standoff)
+        _share("planning", alpha=self.alpha, quantile=self.quantile, default_overlap=self.default_overlap)
+        _check(
+            0.0 < self.eta_min <= self.eta_max < 1.0,
+            f"planning.eta_min..eta_max must lie in 0..1, got {self.eta_min:g}..{self.eta_max:g}",
+        )
+        for name in ("lambda_", "gamma", "sigma"):
+            _check(getattr(self, name) >= 0, f"planning.{name.rstrip('_')} must be >= 0")
+        _check(self.trials >= 1, f"planning.trials must be >= 1, got {self.trials}")
+
+
+@dataclass(frozen=True, slots=True)
+class MotionConfig:
+    """Driving from one viewpoint to the next."""
+
+    speed: float = 0.2
+    """Speed ahead [m/s]; well under the 0.5 m/s of the base, so that bumps are gentle."""
+    turn_rate: float = math.radians(45.0)
+    """Speed of a turn on the spot [rad/s]."""
+    acceleration: float = 0.5
+    """Of the wheels when starting and stopping [m/s2]; the base itself can do 1.8."""
+    clearance: float = 0.05
+    """Room kept between the body and anything else [m]."""
+    position_tolerance: float = 0.01
+    """A waypoint is reached within this distance [m]."""
+    yaw_tolerance: float = math.radians(0.5)
+    """A heading is reached within this angle [rad]."""
+
+    def __post_init__(self) -> None:
+        _positive(
+            "motion",
+            speed=self.speed,
+            turn_rate=self.turn_rate,
+            acceleration=self.acceleration,
+            position_tolerance=self.position_tolerance,
+            yaw_tolerance=self.yaw_tolerance,
+        )
+        _check(self.clearance >= 0, f"motion.clearance must be >= 0 m, got {self.clearance:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """The configuration of a run; the effective one is saved with it."""
+
+    tour: Tour = "front"
+    """Scan the front only, or all round."""
+    planner: str = "siicp"
+    """Name of the planner."""
+    max_views: int = 20
+    """The run stops after this many views."""
+    sweep: SweepConfig = field(default_factory=SweepConfig)
+    gaps: GapConfig = field(default_factory=GapConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
+    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+    planning: PlanningConfig = field(default_factory=PlanningConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+
+    def __post_init__(self) -> None:
+        _check(self.tour in ("front", "full"), f"tour must be front or full, got {self.tour!r}")
+        _check(self.max_views >= 1, f"max_views must be >= 1, got {self.max_views}")

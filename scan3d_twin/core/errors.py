@@ -1,0 +1,74 @@
+"""Every error the library raises on purpose, named by what the caller can do about it.
+
+    TwinError
+    ├── ConfigError          an option, name, key or value is wrong: change it
+    ├── FileError            a file or folder is missing, unreadable, unwritable or invalid
+    │   └── SceneError       the scene cannot be built or has no target
+    ├── ScanError            the scan cannot go on
+    │   ├── RegistrationError    two views cannot be registered
+    │   ├── DataLossError        lines are missing even after re-scanning
+    │   └── MotionTimeoutError   the robot did not get where it was sent in time
+    ├── LinkError            a port cannot be opened or fell silent
+    │   ├── LinkTimeoutError     no answer in time (also a ``TimeoutError``)
+    │   └── ProtocolError        an answer that breaks the protocol
+    └── HazardError          the robot stopped for its own or someone's safety
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class TwinError(Exception):
+    """Base of all errors raised on purpose; its message is one line for the user."""
+
+
+class ConfigError(TwinError):
+    """An option, name, key or value is wrong."""
+
+
+class UnknownNameError(ConfigError):
+    """A name is not one of the known ones; the message lists them."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        super().__init__(f"no {kind} {name!r}; known: {', '.join(sorted(known))}")
+
+
+class FileError(TwinError):
+    """A file or folder is missing, unreadable, unwritable or invalid."""
+
+
+class SceneError(FileError):
+    """A scene cannot be built: broken XML, bad mesh, no target."""
+
+
+class ScanError(TwinError):
+    """The scan cannot go on."""
+
+
+class RegistrationError(ScanError):
+    """Two views cannot be registered."""
+
+
+class DataLossError(ScanError):
+    """Scan lines are missing even after re-scanning."""
+
+
+class MotionTimeoutError(ScanError):
+    """The robot did not get where it was sent in time."""
+
+
+class LinkError(TwinError):
+    """A port cannot be opened or fell silent."""
+
+
+class LinkTimeoutError(LinkError, TimeoutError):
+    """A device did not answer in time."""
+
+
+class ProtocolError(LinkError):
+    """A device answered with something its protocol does not allow."""
+
+
+class HazardError(TwinError):
+    """The robot stopped: bump, cliff, wheel drop, overcurrent or low battery."""

@@ -1,0 +1,123 @@
+"""Seam A: what the core needs of a robot, and nothing else.
+
+Two implementations exist: the MuJoCo twin (``sim``) and the serial drivers (``real``). An object
+that exists is open; both are made by context managers (``open_sim``, ``open_real``) that stop the
+wheels on every way out. All stamps are on ``Clock.now()``. ``sleep`` and ``read_line`` service both
+devices and raise ``HazardError`` within 50 ms of a hazard.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from scan3d_twin.core.types import FloatArray, Hazards, LidarSpec, Odometry, ScanLine
+
+
+def default_mount() -> FloatArray:
+    """Return ``T_base_lidar``: 0.05 m ahead of the axle, 0.30 m up, step 384 along +x."""
+    T = np.eye(4)
+    T[0, 3], T[2, 3] = 0.05, 0.30
+    T.flags.writeable = False
+    return T
+
+
+class Clock(Protocol):
+    """The only source of time for control flow."""
+
+    def now(self) -> float:
+        """Return the time [s]; never runs backwards."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Let ``seconds`` pass while both devices are serviced.
+
+        Raises:
+            HazardError: The base reported a hazard; the wheels are stopped.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BaseSpec:
+    """What a drive base can do.
+
+    Attributes:
+        name: Model, such as ``create2``.
+        radius: Radius of the round body [m].
+        wheel_base: Distance between the driven wheels [m].
+        wheel_diameter: [m].
+        counts_per_turn: Encoder counts per wheel turn.
+        max_wheel_speed: [m/s].
+        sample_period: Time between two sensor packets [s].
+    """
+
+    name: str
+    radius: float
+    wheel_base: float
+    wheel_diameter: float
+    counts_per_turn: float
+    max_wheel_speed: float
+    sample_period: float
+
+
+class DriveBase(Protocol):
+    """A differential-drive base."""
+
+    @property
+    def spec(self) -> BaseSpec:
+        """The base's model."""
+        ...
+
+    def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
+        """Drive with ``linear`` [m/s] ahead and ``angular`` [rad/s] counter-clockwise until told otherwise.
+
+        Returns:
+            The (linear, angular) really sent, after clipping to the wheel speed (the ratio is kept)
+            and rounding to the base's resolution.
+        """
+        ...
+
+    def odometry(self) -> Odometry:
+        """Return the latest odometry; the identity pose when the robot was opened."""
+        ...
+
+    def odometry_since(self, stamp: float) -> tuple[Odometry, ...]:
+        """Return the recorded odometry from the last sample at or before ``stamp`` on, oldest first."""
+        ...
+
+    def hazards(self) -> Hazards:
+        """Return the latest hazards; never raises."""
+        ...
+
+
+class Lidar(Protocol):
+    """A 2D laser scanner that turns by itself."""
+
+    @property
+    def spec(self) -> LidarSpec:
+        """The geometry of its lines."""
+        ...
+
+    def read_line(self, timeout: float) -> ScanLine:
+        """Return the oldest line not yet returned, waiting up to ``timeout`` [s] for it.
+
+        Lines come in order, each once; only the last few unread ones are kept.
+
+        Raises:
+            LinkTimeoutError: No line within ``timeout``.
+            HazardError: As for ``Clock.sleep``.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """A base that carries a lidar, with the clock both are stamped by."""
+
+    base: DriveBase
+    lidar: Lidar
+    clock: Clock
+    T_base_lidar: FloatArray = field(default_factory=default_mount)

@@ -1,0 +1,78 @@
+"""What a run knows so far: an immutable record that every pure function reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from scan3d_twin import __version__
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.types import FloatArray, Plan, Pose2, RangeImage, RegistrationResult, Scan3D
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One sweep as it came from the robot.
+
+    Attributes:
+        image: The raw range image in frame ``scan``.
+        T_odom_scan: Where the sweep was taken, by odometry.
+        stamp: When its first line was taken [s].
+    """
+
+    image: RangeImage
+    T_odom_scan: Pose2
+    stamp: float
+
+
+@dataclass(frozen=True)
+class View:
+    """One sweep placed in the world.
+
+    Attributes:
+        observation: As it came from the robot.
+        target: The target's points in ``scan``, gaps filled, background removed (section 4).
+        sweep: All points in ``scan`` except the floor.
+        T_world_scan: Where registration put the scan.
+        registration: Against the previous view; None for the first.
+    """
+
+    observation: Observation
+    target: Scan3D
+    sweep: Scan3D
+    T_world_scan: Pose2
+    registration: RegistrationResult | None
+
+
+@dataclass(frozen=True)
+class Session:
+    """All views and plans of a run.
+
+    ``world`` is the odometry frame as it was at the first view.
+
+    Attributes:
+        config: The effective configuration.
+        seed: The run's one seed.
+        hint: Top-view points (n, 2) of the target in ``odom``, found by the look around [m].
+        front: Unit direction (2,) in ``world`` from the target to where the robot first saw it.
+        look_around: The coarse sweep from the start, for the first costmap.
+        views: In the order they were taken.
+        plans: ``plans[k]`` was made after ``views[k]``.
+        version: Of the software.
+    """
+
+    config: Config
+    seed: int
+    hint: FloatArray
+    front: FloatArray
+    look_around: Observation
+    views: tuple[View, ...] = ()
+    plans: tuple[Plan, ...] = ()
+    version: str = __version__
+
+    def with_view(self, view: View) -> Session:
+        """Return a session with ``view`` appended."""
+        return replace(self, views=(*self.views, view))
+
+    def with_plan(self, plan: Plan) -> Session:
+        """Return a session with ``plan`` appended."""
+        return replace(self, plans=(*self.plans, plan))

@@ -1,0 +1,333 @@
+"""Values that pass between the parts of the house: frozen, SI units and radians.
+
+Frames: ``world, odom, base, lidar, scan, target, source``; ``T_a_b`` maps coordinates in b to
+coordinates in a. ``base`` lies on the floor below the axle's middle, x ahead, y left, z up. Frame
+``scan`` belongs to one sweep: origin where the robot stood, x along the middle of the sweep.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+VALID = -1
+"""Entry of a ``codes`` array where the reading is a distance and not an error code."""
+
+
+def wrap(angle: float) -> float:
+    """Return ``angle`` [rad] wrapped to [-pi, pi)."""
+    return (angle + math.pi) % math.tau - math.pi
+
+
+def read_only(array: npt.ArrayLike, dtype: Any = np.float64) -> npt.NDArray[Any]:
+    """Return ``array`` as a contiguous array that refuses writes; writable input is copied."""
+    result = np.ascontiguousarray(array, dtype=dtype)
+    if result.flags.writeable:
+        result = result.copy()
+        result.flags.writeable = False
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class Pose2:
+    """Planar pose ``T_a_b``: position of b's origin in a and b's heading.
+
+    Attributes:
+        x: Position along a's x axis [m].
+        y: Position along a's y axis [m].
+        yaw: Heading, counter-clockwise positive, in [-pi, pi) [rad].
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x", float(self.x))
+        object.__setattr__(self, "y", float(self.y))
+        object.__setattr__(self, "yaw", wrap(float(self.yaw)))
+
+    def __matmul__(self, other: Pose2) -> Pose2:
+        """Return ``T_a_c`` from ``T_a_b @ T_b_c``."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2(
+            self.x + c * other.x - s * other.y,
+            self.y + s * other.x + c * other.y,
+            self.yaw + other.yaw,
+        )
+
+    def inverse(self) -> Pose2:
+        """Return ``T_b_a``."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2(-c * self.x - s * self.y, s * self.x - c * self.y, -self.yaw)
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Map ``points`` (..., 2 or 3) [m] from b to a; z is kept."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        result = np.array(points, dtype=np.float64)
+        result[..., 0] = self.x + c * points[..., 0] - s * points[..., 1]
+        result[..., 1] = self.y + s * points[..., 0] + c * points[..., 1]
+        return result
+
+    def rotate(self, vectors: FloatArray) -> FloatArray:
+        """Map directions ``vectors`` (..., 2 or 3) from b to a."""
+        return Pose2(0.0, 0.0, self.yaw).apply(vectors)
+
+    def matrix(self) -> FloatArray:
+        """Return the homogeneous transform (4, 4)."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array(
+            [[c, -s, 0.0, self.x], [s, c, 0.0, self.y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+        )
+
+    @staticmethod
+    def from_matrix(T: FloatArray) -> Pose2:
+        """Return the planar part (x, y, yaw) of a homogeneous transform (4, 4)."""
+        return Pose2(float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0]))
+
+    def distance(self, other: Pose2) -> float:
+        """Return the distance between the two origins [m]."""
+        return math.hypot(self.x - other.x, self.y - other.y)
+
+
+@dataclass(frozen=True, slots=True)
+class LidarSpec:
+    """What a scan line looks like.
+
+    Attributes:
+        elevations: Beam angle in the vertical scan plane (n_beams,) [rad]; 0 ahead, positive up.
+        beam_times: Time of each beam after the line's stamp (n_beams,) [s].
+        line_period: Time between two lines [s].
+        min_range: Shortest distance reported [m].
+        max_range: Longest distance that is trusted [m].
+    """
+
+    elevations: FloatArray
+    beam_times: FloatArray
+    line_period: float
+    min_range: float
+    max_range: float
+
+    @property
+    def n_beams(self) -> int:
+        """Number of beams in a line."""
+        return len(self.elevations)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanLine:
+    """One revolution of the lidar.
+
+    Attributes:
+        stamp: Time of step 0 of the revolution on ``Clock.now()`` [s].
+        ranges: Distances (n_beams,) [m]; NaN where there is no valid return.
+        codes: The sensor's error codes (n_beams,); ``VALID`` where ``ranges`` is a distance.
+    """
+
+    stamp: float
+    ranges: FloatArray
+    codes: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """Pose by dead reckoning.
+
+    Attributes:
+        stamp: Time on ``Clock.now()`` [s].
+        T_odom_base: Pose in the frame in which the robot was opened.
+        covariance: Of x, y [m] and yaw [rad] since opening (3, 3).
+    """
+
+    stamp: float
+    T_odom_base: Pose2
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Hazards:
+    """What can stop the robot; all False and a full battery is safe.
+
+    Attributes:
+        battery: State of charge, 0..1.
+    """
+
+    bump_left: bool = False
+    bump_right: bool = False
+    cliff_left: bool = False
+    cliff_front_left: bool = False
+    cliff_front_right: bool = False
+    cliff_right: bool = False
+    wheel_drop_left: bool = False
+    wheel_drop_right: bool = False
+    overcurrent_left: bool = False
+    overcurrent_right: bool = False
+    battery: float = 1.0
+
+    def active(self) -> tuple[str, ...]:
+        """Return the names of the hazards that are on, in words."""
+        flags = (name for name in self.__slots__ if name != "battery")
+        return tuple(name.replace("_", " ") for name in flags if getattr(self, name))
+
+
+@dataclass(frozen=True)
+class RangeImage:
+    """One sweep, the paper's P = {l_1 .. l_n}: lines by beams, in frame ``scan``.
+
+    Lines are ordered left to right as the robot sees them (falling yaw), whichever way it turned.
+
+    Attributes:
+        stamps: Time of each line (n_lines,) [s].
+        yaws: Heading of the base when each beam was measured, in ``scan`` (n_lines, n_beams) [rad].
+        ranges: Distances [m], NaN = no valid return (n_lines, n_beams).
+        codes: Error codes, ``VALID`` where measured (n_lines, n_beams); a filled gap keeps its code.
+        spec: The lidar's geometry.
+        T_base_lidar: The lidar's mount (4, 4).
+    """
+
+    stamps: FloatArray
+    yaws: FloatArray
+    ranges: FloatArray
+    codes: IntArray
+    spec: LidarSpec
+    T_base_lidar: FloatArray
+
+    @property
+    def n_lines(self) -> int:
+        """Number of scan lines."""
+        return len(self.stamps)
+
+    @cached_property
+    def directions(self) -> FloatArray:
+        """Beam directions in ``scan`` (n_lines, n_beams, 3)."""
+        e = self.spec.elevations
+        beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)
+        return _rotate_z(beams @ self.T_base_lidar[:3, :3].T, self.yaws)
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """Measured points in ``scan`` (n_lines, n_beams, 3) [m]; NaN where there is no return."""
+        lever = np.broadcast_to(self.T_base_lidar[:3, 3], (*self.yaws.shape, 3))
+        return _rotate_z(lever, self.yaws) + self.ranges[..., None] * self.directions
+
+
+def _rotate_z(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
+    """Rotate ``vectors`` (..., 3) about z by ``yaws`` (...)."""
+    c, s = np.cos(yaws), np.sin(yaws)
+    x, y, z = (np.broadcast_to(vectors[..., i], yaws.shape) for i in range(3))
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+
+
+@dataclass(frozen=True)
+class Scan3D:
+    """Points of one sweep in frame ``scan``, sorted by line, left to right.
+
+    Attributes:
+        points: (n, 3) [m].
+        lines: Index of each point's line in its range image (n,), ascending.
+        beams: Index of each point's beam (n,).
+        n_lines: Lines of the range image the points came from.
+    """
+
+    points: FloatArray
+    lines: IntArray
+    beams: IntArray
+    n_lines: int
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @cached_property
+    def occupied_lines(self) -> IntArray:
+        """Indices of the lines that hold at least one point, ascending: the paper's l_1 .. l_n."""
+        return np.unique(self.lines)
+
+    def select(self, mask: BoolArray) -> Scan3D:
+        """Return the points where ``mask`` (n,) is True."""
+        return Scan3D(self.points[mask], self.lines[mask], self.beams[mask], self.n_lines)
+
+    def first_lines(self, k: int) -> Scan3D:
+        """Return the points of the first ``k`` occupied lines: Q' of eq. (5) when called on Q."""
+        return self.select(np.isin(self.lines, self.occupied_lines[:k]))
+
+    def last_lines(self, k: int) -> Scan3D:
+        """Return the points of the last ``k`` occupied lines: the paper's Q for k = n_Q."""
+        return self.select(np.isin(self.lines, self.occupied_lines[max(0, len(self.occupied_lines) - k) :]))
+
+
+@dataclass(frozen=True)
+class RegistrationResult:
+    """How a source scan lies on a target scan, and how far to believe it.
+
+    Attributes:
+        T_target_source: (4, 4).
+        covariance: Of x, y, z [m] and rx, ry, rz [rad] about the target's origin (6, 6).
+        information: Its inverse on the estimated directions, 0 on the others (6, 6).
+        fitness: Share of source points with a correspondence, 0..1.
+        inlier_rmse: Root mean square distance of the correspondences [m].
+        predicted_rmse: Expected root mean square displacement of the source points [m].
+        num_inliers: Number of correspondences.
+        iterations: Iterations run.
+        converged: Whether the result may be used.
+        degenerate_directions: Unit directions (k, 6) that the data did not determine.
+        ambiguity_gap: Score distance to the next best basin, 0..1; 1 where none was searched.
+    """
+
+    T_target_source: FloatArray
+    covariance: FloatArray
+    information: FloatArray
+    fitness: float
+    inlier_rmse: float
+    predicted_rmse: float
+    num_inliers: int
+    iterations: int
+    converged: bool
+    degenerate_directions: FloatArray
+    ambiguity_gap: float
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One viewpoint a planner looked at.
+
+    Attributes:
+        viewpoint: ``T_world_scan`` of the sweep that would be taken there.
+        overlap: The paper's eta, share of the current target lines seen again.
+        predicted_rmse: Predicted registration error E [m]; NaN where it was not simulated.
+        feasible: Whether the robot can get there and stand there.
+    """
+
+    viewpoint: Pose2
+    overlap: float
+    predicted_rmse: float
+    feasible: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a planner decided and why.
+
+    Attributes:
+        viewpoint: ``T_world_scan`` of the next sweep; None when the scan is finished.
+        overlap: The chosen eta; 0 when finished.
+        predicted_rmse: E of the chosen overlap [m]; NaN when unknown.
+        fell_back: Whether no overlap met epsilon, so that the 80 % default was taken.
+        candidates: Everything that was considered, in the order of consideration.
+        reason: In words, for people.
+    """
+
+    viewpoint: Pose2 | None
+    overlap: float
+    predicted_rmse: float
+    fell_back: bool
+    candidates: tuple[Candidate, ...]
+    reason: str
