@@ -1,0 +1,44 @@
+# Needs only python3 (3.11 to 3.13) with its venv module, make and git; all else goes into .venv.
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check format build clean
+
+PYTHON ?= python3
+BIN := .venv/bin
+SETUP := .venv/.set-up
+SOURCES := $(wildcard scan3d_twin tests examples benchmarks)
+# One thread per worker: the arrays are small, and more threads only get into each other's way.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+
+$(SETUP): pyproject.toml uv.lock tools/setup.sh
+	@PYTHON=$(PYTHON) sh tools/setup.sh
+	@touch $@
+
+setup: $(SETUP)  ## set up .venv
+
+demo: $(SETUP)  ## digitise the paper's scene of three boxes in the twin
+	$(BIN)/twin sim --scene three_boxes
+
+test: $(SETUP)  ## run the tests
+	$(BIN)/pytest -n 2
+
+check: $(SETUP)  ## format, lint, types, import rules, spelling
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/mypy
+	PYTHONPATH=. $(BIN)/lint-imports
+	$(BIN)/codespell
+
+format: $(SETUP)  ## format the code and repair what the linter can
+	$(BIN)/ruff format $(SOURCES)
+	$(BIN)/ruff check --fix $(SOURCES)
+
+build: $(SETUP)  ## build the wheel, install it into an empty environment and run it
+	sh tools/build.sh
+
+clean:  ## remove what the other targets made
+	rm -rf .venv dist build runs .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
