@@ -43,7 +43,7 @@ class SweepConfig:
     look_rate: float = math.radians(30.0)
     """Speed of the first look around [rad/s]; 3 deg between lines are enough to find a target."""
     settle: float = 0.3
-    """Rest before a sweep [s]; several periods of the 11 to 18 Hz mast, so that it stops shaking."""
+    """Rest before a sweep [s]; several periods of the mast (11 to 18 Hz), which shakes till then."""
     retries: int = 5
     """How often missing lines are scanned again before the run gives up."""
 
@@ -58,10 +58,10 @@ class SweepConfig:
 class GapConfig:
     """Gap filling (paper section 4.1)."""
 
-    max_angle: float = math.radians(5.0)
+    max_angle: float = math.radians(3.0)
     """Widest gap that is filled, along a line or across lines [rad]."""
     depth_edge: float = 0.04
-    """Two readings that differ by more than this lie on different surfaces [m]; 4 sigma at 4 m."""
+    """Readings that differ by more than this are of different surfaces [m]; 4 sigma at 4 m."""
 
     def __post_init__(self) -> None:
         _positive("gaps", max_angle=self.max_angle, depth_edge=self.depth_edge)
@@ -83,7 +83,9 @@ class TargetConfig:
     """Smaller groups of points are stray points."""
 
     def __post_init__(self) -> None:
-        _positive("target", window=self.window, max_range=self.max_range, cluster_gap=self.cluster_gap)
+        _positive(
+            "target", window=self.window, max_range=self.max_range, cluster_gap=self.cluster_gap
+        )
         _check(self.min_points >= 1, f"target.min_points must be >= 1, got {self.min_points}")
 
 
@@ -139,9 +141,9 @@ class PlanningConfig:
     gamma: float = 0.01
     """Rotation error per radian of the turn, eq. (2) [rad/rad]."""
     sigma: float = 0.005
-    """Range noise added to the virtual scan, N_noise of eq. (2) [m]; URG-04LX 4.2 to 5.2 mm at 0.5 to 2 m."""
+    """Range noise of the virtual scan, N_noise of eq. (2) [m]; URG-04LX: 4 to 5 mm up to 2 m."""
     criterion: Criterion = "displacement"
-    """Error E: eq. (3) on noise-free points, eq. (3) as printed, or the nearest-neighbour residual."""
+    """Error E: eq. (3) on noise-free points, as printed, or the nearest-neighbour residual."""
     trials: int = 1
     """Random draws per overlap; the paper draws once."""
     quantile: float = 0.9
@@ -151,7 +153,12 @@ class PlanningConfig:
 
     def __post_init__(self) -> None:
         _positive("planning", epsilon=self.epsilon, eta_step=self.eta_step, standoff=self.standoff)
-        _share("planning", alpha=self.alpha, quantile=self.quantile, default_overlap=self.default_overlap)
+        _share(
+            "planning",
+            alpha=self.alpha,
+            quantile=self.quantile,
+            default_overlap=self.default_overlap,
+        )
         _check(
             0.0 < self.eta_min <= self.eta_max < 1.0,
             f"planning.eta_min..eta_max must lie in 0..1, got {self.eta_min:g}..{self.eta_max:g}",
@@ -171,6 +178,10 @@ class MotionConfig:
     """Speed of a turn on the spot [rad/s]."""
     acceleration: float = 0.5
     """Of the wheels when starting and stopping [m/s2]; the base itself can do 1.8."""
+    robot_radius: float = 0.17
+    """Radius of the round body [m]; 0.165 for Create 1 and 2."""
+    robot_height: float = 0.35
+    """Height of the robot with its lidar [m]; things that begin higher are driven under."""
     clearance: float = 0.05
     """Room kept between the body and anything else [m]."""
     position_tolerance: float = 0.01
@@ -181,6 +192,8 @@ class MotionConfig:
     def __post_init__(self) -> None:
         _positive(
             "motion",
+            robot_radius=self.robot_radius,
+            robot_height=self.robot_height,
             speed=self.speed,
             turn_rate=self.turn_rate,
             acceleration=self.acceleration,

@@ -1,17 +1,17 @@
 """Every error the library raises on purpose, named by what the caller can do about it.
 
-    TwinError
-    ├── ConfigError          an option, name, key or value is wrong: change it
-    ├── FileError            a file or folder is missing, unreadable, unwritable or invalid
-    │   └── SceneError       the scene cannot be built or has no target
-    ├── ScanError            the scan cannot go on
-    │   ├── RegistrationError    two views cannot be registered
-    │   ├── DataLossError        lines are missing even after re-scanning
-    │   └── MotionTimeoutError   the robot did not get where it was sent in time
-    ├── LinkError            a port cannot be opened or fell silent
-    │   ├── LinkTimeoutError     no answer in time (also a ``TimeoutError``)
-    │   └── ProtocolError        an answer that breaks the protocol
-    └── HazardError          the robot stopped for its own or someone's safety
+TwinError
+├── ConfigError          an option, name, key or value is wrong: change it
+├── FileError            a file or folder is missing, unreadable, unwritable or invalid
+│   └── SceneError       the scene cannot be built or has no target
+├── ScanError            the scan cannot go on
+│   ├── RegistrationError    two views cannot be registered
+│   ├── DataLossError        lines are missing even after re-scanning
+│   └── MotionTimeoutError   the robot did not get where it was sent in time
+├── LinkError            a port cannot be opened or fell silent
+│   ├── LinkTimeoutError     no answer in time (also a ``TimeoutError``)
+│   └── ProtocolError        an answer that breaks the protocol
+└── HazardError          the robot stopped for its own or someone's safety
 """
 
 from __future__ import annotations

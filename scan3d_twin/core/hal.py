@@ -72,7 +72,7 @@ class DriveBase(Protocol):
         ...
 
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
-        """Drive with ``linear`` [m/s] ahead and ``angular`` [rad/s] counter-clockwise until told otherwise.
+        """Drive at ``linear`` [m/s] and ``angular`` [rad/s, counter-clockwise] until told otherwise.
 
         Returns:
             The (linear, angular) really sent, after clipping to the wheel speed (the ratio is kept)
@@ -85,7 +85,7 @@ class DriveBase(Protocol):
         ...
 
     def odometry_since(self, stamp: float) -> tuple[Odometry, ...]:
-        """Return the recorded odometry from the last sample at or before ``stamp`` on, oldest first."""
+        """Return the recorded odometry from the last sample up to ``stamp`` on, oldest first."""
         ...
 
     def hazards(self) -> Hazards:

@@ -6,22 +6,14 @@ from dataclasses import dataclass, replace
 
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.types import FloatArray, Plan, Pose2, RangeImage, RegistrationResult, Scan3D
-
-
-@dataclass(frozen=True)
-class Observation:
-    """One sweep as it came from the robot.
-
-    Attributes:
-        image: The raw range image in frame ``scan``.
-        T_odom_scan: Where the sweep was taken, by odometry.
-        stamp: When its first line was taken [s].
-    """
-
-    image: RangeImage
-    T_odom_scan: Pose2
-    stamp: float
+from scan3d_twin.core.types import (
+    FloatArray,
+    Observation,
+    Plan,
+    Pose2,
+    RegistrationResult,
+    Scan3D,
+)
 
 
 @dataclass(frozen=True)
@@ -54,9 +46,10 @@ class Session:
         seed: The run's one seed.
         hint: Top-view points (n, 2) of the target in ``odom``, found by the look around [m].
         front: Unit direction (2,) in ``world`` from the target to where the robot first saw it.
-        look_around: The coarse sweep from the start, for the first costmap.
+        looks: Coarse sweeps all round, each with the number of views taken before it.
         views: In the order they were taken.
         plans: ``plans[k]`` was made after ``views[k]``.
+        stop_reason: Why the run ended; empty while it goes on.
         version: Of the software.
     """
 
@@ -64,15 +57,32 @@ class Session:
     seed: int
     hint: FloatArray
     front: FloatArray
-    look_around: Observation
+    looks: tuple[tuple[int, Observation], ...] = ()
     views: tuple[View, ...] = ()
     plans: tuple[Plan, ...] = ()
+    stop_reason: str = ""
     version: str = __version__
 
     def with_view(self, view: View) -> Session:
         """Return a session with ``view`` appended."""
         return replace(self, views=(*self.views, view))
 
+    def with_look(self, look: Observation) -> Session:
+        """Return a session with a look around from the latest viewpoint appended."""
+        return replace(self, looks=(*self.looks, (len(self.views), look)))
+
     def with_plan(self, plan: Plan) -> Session:
         """Return a session with ``plan`` appended."""
         return replace(self, plans=(*self.plans, plan))
+
+    def ended(self, reason: str) -> Session:
+        """Return a session that ended for ``reason``."""
+        return replace(self, stop_reason=reason)
+
+    def observations(self) -> tuple[Observation, ...]:
+        """Return all looks around and sweeps in the order in which they were taken."""
+        result: list[Observation] = []
+        for k in range(len(self.views) + 1):
+            result += [look for taken, look in self.looks if taken == k]
+            result += [view.observation for view in self.views[k : k + 1]]
+        return tuple(result)

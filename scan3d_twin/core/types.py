@@ -189,7 +189,7 @@ class RangeImage:
         stamps: Time of each line (n_lines,) [s].
         yaws: Heading of the base when each beam was measured, in ``scan`` (n_lines, n_beams) [rad].
         ranges: Distances [m], NaN = no valid return (n_lines, n_beams).
-        codes: Error codes, ``VALID`` where measured (n_lines, n_beams); a filled gap keeps its code.
+        codes: Error codes, ``VALID`` where measured; a filled gap keeps its code (as ``ranges``).
         spec: The lidar's geometry.
         T_base_lidar: The lidar's mount (4, 4).
     """
@@ -227,6 +227,19 @@ def _rotate_z(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
     return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
 
 
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One sweep as it came from the robot.
+
+    Attributes:
+        image: The raw range image in frame ``scan``.
+        T_odom_scan: Where the sweep was taken, by odometry.
+    """
+
+    image: RangeImage
+    T_odom_scan: Pose2
+
+
 @dataclass(frozen=True)
 class Scan3D:
     """Points of one sweep in frame ``scan``, sorted by line, left to right.
@@ -261,7 +274,8 @@ class Scan3D:
 
     def last_lines(self, k: int) -> Scan3D:
         """Return the points of the last ``k`` occupied lines: the paper's Q for k = n_Q."""
-        return self.select(np.isin(self.lines, self.occupied_lines[max(0, len(self.occupied_lines) - k) :]))
+        first = max(0, len(self.occupied_lines) - k)
+        return self.select(np.isin(self.lines, self.occupied_lines[first:]))
 
 
 @dataclass(frozen=True)
@@ -323,6 +337,7 @@ class Plan:
         fell_back: Whether no overlap met epsilon, so that the 80 % default was taken.
         candidates: Everything that was considered, in the order of consideration.
         reason: In words, for people.
+        needs_look: Whether a look around from here could show that a better viewpoint is free.
     """
 
     viewpoint: Pose2 | None
@@ -331,3 +346,4 @@ class Plan:
     fell_back: bool
     candidates: tuple[Candidate, ...]
     reason: str
+    needs_look: bool = False

@@ -1,0 +1,219 @@
+"""Where the robot can go: a costmap from its own scans, feasibility of poses and shortest paths.
+
+A cell is free only when the floor was seen up to it and nothing stands between; unknown space is
+lethal. The robot is a disc, so that a search in the plane is complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.target import SELF_RADIUS
+from scan3d_twin.core.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Observation,
+    Pose2,
+    RangeImage,
+)
+
+RESOLUTION = 0.05
+"""Side of a cell [m]; about a third of the robot's radius."""
+FLOOR_STEP = 0.45
+"""Floor hits along a line that are farther apart than this leave a hole [m]; at 4 m and 0.30 m
+height two beams of 0.35 deg hit the floor 0.33 m apart."""
+HEIGHT_MARGIN = 0.05
+"""Things less than this above the robot's top are still obstacles [m]."""
+
+UNKNOWN, FREE, OBSTACLE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Costmap:
+    """What is known of the floor, in frame ``odom``.
+
+    Attributes:
+        origin: Corner of cell (0, 0) (2,) [m].
+        cells: ``UNKNOWN``, ``FREE`` or ``OBSTACLE`` (nx, ny).
+        radius: Distance the robot's centre keeps from all that is not free [m].
+        start: Where the robot stands; it fits there, whatever the cells say.
+    """
+
+    origin: FloatArray
+    cells: IntArray
+    radius: float
+    start: FloatArray
+
+    @cached_property
+    def passable(self) -> BoolArray:
+        """Cells in which the robot's centre may be (nx, ny)."""
+        free = self.cells == FREE
+        free |= self._disc(self.start, self.radius + RESOLUTION)
+        passable = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * RESOLUTION
+        return np.asarray(passable > self.radius) | self._disc(self.start, RESOLUTION)
+
+    @cached_property
+    def _search(self) -> tuple[FloatArray, IntArray]:
+        """Way from the start to every cell [m] and the cell before it (nx * ny,)."""
+        graph = _grid_graph(self.passable)
+        start = np.ravel_multi_index(tuple(self._cell(self.start)), self.cells.shape)
+        way, before = csgraph.dijkstra(graph, indices=np.array([start]), return_predecessors=True)
+        return way[0], before[0].astype(np.int64)
+
+    def feasible(self, x: float, y: float) -> bool:
+        """Tell whether the robot can get to (x, y) [m] and stand there."""
+        cell = self._cell(np.array([x, y]))
+        if not self._inside(cell):
+            return False
+        way, _ = self._search
+        return bool(np.isfinite(way[np.ravel_multi_index(tuple(cell), self.cells.shape)]))
+
+    def path(self, x: float, y: float) -> FloatArray | None:
+        """Return the waypoints (n, 2) of a short way from the start to (x, y) [m], or None."""
+        if not self.feasible(x, y):
+            return None
+        _, before = self._search
+        index = int(np.ravel_multi_index(tuple(self._cell(np.array([x, y]))), self.cells.shape))
+        cells = [index]
+        while before[cells[-1]] >= 0:
+            cells.append(int(before[cells[-1]]))
+        steps = np.stack(np.unravel_index(cells[::-1], self.cells.shape), axis=1)
+        way = self.origin + (steps + 0.5) * RESOLUTION
+        way[0], way[-1] = self.start, (x, y)
+        return self._shortcut(way)[1:]
+
+    def _shortcut(self, way: FloatArray) -> FloatArray:
+        """Keep only the waypoints that are needed to stay on passable cells."""
+        kept, here = [0], 0
+        while here < len(way) - 1:
+            there = len(way) - 1
+            while there > here + 1 and not self._clear(way[here], way[there]):
+                there -= 1
+            kept.append(there)
+            here = there
+        return way[kept]
+
+    def _clear(self, a: FloatArray, b: FloatArray) -> bool:
+        """Tell whether the straight way from ``a`` to ``b`` stays on passable cells."""
+        n = max(2, int(np.linalg.norm(b - a) / (RESOLUTION / 2)))
+        points = a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
+        cells = np.floor((points - self.origin) / RESOLUTION).astype(np.int64)
+        return bool(np.all(self.passable[cells[:, 0], cells[:, 1]]))
+
+    def _cell(self, point: FloatArray) -> IntArray:
+        return np.floor((point - self.origin) / RESOLUTION).astype(np.int64)
+
+    def _inside(self, cell: IntArray) -> bool:
+        return bool(np.all(cell >= 0) and np.all(cell < self.cells.shape))
+
+    def _disc(self, centre: FloatArray, radius: float) -> BoolArray:
+        """Return the cells whose middle is within ``radius`` [m] of ``centre``."""
+        offset = _centres(self.origin, self.cells.shape) - centre
+        return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) <= radius)
+
+
+def build_costmap(observations: Sequence[Observation], config: Config, start: Pose2) -> Costmap:
+    """Return the costmap in ``odom`` from ``observations``, newer ones over older ones.
+
+    Args:
+        observations: Looks around and sweeps in the order in which they were taken; at least one.
+        config: Ranges, heights and the robot's size.
+        start: Where the robot stands in ``odom``.
+    """
+    reach = config.target.max_range + RESOLUTION
+    places = np.array([[o.T_odom_scan.x, o.T_odom_scan.y] for o in observations])
+    origin = np.floor((places.min(axis=0) - reach) / RESOLUTION) * RESOLUTION
+    size = np.ceil((places.max(axis=0) + reach - origin) / RESOLUTION).astype(np.int64)
+    cells = np.full(tuple(size), UNKNOWN, dtype=np.int64)
+    for observation in observations:
+        _mark(cells, origin, observation, config)
+    radius = config.motion.robot_radius + config.motion.clearance
+    return Costmap(origin, cells, radius, np.array([start.x, start.y]))
+
+
+def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config: Config) -> None:
+    """Write what one observation saw into ``cells``."""
+    image, pose = observation.image, observation.T_odom_scan
+    solid = _solid(image, config)
+    reach, yaws = _free_reach(image, solid, config), image.yaws[:, image.spec.n_beams // 2]
+    local = pose.inverse().apply(_centres(origin, (cells.shape[0], cells.shape[1])))
+    cells[_swept(local, yaws, reach)] = FREE
+    points = pose.apply(image.points[solid])[:, :2]
+    hit = np.floor((points - origin) / RESOLUTION).astype(np.int64)
+    inside = np.all((hit >= 0) & (hit < cells.shape), axis=1)
+    cells[hit[inside, 0], hit[inside, 1]] = OBSTACLE
+
+
+def _solid(image: RangeImage, config: Config) -> BoolArray:
+    """Tell which readings are things the robot could run into (n_lines, n_beams)."""
+    points = image.points
+    with np.errstate(invalid="ignore"):
+        solid = (points[..., 2] > config.target.floor_height) & (
+            points[..., 2] < config.motion.robot_height + HEIGHT_MARGIN
+        )
+        solid &= image.ranges <= config.target.max_range
+    return solid & (np.hypot(points[..., 0], points[..., 1]) > SELF_RADIUS)
+
+
+def _free_reach(image: RangeImage, solid: BoolArray, config: Config) -> FloatArray:
+    """Return how far each line (n_lines,) sees an unbroken floor with nothing on it [m]."""
+    points = image.points
+    distance = np.hypot(points[..., 0], points[..., 1])
+    forward = np.abs(image.spec.elevations) < np.pi / 2
+    with np.errstate(invalid="ignore"):
+        floor = (np.abs(points[..., 2]) <= config.target.floor_height) & forward
+        floor &= (image.ranges <= config.target.max_range) & (distance > SELF_RADIUS)
+    reach = np.zeros(image.n_lines)
+    for k in range(image.n_lines):
+        hits = np.sort(distance[k, floor[k]])
+        steps = np.diff(hits, prepend=SELF_RADIUS)
+        broken = np.flatnonzero(steps > FLOOR_STEP)
+        end = broken[0] if len(broken) else len(hits)
+        reach[k] = hits[end - 1] if end > 0 else 0.0
+    blocked = np.where(solid & forward, distance, np.inf).min(axis=1)
+    return np.asarray(np.minimum(reach, blocked - RESOLUTION))
+
+
+def _swept(local: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
+    """Tell which places ``local`` (nx, ny, 2) lie between two lines and within their reach."""
+    bearing = np.arctan2(local[..., 1], local[..., 0])
+    distance = np.hypot(local[..., 0], local[..., 1])
+    middle = (yaws[0] + yaws[-1]) / 2
+    bearing = middle + (bearing - middle + np.pi) % (2 * np.pi) - np.pi
+    left = np.searchsorted(-yaws, -bearing, side="right") - 1
+    between = (left >= 0) & (left < len(yaws) - 1)
+    left = np.clip(left, 0, max(0, len(yaws) - 2))
+    both = np.minimum(reach[left], reach[np.minimum(left + 1, len(yaws) - 1)])
+    return np.asarray(between & (distance <= both))
+
+
+def _centres(origin: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return the middles of the cells (nx, ny, 2) [m]."""
+    i, j = np.indices(shape)
+    return np.asarray(origin + (np.stack([i, j], axis=-1) + 0.5) * RESOLUTION)
+
+
+def _grid_graph(passable: BoolArray) -> sparse.csr_array:
+    """Return the 8-connected graph of the passable cells, weighted by distance [m]."""
+    index = np.arange(passable.size).reshape(passable.shape)
+    rows, columns, weights = [], [], []
+    for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        a = np.s_[: -dx or None, max(0, -dy) : (-dy if dy > 0 else None)]
+        b = np.s_[dx:, (dy if dy > 0 else 0) : (dy if dy < 0 else None)]
+        linked = passable[a] & passable[b]
+        rows.append(index[a][linked])
+        columns.append(index[b][linked])
+        weights.append(np.full(np.count_nonzero(linked), RESOLUTION * np.hypot(dx, dy)))
+    i, j, w = (np.concatenate(part) for part in (rows, columns, weights))
+    n = passable.size
+    return sparse.csr_array(
+        (np.tile(w, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)
+    )

@@ -1,0 +1,226 @@
+"""The main loop: the flow chart of the paper's Fig. 5.
+
+``observe`` touches the robot; ``integrate`` and ``planner.plan`` are pure, so that simulation, the
+real robot, replay and tests all run the same algorithm.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+import numpy as np
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.costmap import build_costmap
+from scan3d_twin.core.errors import ScanError
+from scan3d_twin.core.gaps import fill_gaps
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.motion import follow
+from scan3d_twin.core.planning import Planner
+from scan3d_twin.core.registration import overlapping_lines, register
+from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.sweep import look_around, sweep
+from scan3d_twin.core.target import all_points, extract_target, find_target
+from scan3d_twin.core.types import (
+    FloatArray,
+    Observation,
+    Plan,
+    Pose2,
+    RegistrationResult,
+    Scan3D,
+    ScanLine,
+)
+from scan3d_twin.core.viewpoints import first_segment, place
+
+Command = Literal["go", "pause", "stop"]
+REGISTRATION, PLANNING = 1, 2
+"""Random streams of view k: ``default_rng([seed, k, stream])``; stream 0 is the sensor's."""
+PAUSE = 0.1
+"""Time between two looks at the pause button [s]."""
+
+
+class Observer(Protocol):
+    """How progress, recording, views and stop buttons attach to a run."""
+
+    def on_event(self, text: str) -> None:
+        """Something worth a line happened."""
+        ...
+
+    def on_line(self, line: ScanLine) -> None:
+        """A scan line arrived."""
+        ...
+
+    def on_view(self, session: Session) -> None:
+        """The last view of ``session`` was added."""
+        ...
+
+    def on_plan(self, session: Session) -> None:
+        """The last plan of ``session`` was made."""
+        ...
+
+    def command(self) -> Command:
+        """Return what the user wants now."""
+        ...
+
+
+def digitize(
+    robot: Robot,
+    planner: Planner,
+    config: Config,
+    seed: int,
+    observer: Observer,
+    target: tuple[float, float] | None = None,
+) -> Session:
+    """Digitise a target: look around, then observe, integrate, plan and move until it is done.
+
+    Args:
+        robot: Open and at rest.
+        planner: Decides on the viewpoints.
+        config: The effective configuration.
+        seed: The run's one seed.
+        observer: Sees every step.
+        target: Place (x, y) in ``odom`` [m] of the target; the most salient thing by default.
+
+    Returns:
+        The session, with the reason why it ended.
+
+    Raises:
+        SceneError: There is no target.
+        ScanError, HazardError, LinkError: From the robot; the wheels are stopped, and the observer
+            has seen all finished views.
+    """
+    viewpoint: Pose2 | None
+    session, viewpoint = begin(robot, config, seed, observer, target)
+    while viewpoint is not None:
+        observation = observe(robot, viewpoint, session, observer)
+        session = integrate(session, observation)
+        observer.on_view(session)
+        session = _plan(robot, planner, session, observer)
+        observer.on_plan(session)
+        viewpoint = _next_in_odom(session) if _go_on(robot, observer) else None
+    last = session.plans[-1]
+    return session.ended(last.reason if last.viewpoint is None else "stopped by the user")
+
+
+def begin(
+    robot: Robot,
+    config: Config,
+    seed: int,
+    observer: Observer,
+    target: tuple[float, float] | None,
+) -> tuple[Session, Pose2]:
+    """Look around for the target; return an empty session and the first viewpoint in ``odom``."""
+    observer.on_event("looking around for the target")
+    look = look_around(robot, config, observer.on_line)
+    hint = find_target(look, target, config)
+    here = robot.base.odometry().T_odom_base
+    front = np.array([here.x, here.y]) - hint.mean(axis=0)
+    front /= np.linalg.norm(front)
+    session = Session(config, seed, hint, front, ((0, look),))
+    costmap = build_costmap(session.observations(), config, here)
+    width = 2 * config.planning.standoff * np.tan(min(config.sweep.width, np.pi / 2) / 2)
+    segment = first_segment(here.inverse().apply(hint), width, from_left=config.tour == "front")
+
+    def feasible(viewpoint: Pose2) -> bool:
+        there = here @ viewpoint
+        return costmap.feasible(there.x, there.y)
+
+    viewpoint, _ = place(segment, config, feasible)
+    if viewpoint is None:
+        raise ScanError(
+            "no viewpoint of the target can be reached; clear the floor in front of it, or allow "
+            "another planning.standoff"
+        )
+    return session, here @ viewpoint
+
+
+def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer) -> Observation:
+    """Drive to ``viewpoint`` in ``odom``, around obstacles, and sweep there."""
+    config = session.config
+    here = robot.base.odometry().T_odom_base
+    path = build_costmap(session.observations(), config, here).path(viewpoint.x, viewpoint.y)
+    if path is None:
+        raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
+    observer.on_event(f"driving to viewpoint {len(session.views) + 1}")
+    follow(robot, path, config.motion)
+    observer.on_event(f"scanning view {len(session.views) + 1}")
+    return sweep(robot, viewpoint.yaw, config, observer.on_line)
+
+
+def integrate(session: Session, observation: Observation) -> Session:
+    """Fill gaps, extract the target, register with the previous view and append the new one.
+
+    Pure: the same session and observation give the same result.
+    """
+    config = session.config
+    image = fill_gaps(observation.image, config.gaps)
+    points = all_points(image, config.target)
+    prior = _prior(session, observation)
+    known = prior.inverse().apply(_known_target(session))
+    target = extract_target(image, points, known, config.target)
+    view = View(observation, target, points, prior, None)
+    if session.views:
+        result = _register(session, view)
+        previous = session.views[-1]
+        if result.converged:
+            prior = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
+        view = View(observation, target, points, prior, result)
+    return session.with_view(view)
+
+
+def _prior(session: Session, observation: Observation) -> Pose2:
+    """Return ``T_world_scan`` by odometry from the previous view; world is odom at the first."""
+    if not session.views:
+        return observation.T_odom_scan
+    previous = session.views[-1]
+    move = previous.observation.T_odom_scan.inverse() @ observation.T_odom_scan
+    return previous.T_world_scan @ move
+
+
+def _known_target(session: Session) -> FloatArray:
+    """Return the top view (n, 2) in ``world`` of all that is known of the target."""
+    seen = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
+    return np.concatenate([session.hint, *seen])
+
+
+def _register(session: Session, view: View) -> RegistrationResult:
+    """Register ``view`` on the previous one where they are expected to overlap."""
+    config, previous = session.config.registration, session.views[-1]
+    init = previous.T_world_scan.inverse() @ view.T_world_scan
+    target, source = (_in_scope(v, config.scope) for v in (previous, view))
+    source = overlapping_lines(target, source, init, config.max_correspondence_distance)
+    return register(target.points, source.points, init_T_target_source=init, config=config)
+
+
+def _in_scope(view: View, scope: str) -> Scan3D:
+    return view.target if scope == "target" else view.sweep
+
+
+def _plan(robot: Robot, planner: Planner, session: Session, observer: Observer) -> Session:
+    """Plan; if the way is not known to be free, look around once and plan again."""
+    plan = _ask(planner, session)
+    if plan.needs_look:
+        observer.on_event("looking around for free space")
+        session = session.with_look(look_around(robot, session.config, observer.on_line))
+        plan = _ask(planner, session)
+    return session.with_plan(plan)
+
+
+def _ask(planner: Planner, session: Session) -> Plan:
+    rng = np.random.default_rng([session.seed, len(session.views) - 1, PLANNING])
+    return planner.plan(session, rng)
+
+
+def _next_in_odom(session: Session) -> Pose2 | None:
+    """Return the planned viewpoint in ``odom``, relative to the latest view: drift cancels."""
+    plan, view = session.plans[-1], session.views[-1]
+    if plan.viewpoint is None:
+        return None
+    return view.observation.T_odom_scan @ view.T_world_scan.inverse() @ plan.viewpoint
+
+
+def _go_on(robot: Robot, observer: Observer) -> bool:
+    """Wait while the user pauses; tell whether to go on."""
+    while (command := observer.command()) == "pause":
+        robot.clock.sleep(PAUSE)
+    return command == "go"

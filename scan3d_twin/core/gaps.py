@@ -1,0 +1,41 @@
+"""Gap filling (paper section 4.1): linear interpolation across readings that did not come back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from scan3d_twin.core.config import GapConfig
+from scan3d_twin.core.types import FloatArray, RangeImage, read_only
+
+
+def fill_gaps(image: RangeImage, config: GapConfig) -> RangeImage:
+    """Return ``image`` with narrow gaps filled, first along each line, then across lines.
+
+    A gap is filled when it is narrower than ``config.max_angle`` and the readings on its two sides
+    differ by less than ``config.depth_edge``, so never across a depth edge. Measured readings are
+    kept as they are; filled ones keep their error code.
+    """
+    columns = np.broadcast_to(image.spec.elevations, image.ranges.shape)
+    ranges = _fill_rows(image.ranges, columns, config)
+    ranges = _fill_rows(ranges.T, -image.yaws.T, config).T
+    return replace(image, ranges=read_only(ranges))
+
+
+def _fill_rows(ranges: FloatArray, angles: FloatArray, config: GapConfig) -> FloatArray:
+    """Fill NaN runs of each row of ``ranges`` (m, n); ``angles`` (m, n) [rad] rise along a row."""
+    valid = np.isfinite(ranges)
+    rows, columns = np.indices(ranges.shape)
+    before = np.asarray(np.maximum.accumulate(np.where(valid, columns, -1), axis=1))
+    after = np.where(valid, columns, ranges.shape[1])[:, ::-1]
+    after = np.asarray(np.minimum.accumulate(after, axis=1))[:, ::-1]
+    bounded = ~valid & (before >= 0) & (after < ranges.shape[1])
+    row, column = rows[bounded], columns[bounded]
+    a, b = (row, before[bounded]), (row, after[bounded])
+    width = angles[b] - angles[a]
+    narrow = (width <= config.max_angle) & (np.abs(ranges[b] - ranges[a]) <= config.depth_edge)
+    share = (angles[row, column] - angles[a]) / np.where(width > 0, width, 1.0)
+    filled = ranges.copy()
+    filled[row[narrow], column[narrow]] = (ranges[a] + share * (ranges[b] - ranges[a]))[narrow]
+    return filled

@@ -1,0 +1,119 @@
+"""Moves of the robot: closed loops on odometry, with a deadline and a stop on every way out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+
+from scan3d_twin.core.config import MotionConfig
+from scan3d_twin.core.errors import MotionTimeoutError
+from scan3d_twin.core.hal import Clock, DriveBase, Robot
+from scan3d_twin.core.types import FloatArray, Odometry, Pose2, wrap
+
+CONTROL_PERIOD = 0.03
+"""Time between two velocity commands [s]: two sensor packets of 15 ms."""
+APPROACH_GAIN = 4.0
+"""Speed per remaining way near the goal [1/s]; slow enough for the 30 ms period, an assumption."""
+STEERING_GAIN = 2.0
+"""Yaw rate per heading error while driving [1/s]; an assumption."""
+
+
+@contextmanager
+def stopping(base: DriveBase) -> Iterator[None]:
+    """Stop the wheels however the block is left."""
+    try:
+        yield
+    finally:
+        base.set_velocity(0.0, 0.0)
+
+
+def ticks(clock: Clock, timeout: float, what: str) -> Iterator[None]:
+    """Yield once per control period.
+
+    Raises:
+        MotionTimeoutError: ``timeout`` [s] has passed.
+    """
+    deadline = clock.now() + timeout
+    while clock.now() < deadline:
+        yield
+        clock.sleep(CONTROL_PERIOD)
+    raise MotionTimeoutError(
+        f"{what} took longer than {timeout:.1f} s: wheels blocked or slipping?"
+    )
+
+
+def turn_to(robot: Robot, yaw: float, config: MotionConfig) -> None:
+    """Turn on the spot, the short way, until the odometry's heading is ``yaw`` [rad].
+
+    Raises:
+        MotionTimeoutError: The heading was not reached in about twice the time it needs.
+        HazardError: From the robot.
+    """
+    turn_by(robot, wrap(yaw - robot.base.odometry().T_odom_base.yaw), config)
+
+
+def turn_by(robot: Robot, angle: float, config: MotionConfig) -> None:
+    """Turn on the spot by ``angle`` [rad], which may exceed half a turn; errors as ``turn_to``."""
+    acceleration = 2.0 * config.acceleration / robot.base.spec.wheel_base
+    last, left, rate = robot.base.odometry().T_odom_base.yaw, angle, 0.0
+    timeout = 2.0 * abs(angle) / config.turn_rate + 5.0
+    with stopping(robot.base):
+        for _ in ticks(robot.clock, timeout, f"a turn of {math.degrees(angle):.0f} deg"):
+            yaw = robot.base.odometry().T_odom_base.yaw
+            left, last = left - wrap(yaw - last), yaw
+            if abs(left) <= config.yaw_tolerance:
+                return
+            wanted = max(-config.turn_rate, min(config.turn_rate, APPROACH_GAIN * left))
+            rate = _ramp(rate, wanted, acceleration * CONTROL_PERIOD)
+            robot.base.set_velocity(0.0, rate)
+
+
+def drive_to(robot: Robot, x: float, y: float, config: MotionConfig) -> None:
+    """Turn towards (x, y) in ``odom`` [m] and drive there straight, steering back to the line.
+
+    Raises:
+        MotionTimeoutError: The place was not reached in about twice the time it needs.
+        HazardError: From the robot.
+    """
+    start = robot.base.odometry().T_odom_base
+    length = math.hypot(x - start.x, y - start.y)
+    if length <= config.position_tolerance:
+        return
+    bearing = math.atan2(y - start.y, x - start.x)
+    turn_to(robot, bearing, config)
+    line, speed = Pose2(start.x, start.y, bearing), 0.0
+    timeout = 2.0 * length / config.speed + 5.0
+    with stopping(robot.base):
+        for _ in ticks(robot.clock, timeout, f"a drive of {length:.2f} m"):
+            along = line.inverse() @ robot.base.odometry().T_odom_base
+            left = length - along.x
+            if left <= config.position_tolerance:
+                return
+            speed = _ramp(
+                speed, min(config.speed, APPROACH_GAIN * left), config.acceleration * CONTROL_PERIOD
+            )
+            heading = math.atan2(-along.y, max(left, 0.2))
+            robot.base.set_velocity(speed, STEERING_GAIN * wrap(heading - along.yaw))
+
+
+def follow(robot: Robot, path: FloatArray, config: MotionConfig) -> None:
+    """Drive along the waypoints ``path`` (n, 2) in ``odom`` [m], turning on the spot at each."""
+    for x, y in path:
+        drive_to(robot, float(x), float(y), config)
+
+
+def travelled(odometry: Sequence[Odometry]) -> tuple[float, float]:
+    """Return the length of the way [m] and the sum of all turns [rad]."""
+    poses = [sample.T_odom_base for sample in odometry]
+    path = sum(a.distance(b) for a, b in pairwise(poses))
+    turn = sum(abs(wrap(b.yaw - a.yaw)) for a, b in pairwise(poses))
+    return path, turn
+
+
+def _ramp(current: float, wanted: float, step: float) -> float:
+    """Return ``wanted``, at most ``step`` faster than ``current``; slowing down is immediate."""
+    if abs(wanted) <= abs(current) and wanted * current >= 0:
+        return wanted
+    return max(current - step, min(current + step, wanted))

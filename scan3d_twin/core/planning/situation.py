@@ -1,0 +1,142 @@
+"""What every planner asks first: is the tour finished, and where would one stand for an overlap?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from scan3d_twin.core.costmap import Costmap, build_costmap
+from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.types import Plan, Pose2, wrap
+from scan3d_twin.core.viewpoints import Contour, contour_of, ends_in_view, next_segment, place
+
+MIN_LINES = 5
+"""A target seen in fewer lines gives no contour to go along."""
+NEARLY_ROUND = math.radians(240.0)
+"""Turn since the first view after which the contour may close; three sides of a box are 270 deg."""
+CLOSED = 0.10
+"""The contour is closed when its end comes this near to where it began [m]: a few times the drift
+of a dozen registered views."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where to stand for one overlap.
+
+    Attributes:
+        viewpoint: ``T_scan_next`` in frame ``scan`` of the latest view; None if none is feasible.
+        wanted: Whether it is the viewpoint the geometry asks for, not a substitute for it.
+    """
+
+    viewpoint: Pose2 | None
+    wanted: bool
+
+
+@dataclass(frozen=True)
+class Situation:
+    """The latest view and what follows from it."""
+
+    session: Session
+
+    @property
+    def view(self) -> View:
+        """The latest view."""
+        return self.session.views[-1]
+
+    @cached_property
+    def contour(self) -> Contour:
+        """The target's contour in the latest view."""
+        return contour_of(self.view.target)
+
+    @cached_property
+    def ends(self) -> bool:
+        """Whether the target ends within the latest view, on the travel side."""
+        gap = self.session.config.target.cluster_gap
+        view = self.view
+        return ends_in_view(view.observation.image, view.sweep, view.target, gap)
+
+    @cached_property
+    def costmap(self) -> Costmap:
+        """Where the robot can go from here."""
+        session = self.session
+        start = self.view.observation.T_odom_scan
+        return build_costmap(session.observations(), session.config, start)
+
+    @property
+    def looked(self) -> bool:
+        """Whether the robot has looked around since the latest view."""
+        return any(taken == len(self.session.views) for taken, _ in self.session.looks)
+
+    @property
+    def n_lines(self) -> int:
+        """The paper's n: lines of the latest view that show the target."""
+        return len(self.view.target.occupied_lines)
+
+    def n_Q(self, overlap: float) -> int:
+        """Return the number of overlapping lines for ``overlap``, eta * n."""
+        return max(2, round(overlap * self.n_lines))
+
+    def place(self, overlap: float) -> Placement:
+        """Return where to stand to see ``overlap`` of the current lines again."""
+        config = self.session.config
+        turns_away = self.ends and config.tour == "full"
+        segment = next_segment(self.contour, self.n_Q(overlap), turns_away)
+        viewpoint, wanted = place(segment, config, self.feasible)
+        return Placement(viewpoint, wanted)
+
+    def feasible(self, viewpoint: Pose2) -> bool:
+        """Tell whether the robot can get to ``viewpoint``, given in ``scan``, and stand there."""
+        there = self.view.observation.T_odom_scan @ viewpoint
+        return self.costmap.feasible(there.x, there.y)
+
+    def finished(self) -> str | None:
+        """Return why the tour is finished, or None while there is more to scan."""
+        if self.n_lines < MIN_LINES:
+            return "target lost: the latest view shows nothing of it"
+        if len(self.session.views) >= self.session.config.max_views:
+            return f"max_views: {len(self.session.views)} views taken"
+        if self.session.config.tour == "front":
+            return "front complete" if self.ends else None
+        return "contour complete" if self._closed() else None
+
+    def _closed(self) -> bool:
+        """Tell whether a tour all round has come back to where the first view began."""
+        views = self.session.views
+        yaws = [view.T_world_scan.yaw for view in views]
+        turned = sum(wrap(b - a) for a, b in pairwise(yaws))
+        if turned < NEARLY_ROUND:
+            return False
+        if turned >= math.tau:
+            return True
+        first = views[0].T_world_scan.apply(contour_of(views[0].target).points)
+        end = self.view.T_world_scan.apply(self.contour.points[-1])
+        return bool(nearest(cKDTree(first), end)[0] <= CLOSED)
+
+
+def finish(reason: str) -> Plan:
+    """Return the plan that ends a run."""
+    return Plan(None, 0.0, math.nan, False, (), reason)
+
+
+def blocked(situation: Situation) -> Plan:
+    """Return the plan for when no viewpoint can be reached: look around first, then give up."""
+    if situation.looked:
+        return finish("no viewpoint left: none that shows the next segment can be reached")
+    reason = "no viewpoint is known to be free: look around"
+    return Plan(None, 0.0, math.nan, False, (), reason, needs_look=True)
+
+
+def in_world(situation: Situation, viewpoint: Pose2) -> Pose2:
+    """Return ``T_world_next`` of a viewpoint given in ``scan``."""
+    return situation.view.T_world_scan @ viewpoint
+
+
+def rms(displacements: np.ndarray) -> float:
+    """Return the root mean square length of ``displacements`` (n, 3)."""
+    return float(np.sqrt(np.mean(np.sum(displacements**2, axis=1))))

@@ -1,0 +1,184 @@
+"""Registration of two scans: the paper's plain point-to-point ICP, eq. (1), for a yawing robot.
+
+The motion between two viewpoints is planar, so ICP estimates (x, y, theta); z is used to find
+correspondences and is left as it is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from scan3d_twin.core.config import RegistrationConfig
+from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.types import (
+    FloatArray,
+    Pose2,
+    RegistrationResult,
+    Scan3D,
+    read_only,
+)
+
+PLANAR = [0, 1, 5]
+"""Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
+MIN_PAIRS = 10
+"""Fewer correspondences than this determine nothing reliably."""
+
+
+def register(
+    target: FloatArray,
+    source: FloatArray,
+    *,
+    init_T_target_source: Pose2 | None = None,
+    config: RegistrationConfig | None = None,
+    tree: cKDTree | None = None,
+) -> RegistrationResult:
+    """Lay ``source`` on ``target`` by point-to-point ICP in the plane, eq. (1).
+
+    Args:
+        target: Points (n, 3) [m], the paper's model set M.
+        source: Points (m, 3) [m], the paper's data set D.
+        init_T_target_source: First guess; identity by default.
+        config: Thresholds; the defaults of ``RegistrationConfig``.
+        tree: ``cKDTree(target)`` when the caller has it already.
+
+    Returns:
+        The result; ``converged`` is False when the iterations ran out, when too few points found
+        a partner or when a set is empty.
+    """
+    config = config or RegistrationConfig()
+    pose = init_T_target_source or Pose2()
+    if len(target) < MIN_PAIRS or len(source) < MIN_PAIRS:
+        return _failed(pose)
+    source = _thin_out(source, config.max_points)
+    tree = tree or cKDTree(target)
+    settled, iterations = False, 0
+    while not settled and iterations < config.max_iterations:
+        iterations += 1
+        moved = pose.apply(source)
+        distances, index = nearest(tree, moved, config.max_correspondence_distance)
+        paired = np.isfinite(distances)
+        if np.count_nonzero(paired) < MIN_PAIRS:
+            return _failed(pose)
+        step = fit_planar(target[index[paired]], moved[paired])
+        pose = step @ pose
+        settled = (
+            math.hypot(step.x, step.y) < config.translation_epsilon
+            and abs(step.yaw) < config.rotation_epsilon
+        )
+    return _judge(tree, source, pose, iterations, settled, config)
+
+
+def fit_planar(target: FloatArray, source: FloatArray) -> Pose2:
+    """Return the planar pose that minimises eq. (1) for known pairs (n, 2 or 3), in closed form."""
+    target_mean, source_mean = target[:, :2].mean(axis=0), source[:, :2].mean(axis=0)
+    a, b = source[:, :2] - source_mean, target[:, :2] - target_mean
+    dot = float(np.einsum("ij,ij->", a, b))
+    cross = float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    turn = Pose2(0.0, 0.0, math.atan2(cross, dot))
+    shift = target_mean - turn.apply(source_mean)
+    return Pose2(float(shift[0]), float(shift[1]), turn.yaw)
+
+
+def overlapping_lines(
+    target: Scan3D, source: Scan3D, init_T_target_source: Pose2, distance: float
+) -> Scan3D:
+    """Return the lines of ``source`` expected on ``target``: half of whose points come near it.
+
+    The planner chose an overlap; registering whole images instead would drag one image onto the
+    other where they do not show the same surface.
+    """
+    if len(target) == 0 or len(source) == 0:
+        return source.select(np.zeros(len(source), dtype=bool))
+    moved = init_T_target_source.apply(source.points)
+    near = np.isfinite(nearest(cKDTree(target.points), moved, distance)[0])
+    total = np.bincount(source.lines, minlength=source.n_lines)
+    hits = np.bincount(source.lines, weights=near, minlength=source.n_lines)
+    return source.select((2 * hits >= total)[source.lines])
+
+
+def _judge(
+    tree: cKDTree,
+    source: FloatArray,
+    pose: Pose2,
+    iterations: int,
+    settled: bool,
+    config: RegistrationConfig,
+) -> RegistrationResult:
+    """Fill the result at the final ``pose``."""
+    moved = pose.apply(source)
+    distances, _ = nearest(tree, moved, config.max_correspondence_distance)
+    paired = np.isfinite(distances)
+    pairs = int(np.count_nonzero(paired))
+    fitness = pairs / len(source)
+    rmse = float(np.sqrt(np.mean(distances[paired] ** 2))) if pairs else math.nan
+    information = _information(moved[paired], rmse)
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_(PLANAR, PLANAR)] = np.linalg.pinv(information[np.ix_(PLANAR, PLANAR)])
+    return RegistrationResult(
+        T_target_source=read_only(pose.matrix()),
+        covariance=read_only(covariance),
+        information=read_only(information),
+        fitness=fitness,
+        inlier_rmse=rmse,
+        predicted_rmse=_spread(moved, covariance),
+        num_inliers=pairs,
+        iterations=iterations,
+        converged=settled and fitness >= config.min_fitness,
+        degenerate_directions=read_only(np.zeros((0, 6))),
+        ambiguity_gap=1.0,
+    )
+
+
+def _information(points: FloatArray, rmse: float) -> FloatArray:
+    """Return J^T J / rmse^2 (6, 6) of point-to-point pairs at ``points`` (n, 3), planar part only.
+
+    Point-to-point pairs claim to fix every direction, a slide along a wall too (Bonnabel et al.,
+    arXiv 1410.7632): this is what the paper's ICP believes, not what is true.
+    """
+    x, y = points[:, 0], points[:, 1]
+    planar = np.array(
+        [
+            [len(x), 0.0, -y.sum()],
+            [0.0, len(x), x.sum()],
+            [-y.sum(), x.sum(), float(np.sum(x * x + y * y))],
+        ]
+    )
+    information = np.zeros((6, 6))
+    information[np.ix_(PLANAR, PLANAR)] = planar / max(rmse, 1e-6) ** 2 if len(x) else 0.0
+    return information
+
+
+def _spread(points: FloatArray, covariance: FloatArray) -> float:
+    """Return the root mean square displacement of ``points`` (n, 3) under ``covariance`` [m]."""
+    C = covariance[np.ix_(PLANAR, PLANAR)]
+    x, y = points[:, 0], points[:, 1]
+    squares = C[0, 0] + C[1, 1] + C[2, 2] * (x * x + y * y) + 2 * (x * C[1, 2] - y * C[0, 2])
+    return float(np.sqrt(max(0.0, float(np.mean(squares)))))
+
+
+def _thin_out(points: FloatArray, most: int) -> FloatArray:
+    """Return at most ``most`` of ``points``, evenly chosen."""
+    if len(points) <= most:
+        return points
+    return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
+
+
+def _failed(pose: Pose2) -> RegistrationResult:
+    """Return the result for sets that cannot be registered: the guess, not converged."""
+    nothing = read_only(np.zeros((6, 6)))
+    return RegistrationResult(
+        T_target_source=read_only(pose.matrix()),
+        covariance=nothing,
+        information=nothing,
+        fitness=0.0,
+        inlier_rmse=math.nan,
+        predicted_rmse=math.nan,
+        num_inliers=0,
+        iterations=0,
+        converged=False,
+        degenerate_directions=read_only(np.zeros((0, 6))),
+        ambiguity_gap=1.0,
+    )

@@ -1,0 +1,154 @@
+"""Sweeping: the robot turns on the spot and the vertical scan lines sweep out a range image.
+
+Every beam gets the heading the base had when that beam was measured (de-skewing), and lines that
+did not arrive are scanned again (the data-loss check of the paper's Fig. 5).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import DataLossError
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.motion import stopping, turn_to
+from scan3d_twin.core.types import (
+    FloatArray,
+    Observation,
+    Pose2,
+    RangeImage,
+    ScanLine,
+    read_only,
+    wrap,
+)
+
+LOST_LINE = 1.6
+"""A step of more than this many line spacings means that a line is missing."""
+RUN_UP = 3
+"""Line spacings turned before the first and after the last wanted line, to get up to speed."""
+
+Lines = list[tuple[ScanLine, FloatArray]]
+"""Lines with each beam's heading relative to the middle of the sweep (n_beams,) [rad]."""
+
+
+def sweep(
+    robot: Robot, yaw: float, config: Config, on_line: Callable[[ScanLine], None]
+) -> Observation:
+    """Scan ``config.sweep.width`` around the heading ``yaw`` in ``odom`` [rad].
+
+    Raises:
+        DataLossError: Lines are still missing after ``config.sweep.retries`` more passes.
+        MotionTimeoutError, HazardError, LinkTimeoutError: From the robot.
+    """
+    half, rate = config.sweep.width / 2, config.sweep.yaw_rate
+    started = robot.clock.now()
+    heading = wrap(robot.base.odometry().T_odom_base.yaw - yaw)
+    ends = (half, -half) if heading >= 0 else (-half, half)
+    lines = _pass(robot, yaw, ends, rate, config, on_line)
+    spacing = rate * robot.lidar.spec.line_period
+    for _ in range(config.sweep.retries):
+        missing = find_missing(_front_yaws(lines), half, spacing)
+        if not missing:
+            break
+        for left, right in missing:
+            again = _pass(robot, yaw, (left, right), rate, config, on_line)
+            inside = [item for item in again if right < _front_yaw(item[1]) < left]
+            lines.extend(inside)
+    missing = find_missing(_front_yaws(lines), half, spacing)
+    if missing:
+        raise DataLossError(
+            f"{len(missing)} gaps in the sweep are left after {config.sweep.retries} more passes; "
+            "check the lidar's cable and baud rate, or allow more sweep.retries"
+        )
+    kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
+    return _observation(robot, kept, yaw, started)
+
+
+def look_around(robot: Robot, config: Config, on_line: Callable[[ScanLine], None]) -> Observation:
+    """Scan one full turn coarsely from where the robot stands; lost lines do not matter here."""
+    started = robot.clock.now()
+    yaw = robot.base.odometry().T_odom_base.yaw
+    lines = _pass(robot, yaw, (0.0, math.tau), config.sweep.look_rate, config, on_line)
+    return _observation(robot, lines, yaw, started)
+
+
+def find_missing(yaws: FloatArray, half: float, spacing: float) -> list[tuple[float, float]]:
+    """Return the intervals (left, right) [rad], left > right, in which lines are missing.
+
+    Args:
+        yaws: Headings of the lines there are, in any order (n,) [rad].
+        half: The sweep reaches from ``half`` to ``-half`` [rad].
+        spacing: Nominal angle between two lines [rad].
+    """
+    edges = np.concatenate(([half + spacing / 2], -np.sort(-yaws), [-half - spacing / 2]))
+    wide = -np.diff(edges) > LOST_LINE * spacing
+    return [(float(edges[i]), float(edges[i + 1])) for i in np.flatnonzero(wide)]
+
+
+def _pass(
+    robot: Robot,
+    yaw: float,
+    ends: tuple[float, float],
+    rate: float,
+    config: Config,
+    on_line: Callable[[ScanLine], None],
+) -> Lines:
+    """Turn from ``ends[0]`` to ``ends[1]`` (relative to ``yaw``); return the lines on the way."""
+    period = robot.lidar.spec.line_period
+    direction = math.copysign(1.0, ends[1] - ends[0])
+    margin = RUN_UP * rate * period
+    turn_to(robot, yaw + ends[0] - direction * margin, config.motion)
+    robot.clock.sleep(config.sweep.settle)
+    started = robot.clock.now()
+    duration = (abs(ends[1] - ends[0]) + 2 * margin) / rate
+    lines: list[ScanLine] = []
+    with stopping(robot.base):
+        robot.base.set_velocity(0.0, direction * rate)
+        while robot.clock.now() < started + duration:
+            line = robot.lidar.read_line(timeout=20 * period)
+            if line.stamp >= started:
+                on_line(line)
+                lines.append(line)
+    robot.clock.sleep(2 * robot.base.spec.sample_period)
+    return _deskew(robot, lines, started, yaw, ends[0] - direction * margin)
+
+
+def _deskew(robot: Robot, lines: list[ScanLine], started: float, yaw: float, first: float) -> Lines:
+    """Give each beam the heading it had, relative to ``yaw``; the turn began near ``first``."""
+    odometry = robot.base.odometry_since(started)
+    stamps = np.array([sample.stamp for sample in odometry])
+    headings = np.unwrap([sample.T_odom_base.yaw for sample in odometry])
+    headings += first + wrap(float(headings[0]) - yaw - first) - headings[0]
+    times = robot.lidar.spec.beam_times
+    return [(line, np.interp(line.stamp + times, stamps, headings)) for line in lines]
+
+
+def _front_yaw(yaws: FloatArray) -> float:
+    return float(yaws[len(yaws) // 2])
+
+
+def _front_yaws(lines: Lines) -> FloatArray:
+    return np.array([_front_yaw(yaws) for _, yaws in lines])
+
+
+def _observation(robot: Robot, lines: Lines, yaw: float, started: float) -> Observation:
+    """Assemble the lines, left to right, into a range image at the mean place of the turn."""
+    if not lines:
+        raise DataLossError("the lidar sent no line during the sweep; check its cable and laser")
+    lines = sorted(lines, key=lambda item: -_front_yaw(item[1]))
+    poses = [sample.T_odom_base for sample in robot.base.odometry_since(started)]
+    turning = poses[len(poses) // 2 :]
+    image = RangeImage(
+        stamps=read_only([line.stamp for line, _ in lines]),
+        yaws=read_only([yaws for _, yaws in lines]),
+        ranges=read_only([line.ranges for line, _ in lines]),
+        codes=read_only([line.codes for line, _ in lines], np.int64),
+        spec=robot.lidar.spec,
+        T_base_lidar=read_only(robot.T_base_lidar),
+    )
+    x = float(np.mean([pose.x for pose in turning]))
+    y = float(np.mean([pose.y for pose in turning]))
+    return Observation(image, Pose2(x, y, yaw))
