@@ -1,0 +1,1 @@
+"""Codecs and constants of the devices: bytes to values and back, no I/O."""

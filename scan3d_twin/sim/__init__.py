@@ -1,0 +1,1 @@
+"""The MuJoCo twin: a robot behind the hardware interface, in a simulated world."""

@@ -1,0 +1,59 @@
+"""Ray casting against a scene, each ray with its own origin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from mujoco import batch
+
+from scan3d_twin.core.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """What rays met first.
+
+    Attributes:
+        distances: (n,) [m]; inf for a miss.
+        normals: Unit outward normals (n, 3), exact for primitives; 0 for a miss.
+        geoms: Geom ids in the caster's model (n,); -1 for a miss.
+    """
+
+    distances: FloatArray
+    normals: FloatArray
+    geoms: IntArray
+
+
+class RayCaster(Protocol):
+    """Casts rays against the scene without the robot."""
+
+    def cast(self, qpos: FloatArray, origins: FloatArray, directions: FloatArray) -> Hits:
+        """Return the first hits.
+
+        Args:
+            qpos: Positions of the scene's moving objects (nq,); empty for a static scene.
+            origins: (n, 3) [m].
+            directions: Unit vectors (n, 3).
+        """
+        ...
+
+
+class MujocoCaster:
+    """The reference: exact primitives, true mesh triangles, moving objects.
+
+    Its cost grows with the number of geoms. The model has no robot in it: what the lidar sees of
+    its own carrier is constant and added by the lidar.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._batch = batch.Batch(model, nsim=1, nthread=1)
+        self._qpos = self._batch.bind("qpos")
+
+    def cast(self, qpos: FloatArray, origins: FloatArray, directions: FloatArray) -> Hits:
+        """See ``RayCaster.cast``."""
+        self._qpos[0] = qpos
+        distances, geoms, normals = self._batch.ray(origins, directions, normal=True)
+        missed = geoms[0] < 0
+        return Hits(np.where(missed, np.inf, distances[0]), normals[0], geoms[0].astype(np.int64))

@@ -1,0 +1,58 @@
+"""The simulated clock: time passes by stepping the physics."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from scan3d_twin.sim.world import TIMESTEP, World
+
+
+class Device(Protocol):
+    """Something that must be looked after at certain physics steps."""
+
+    @property
+    def next_step(self) -> int:
+        """The physics step at which ``service`` is due."""
+        ...
+
+    def service(self) -> None:
+        """Do what is due."""
+        ...
+
+
+class SimClock:
+    """A ``Clock`` on the twin; the smallest time is one physics step."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._devices: list[Device] = []
+
+    def attach(self, *devices: Device) -> None:
+        """Service ``devices`` from now on, in this order."""
+        self._devices += devices
+
+    def now(self) -> float:
+        """See ``Clock.now``."""
+        return self._world.time
+
+    def sleep(self, seconds: float) -> None:
+        """See ``Clock.sleep``."""
+        self.run_until(self.step_after(seconds))
+
+    def step_after(self, seconds: float) -> int:
+        """Return the first physics step at or after ``seconds`` [s] from now."""
+        return self._world.steps + max(0, math.ceil(seconds / TIMESTEP - 1e-9))
+
+    def run_until(self, step: int) -> None:
+        """Let the physics run up to ``step`` while the devices are serviced.
+
+        Raises:
+            HazardError: A device reported a hazard.
+        """
+        while self._world.steps < step:
+            due = min([step, *(device.next_step for device in self._devices)])
+            self._world.advance(max(1, due - self._world.steps))
+            for device in self._devices:
+                if device.next_step <= self._world.steps:
+                    device.service()

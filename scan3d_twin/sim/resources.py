@@ -1,0 +1,19 @@
+"""Where assets and scenes lie: in the checkout beside the package, in a wheel inside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def resource_dir(name: str) -> Path:
+    """Return the folder ``assets`` or ``scenes``.
+
+    Raises:
+        FileNotFoundError: The installation is incomplete.
+    """
+    for parent in (_PACKAGE / "_data", _PACKAGE.parent):
+        if (parent / name).is_dir():
+            return parent / name
+    raise FileNotFoundError(f"the installation of scan3d_twin lacks its folder {name!r}")

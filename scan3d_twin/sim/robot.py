@@ -1,0 +1,56 @@
+"""Opening the twin: a robot behind the hardware interface, and the truth behind its back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.sim.base import SimBase
+from scan3d_twin.sim.casters import MujocoCaster
+from scan3d_twin.sim.clock import SimClock
+from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.lidar import SimLidar
+from scan3d_twin.sim.scanner import Scanner
+from scan3d_twin.sim.scene import Scene, load_scene
+from scan3d_twin.sim.truth import Truth
+from scan3d_twin.sim.world import RobotErrors, World, build_model
+
+# Streams of the one seed; a new source of chance gets a new number, so that the others stay.
+_ROBOT_STREAM, _LIDAR_STREAM = 0, 1
+
+
+@contextmanager
+def open_sim(
+    scene: Scene | str, seed: int, config: TwinConfig | None = None
+) -> Iterator[tuple[Robot, Truth]]:
+    """Open the twin in ``scene``; the wheels are stopped on every way out.
+
+    The robot stands on its suspension when time 0 comes, and its odometry is the identity there.
+    The same scene, seed, configuration and calls give bit-identical readings.
+
+    Args:
+        scene: A loaded scene, or what ``load_scene`` takes.
+        seed: Draws the robot's errors and the sensor's noise.
+        config: The twin's parameters; None is the `typical` robot.
+
+    Raises:
+        ConfigError: There is no such scene.
+        SceneError: The scene cannot be built.
+    """
+    config = TwinConfig() if config is None else config
+    scene = load_scene(scene) if isinstance(scene, str) else scene
+    errors = RobotErrors.draw(config.errors, np.random.default_rng([seed, _ROBOT_STREAM]))
+    world = World(scene, build_model(scene, config.robot, errors))
+    caster = MujocoCaster(scene.model)
+    clock = SimClock(world)
+    base = SimBase(world, caster)
+    scanner = Scanner.create(scene.model, config.robot, config.lidar_link, config.lidar, caster)
+    lidar = SimLidar(world, clock, scanner, [seed, _LIDAR_STREAM])
+    clock.attach(lidar, base)
+    try:
+        yield Robot(base, lidar, clock), Truth(scene, world, caster)
+    finally:
+        base.stop()

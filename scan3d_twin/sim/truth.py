@@ -1,0 +1,93 @@
+"""What only a simulator knows, for evaluation; no planner sees it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.sim.casters import RayCaster
+from scan3d_twin.sim.scene import Scene
+from scan3d_twin.sim.surface import sample_geom
+from scan3d_twin.sim.world import World
+
+ON_FLOOR = 0.002
+"""Faces that look down from less than this above the floor lie on it [m]."""
+
+
+class Truth:
+    """The true poses and surfaces, in ``map``, the scene's own frame."""
+
+    def __init__(self, scene: Scene, world: World, caster: RayCaster) -> None:
+        self._scene = scene
+        self._world = world
+        self._caster = caster
+        self._T_map_odom = world.base_pose(0.0)
+
+    @property
+    def spawn(self) -> Pose2:
+        """Where the scene puts the robot, ``T_map_base``."""
+        return self._scene.spawn
+
+    @property
+    def front(self) -> Pose2 | None:
+        """Middle of the target's front, +x outwards; None when it is scanned all round."""
+        return self._scene.front
+
+    def pose_at(self, stamp: float) -> Pose2:
+        """Return the true ``T_map_base`` at ``stamp`` [s]."""
+        return self._world.base_pose(stamp)
+
+    def surface(self, spacing: float) -> tuple[FloatArray, FloatArray]:
+        """Return points (n, 3) on the target about ``spacing`` apart [m], and normals (n, 3).
+
+        All faces, seen or not, except those that lie on the floor.
+        """
+        data = self._scene_data()
+        points, normals = [], []
+        for name in self._scene.target_geoms:
+            geom = data.geom(name)
+            local, directions = sample_geom(self._scene.model, geom.id, spacing)
+            rotation = geom.xmat.reshape(3, 3)
+            points.append(local @ rotation.T + geom.xpos)
+            normals.append(directions @ rotation.T)
+        p, n = np.concatenate(points), np.concatenate(normals)
+        keep = (p[:, 2] > ON_FLOOR) | (n[:, 2] > -0.9)
+        return p[keep], n[keep]
+
+    def first_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return noise-free distances (n,) [m] along rays, the robot away; inf for a miss.
+
+        Args:
+            origins: (n, 3) [m].
+            directions: Unit vectors (n, 3).
+        """
+        return self._caster.cast(self._world.scene_qpos(), origins, directions).distances
+
+    def locate(self, name: str) -> tuple[float, float]:
+        """Return the centre (x, y) [m] of the target ``name`` in the odometry frame.
+
+        Raises:
+            UnknownNameError: There is no such target.
+        """
+        if name not in self._scene.targets:
+            raise UnknownNameError("target", name, self._scene.targets)
+        data, model = self._scene_data(), self._scene.model
+        corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+        boxes = []
+        for part in self._scene.targets[name]:
+            geom = data.geom(part)
+            centre, half = np.split(model.geom_aabb[geom.id], 2)
+            boxes.append((centre + corners * half) @ geom.xmat.reshape(3, 3).T + geom.xpos)
+        extent = np.concatenate(boxes)
+        x, y = ((extent.min(axis=0) + extent.max(axis=0)) / 2)[:2]
+        odom = self._T_map_odom.inverse() @ Pose2(x, y)
+        return odom.x, odom.y
+
+    def _scene_data(self) -> mujoco.MjData:
+        """Return the scene as it is now, without the robot."""
+        data = mujoco.MjData(self._scene.model)
+        data.qpos[:] = self._world.scene_qpos()
+        mujoco.mj_forward(self._scene.model, data)
+        return data
