@@ -1,0 +1,169 @@
+"""Everything a run was told, merged from its sources and written so that it can be run again.
+
+Sources are nested mappings in the shape of the TOML file: the fields of ``Config`` and
+``TwinConfig`` by name, sections as tables, and the table ``run`` with the fields of ``Run``.
+A field whose name Python reserves (``lambda_``) is spelled without its underscore.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import tomli_w
+
+from scan3d_twin import __version__
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.presets import DEFAULT_PRESET
+from scan3d_twin.sim.config import TwinConfig
+
+Options = Mapping[str, Any]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What is scanned, and by which draw."""
+
+    scene: str = "three_boxes"
+    """Name of a built-in scene, or path of an .xml or mesh file."""
+    seed: int = 0
+    """The run's one seed."""
+    preset: str = DEFAULT_PRESET
+    """Named set of options."""
+    target: str = ""
+    """Name of a body of the scene, or x,y [m] in the odometry frame; empty: what stands out."""
+    mesh_scale: float = 1.0
+    """Metres per unit of a mesh file."""
+    version: str = __version__
+    """Version of the software; what another version wrote is read as it is."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ConfigError(f"run.seed must be >= 0, got {self.seed}")
+        if not self.mesh_scale > 0:
+            raise ConfigError(f"run.mesh_scale must be > 0, got {self.mesh_scale:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The effective configuration of a run."""
+
+    run: Run = field(default_factory=Run)
+    config: Config = field(default_factory=Config)
+    twin: TwinConfig = field(default_factory=TwinConfig)
+
+
+def key(name: str) -> str:
+    """Return the key under which the field ``name`` is written: ``lambda`` for ``lambda_``."""
+    return name.rstrip("_")
+
+
+def merge(sources: Iterable[Options]) -> dict[str, Any]:
+    """Return all ``sources`` as one mapping; later ones win, table by table."""
+    merged: dict[str, Any] = {}
+    for source in sources:
+        for name, value in source.items():
+            if isinstance(value, Mapping) and isinstance(merged.get(name, {}), Mapping):
+                value = merge([merged.get(name, {}), value])
+            merged[name] = value
+    return merged
+
+
+def settings(sources: Iterable[Options]) -> Settings:
+    """Return the settings that ``sources`` state, later ones first, and defaults for the rest.
+
+    Raises:
+        ConfigError: A key is unknown, or a value is of the wrong type or out of range.
+    """
+    options = merge(sources)
+    for name in options:
+        _check_known(name, _known_keys())
+    return Settings(
+        run=_build(Run, options.get("run", {}), "run."),
+        config=_build(Config, _part(options, Config), ""),
+        twin=_build(TwinConfig, _part(options, TwinConfig), ""),
+    )
+
+
+def read_settings(path: Path) -> Options:
+    """Return the options in the TOML file ``path``, not yet checked.
+
+    Raises:
+        FileError: It is missing, unreadable or not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FileError(f"{path} is not valid TOML: {error}") from error
+
+
+def settings_toml(effective: Settings) -> str:
+    """Return ``effective`` as a TOML file that ``read_settings`` reads back."""
+    tables = {**_plain(effective.config), **_plain(effective.twin), "run": _plain(effective.run)}
+    ordered = sorted(tables.items(), key=lambda item: isinstance(item[1], dict))
+    return "# Run again: twin sim --config THIS_FILE\n" + tomli_w.dumps(dict(ordered))
+
+
+def _part(options: Options, cls: type) -> dict[str, Any]:
+    names = {key(f.name) for f in fields(cls)}
+    return {name: value for name, value in options.items() if name in names}
+
+
+def _known_keys() -> list[str]:
+    return ["run", *(key(f.name) for cls in (Config, TwinConfig) for f in fields(cls))]
+
+
+def _check_known(name: str, known: list[str], where: str = "") -> None:
+    if name in known:
+        return
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"; did you mean {where}{near[0]}?" if near else ""
+    raise ConfigError(f"no key {where}{name}{hint} known: {', '.join(sorted(known))}")
+
+
+def _build(cls: type[T], values: Any, where: str) -> T:
+    """Return ``cls`` with ``values`` by key, checked; ``where`` leads to them, for messages."""
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{where.rstrip('.')} must be a table, got {values!r}")
+    names = {key(f.name): f.name for f in fields(cls)}  # type: ignore[arg-type]
+    hints = get_type_hints(cls)
+    arguments = {}
+    for name, value in values.items():
+        _check_known(name, list(names), where)
+        hint = hints[names[name]]
+        if is_dataclass(hint):
+            arguments[names[name]] = _build(hint, value, f"{where}{name}.")  # type: ignore[arg-type]
+        else:
+            arguments[names[name]] = _checked(value, hint, where + name)
+    return cls(**arguments)
+
+
+def _checked(value: Any, hint: Any, where: str) -> Any:
+    """Return ``value`` if it fits the type ``hint``: an int is a float too, a bool is neither."""
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    choices = getattr(hint, "__args__", None)
+    if choices is not None:
+        if value not in choices:
+            known = ", ".join(str(choice) for choice in choices)
+            raise ConfigError(f"{where} must be one of {known}; got {value!r}")
+    elif not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
+        raise ConfigError(f"{where} must be {_WORDS.get(hint, hint)}, got {value!r}")
+    return value
+
+
+_WORDS: Mapping[Any, str] = {float: "a number", int: "a whole number", str: "text"}
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {key(f.name): _plain(getattr(value, f.name)) for f in fields(value)}
+    return value

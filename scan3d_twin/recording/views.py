@@ -1,0 +1,48 @@
+"""One view as ``views/NNN.npz``: everything the robot measured there and where it was placed."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from scan3d_twin.core.session import View
+from scan3d_twin.core.types import FloatArray, Pose2
+
+
+def view_path(folder: Path, index: int) -> Path:
+    """Return where view ``index`` of the run in ``folder`` lies."""
+    return folder / "views" / f"{index:03d}.npz"
+
+
+def view_bytes(view: View) -> bytes:
+    """Return ``view`` as a compressed .npz; equal views give equal bytes.
+
+    Its arrays, by the names and with the units of ``RangeImage``, ``LidarSpec`` and ``View``:
+    ``stamps, yaws, ranges, codes, elevations, beam_times, T_base_lidar, T_odom_scan, T_world_scan``
+    (poses as x, y, yaw) and ``target_points`` (n, 3) in frame ``scan`` with their ``target_lines``
+    and ``target_beams``.
+    """
+    image = view.observation.image
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        stamps=image.stamps,
+        yaws=image.yaws,
+        ranges=image.ranges,
+        codes=image.codes.astype(np.int16),
+        elevations=image.spec.elevations,
+        beam_times=image.spec.beam_times,
+        T_base_lidar=image.T_base_lidar,
+        T_odom_scan=_row(view.observation.T_odom_scan),
+        T_world_scan=_row(view.T_world_scan),
+        target_points=view.target.points,
+        target_lines=view.target.lines.astype(np.int32),
+        target_beams=view.target.beams.astype(np.int32),
+    )
+    return buffer.getvalue()
+
+
+def _row(pose: Pose2) -> FloatArray:
+    return np.array([pose.x, pose.y, pose.yaw])
