@@ -1,0 +1,66 @@
+"""The program ``twin``: its commands, and what it says and returns when something goes wrong.
+
+Commands are imported when they are called, so that help and typing errors answer at once.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import NoReturn
+
+from cyclopts import App, CycloptsError, Parameter
+
+from scan3d_twin import __version__
+from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
+from scan3d_twin.core.errors import TwinError
+
+app = App(
+    name="twin",
+    version=f"scan3d_twin {__version__}",
+    help="Digitise things in 3D with a vacuum-cleaner robot and a small laser scanner.",
+    help_epilogue=(
+        "Exit codes: 0 ok, 1 a bug, 2 wrong option, name, key or value, 3 port or file, "
+        "4 scan failed, 5 safety stop, 130 interrupted."
+    ),
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+    default_parameter=Parameter(negative=(), show_env_var=False),
+)
+app.command("scan3d_twin.cli.sim:sim", name="sim", help="Digitise a scene with the twin.")
+app.command("scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.")
+app.command("scan3d_twin.cli.listing:planners", name="planners", help="List the planners.")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``twin`` with ``arguments``, by default the process's own, and return its exit code."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, _interrupt)
+    tokens = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        app(tokens, exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        return _fail(f"{error} See `twin {_command(tokens)}--help`.", WRONG_OPTION)
+    except TwinError as error:
+        return _fail(str(error), exit_code(error))
+    except KeyboardInterrupt as error:
+        return _fail(str(error) or "interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _command(tokens: Sequence[str]) -> str:
+    return f"{tokens[0]} " if tokens and tokens[0] in ("sim", "scenes", "planners") else ""
+
+
+def _fail(message: str, code: int) -> int:
+    print("error:", " ".join(message.split()), file=sys.stderr)
+    return code

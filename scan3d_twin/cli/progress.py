@@ -1,0 +1,138 @@
+"""How far a run is: a live line on a terminal, plain lines elsewhere; always on standard error."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+import numpy as np
+from rich.console import Console
+from rich.status import Status
+from scipy.spatial import cKDTree
+
+from scan3d_twin.core.model import fuse
+from scan3d_twin.core.session import Session
+
+SEEN_DISTANCE = 0.10
+"""What the look around found counts as scanned with a model point this near [m]."""
+SECTORS = 36
+"""Directions round the target, for a tour all round."""
+
+
+class Progress(Protocol):
+    """Where the steps of a run are told."""
+
+    def event(self, text: str) -> None:
+        """Tell what begins."""
+        ...
+
+    def line(self) -> None:
+        """Count a scan line."""
+        ...
+
+    def view(self, session: Session) -> None:
+        """Tell about the last view of ``session``."""
+        ...
+
+    def plan(self, session: Session) -> None:
+        """Tell about the last plan of ``session``."""
+        ...
+
+
+@contextmanager
+def make_progress() -> Iterator[Progress]:
+    """Open the progress that fits standard error."""
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal or console.is_dumb_terminal:
+        yield PlainProgress()
+        return
+    with console.status("opening the robot") as status:
+        yield LiveProgress(console, status)
+
+
+class PlainProgress:
+    """One line per step."""
+
+    def event(self, text: str) -> None:
+        """See ``Progress``."""
+        print(text, file=sys.stderr, flush=True)
+
+    def line(self) -> None:
+        """See ``Progress``; lines are too many to tell."""
+
+    def view(self, session: Session) -> None:
+        """See ``Progress``."""
+        self.event(view_words(session))
+
+    def plan(self, session: Session) -> None:
+        """See ``Progress``."""
+        self.event(plan_words(session))
+
+
+class LiveProgress:
+    """One line per view and plan, and below them a line that moves."""
+
+    def __init__(self, console: Console, status: Status) -> None:
+        self._console = console
+        self._status = status
+        self._doing, self._lines = "", 0
+
+    def event(self, text: str) -> None:
+        """See ``Progress``."""
+        self._doing, self._lines = text, 0
+        self._status.update(text)
+
+    def line(self) -> None:
+        """See ``Progress``."""
+        self._lines += 1
+        self._status.update(f"{self._doing}: {self._lines} lines")
+
+    def view(self, session: Session) -> None:
+        """See ``Progress``."""
+        self._console.print(view_words(session), markup=False)
+        self.event("planning")
+
+    def plan(self, session: Session) -> None:
+        """See ``Progress``."""
+        self._console.print(plan_words(session), markup=False)
+
+
+def view_words(session: Session) -> str:
+    """Return what is worth telling about the last view."""
+    index, view = len(session.views) - 1, session.views[-1]
+    words = (
+        f"view {index}: {view.observation.image.n_lines} lines, {len(view.target)} points, "
+        f"{scanned_share(session):.0%} of the {session.config.tour} scanned"
+    )
+    lost = view.registration is not None and not view.registration.converged
+    return words + (", NOT registered: placed by odometry" if lost else "")
+
+
+def plan_words(session: Session) -> str:
+    """Return what is worth telling about the last plan."""
+    plan = session.plans[-1]
+    if plan.viewpoint is None:
+        return f"finished: {plan.reason}"
+    known = math.isfinite(plan.predicted_rmse)
+    error = f"{1e3 * plan.predicted_rmse:.1f} mm" if known else "unknown"
+    return f"  next: {plan.overlap:.0%} overlap, predicted error {error} ({plan.reason})"
+
+
+def scanned_share(session: Session) -> float:
+    """Return how much of the target's outline has been scanned, as far as the robot can know, 0..1.
+
+    The front: of what the first look around found. All round: of the directions round its middle.
+    """
+    model = fuse(session)[0][:, :2]
+    if len(model) == 0:
+        return 0.0
+    if session.config.tour == "front":
+        distance, _ = cKDTree(model).query(session.hint, distance_upper_bound=SEEN_DISTANCE)
+        return float(np.mean(np.isfinite(distance)))
+    middle = (model.min(axis=0) + model.max(axis=0)) / 2
+    x, y = (model - middle).T
+    sectors = np.floor((np.arctan2(y, x) / math.tau) % 1.0 * SECTORS).astype(np.int64)
+    return len(np.unique(sectors)) / SECTORS

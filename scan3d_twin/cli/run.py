@@ -1,0 +1,106 @@
+"""A run of the twin from the settings to the saved files, whatever ends it."""
+
+from __future__ import annotations
+
+import resource
+import time
+from datetime import datetime
+from pathlib import Path
+
+from scan3d_twin.cli.keeper import Keeper, TimedPlanner
+from scan3d_twin.cli.progress import Progress, make_progress
+from scan3d_twin.cli.save import save_run
+from scan3d_twin.cli.summary import summary
+from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.errors import ConfigError, ScanError
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.motion import travelled
+from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
+from scan3d_twin.recording.report import Effort, Journey, Report, failure, report_json
+from scan3d_twin.recording.settings import Settings
+from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.scene import Scene
+from scan3d_twin.sim.truth import Truth
+
+
+def run_sim(settings: Settings, scene: Scene, out: Path | None, *, as_json: bool) -> None:
+    """Digitise ``scene``, save the results in ``out`` and print the report.
+
+    Raises:
+        TwinError: The scan failed or was stopped; what was scanned by then is saved and printed.
+        KeyboardInterrupt: Likewise.
+    """
+    folder = claim_folder(_default_folder(scene.name) if out is None else out)
+    try:
+        with make_progress() as progress:
+            report, ended = _digitize_and_save(settings, scene, folder, progress)
+    finally:
+        release_folder(folder)
+    print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
+    if isinstance(ended, KeyboardInterrupt):
+        raise KeyboardInterrupt(f"interrupted; {report['views']} views are saved in {folder}")
+    if ended is not None:
+        raise ended
+
+
+def _digitize_and_save(
+    settings: Settings, scene: Scene, folder: Path, progress: Progress
+) -> tuple[Report, BaseException | None]:
+    """Return the report, and what ended the run before its time or makes it a failure."""
+    planner = TimedPlanner(make_planner(settings.config.planner))
+    keeper = Keeper(folder, settings, progress)
+    started = time.perf_counter()
+    ended: BaseException | None = None
+    with open_sim(scene, settings.run.seed, settings.twin) as (robot, truth):
+        target = _target(settings.run.target, truth)
+        try:
+            session = digitize(robot, planner, settings.config, settings.run.seed, keeper, target)
+        except BaseException as error:
+            if keeper.session is None:
+                raise
+            ended, session = error, keeper.session.ended(_words(error))
+        effort = Effort(time.perf_counter() - started, planner.seconds, _peak_memory())
+        progress.event("evaluating and saving")
+        report = save_run(folder, scene.name, settings, session, _journey(robot), effort, truth)
+    return report, ended or _failed(session)
+
+
+def _failed(session: Session) -> ScanError | None:
+    reason = failure(session)
+    return ScanError(reason) if reason else None
+
+
+def _target(text: str, truth: Truth) -> tuple[float, float] | None:
+    """Return the place in ``odom`` [m] that ``text`` states as x,y or by name; None if empty."""
+    if not text:
+        return None
+    if "," not in text:
+        return truth.locate(text)
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"--target must be a name or x,y in metres, got {text!r}") from None
+    return x, y
+
+
+def _journey(robot: Robot) -> Journey:
+    path, turn = travelled(robot.base.odometry_since(0.0))
+    return Journey(path, turn, robot.clock.now())
+
+
+def _words(error: BaseException) -> str:
+    """Return ``error`` as the reason why a run ended."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    return f"{type(error).__name__}: {error}"
+
+
+def _peak_memory() -> float:
+    """Return the most memory this process held [bytes]; Linux counts in kibibytes."""
+    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def _default_folder(scene: str) -> Path:
+    return free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")

@@ -1,0 +1,42 @@
+"""The report in a few lines for people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scan3d_twin.recording.report import Report
+
+_COLUMNS = (
+    ("view", "view", "{}"),
+    ("overlap", "overlap", "{:.0%}"),
+    ("predicted_rmse_mm", "predicted", "{:.1f} mm"),
+    ("error_mm", "realised", "{:.1f} mm"),
+    ("odometry_error_mm", "odometry", "{:.1f} mm"),
+)
+
+
+def summary(report: Report, folder: Path) -> str:
+    """Return the headline numbers, a table of the registrations and where the files are."""
+    lines = [
+        f"{report['scene']}: {report['views']} views, {report['points']} points; "
+        f"{report['stop_reason']}",
+        f"{report['sim_time_s']:.0f} s on the robot's clock, {report['path_m']:.1f} m driven, "
+        f"{report['wall_time_s']:.0f} s computed",
+    ]
+    if report["coverage_20mm"] is not None:
+        lines.append(
+            f"{report['coverage_20mm']:.1%} of the coverable surface within 20 mm, "
+            f"accuracy {report['accuracy_mm']['median']:.1f} mm (median)"
+        )
+    lines += ["", *_table(report), ""] if report["registration"] else []
+    lines.append(f"{folder}: model.ply report.json top_view.svg config.toml views/")
+    return "\n".join(lines) + "\n"
+
+
+def _table(report: Report) -> list[str]:
+    rows = [[title for _, title, _ in _COLUMNS]]
+    for row in report["registration"]:
+        cells = ["-" if row[k] is None else form.format(row[k]) for k, _, form in _COLUMNS]
+        marks = [] if row["converged"] else ["not registered"]
+        rows.append(cells + marks + (["fell back to 80 %"] if row["fell_back"] else []))
+    return ["  ".join(f"{cell:>9}" for cell in row) for row in rows]
