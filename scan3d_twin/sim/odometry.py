@@ -9,11 +9,16 @@ import numpy as np
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.types import FloatArray, Odometry, Pose2, read_only
 
-# Variances per metre driven and radian turned; they reproduce, after 1 m and after 90 deg, the
-# standard deviations over robots with .6 % wheel radius and 1 % wheel base errors:
-DISTANCE_PER_METRE = 0.0037**2  # .37 % of 1 m [m^2/m]
-YAW_PER_METRE = math.radians(1.94) ** 2  # 1.94 deg in 1 m [rad^2/m]
-YAW_PER_RADIAN = math.radians(0.83) ** 2 / (math.pi / 2)  # .83 deg in 90 deg [rad^2/rad]
+# Variances per metre driven and radian turned. The errors are systematic and so grow with the way,
+# not with its root; the figures below hold after 1 m and after 90 deg, for robots whose wheel radii
+# err by .6 % and whose wheel base errs by 1 % (standard deviations, ``RobotErrorConfig``).
+_RADIUS, _WHEEL_BASE = 0.006, 0.01
+DISTANCE_PER_METRE = _RADIUS**2 / 2
+"""Of the way along the path: .42 % of 1 m [m^2/m]."""
+YAW_PER_METRE = 2 * (_RADIUS / 0.235) ** 2
+"""Of the heading per way, wheel base .235 m: 2.07 deg in 1 m [rad^2/m]."""
+YAW_PER_RADIAN = (_WHEEL_BASE**2 + _RADIUS**2 / 2) * (math.pi / 2)
+"""Of the heading per turn: .98 deg in 90 deg [rad^2/rad]."""
 
 
 class DeadReckoning:
