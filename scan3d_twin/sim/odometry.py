@@ -55,12 +55,9 @@ def _grown(covariance: FloatArray, yaw: float, way: float, turn: float) -> Float
     """Propagate the covariance of x, y, yaw over one arc (first order)."""
     c, s = math.cos(yaw + turn / 2), math.sin(yaw + turn / 2)
     jacobian = np.array([[1.0, 0.0, -way * s], [0.0, 1.0, way * c], [0.0, 0.0, 1.0]])
-    result = jacobian @ covariance @ jacobian.T
     along = DISTANCE_PER_METRE * abs(way)
-    result[0, 0] += c * c * along
-    result[0, 1] += c * s * along
-    result[1, 0] += c * s * along
-    result[1, 1] += s * s * along
-    result[2, 2] += YAW_PER_METRE * abs(way) + YAW_PER_RADIAN * abs(turn)
-    grown: FloatArray = result
-    return grown
+    added = np.diag([c * c * along, s * s * along, 0.0])
+    added[0, 1] = added[1, 0] = c * s * along
+    added[2, 2] = YAW_PER_METRE * abs(way) + YAW_PER_RADIAN * abs(turn)
+    result: FloatArray = jacobian @ covariance @ jacobian.T + added
+    return (result + result.T) / 2
