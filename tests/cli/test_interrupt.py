@@ -1,0 +1,46 @@
+"""Ctrl-C and SIGTERM during a sweep: the program stops, and what was scanned is saved."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import jsonschema
+import pytest
+
+from scan3d_twin.recording.report import report_schema
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_a_signal_during_a_sweep_saves_the_finished_views(tmp_path, number):
+    command = [sys.executable, "-m", "scan3d_twin.cli", "sim", "--scene", "sine_box", "--json"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*command, "--out", str(tmp_path / "run")], **pipes) as process:
+        seen = ""
+        for line in process.stderr:
+            seen += line
+            if "view 0:" in seen and line.startswith("scanning"):
+                break
+        process.send_signal(number)
+        out, rest = process.communicate(timeout=60)
+    assert process.returncode == 130, seen + rest
+    assert rest.splitlines()[-1].startswith("error: interrupted; finished views: 1, saved in ")
+    assert "Traceback" not in rest
+    report = json.loads(out)
+    jsonschema.validate(report, report_schema())
+    assert report["stop_reason"] == "interrupted"
+    assert report["views"] == 1
+    assert json.loads((tmp_path / "run" / "report.json").read_text()) == report
+    names = {path.name for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    assert names == {"model.ply", "report.json", "top_view.svg", "config.toml", "000.npz"}
+
+
+def test_a_signal_before_the_first_view_leaves_nothing_behind(tmp_path):
+    command = [sys.executable, "-m", "scan3d_twin.cli", "sim", "--out", str(tmp_path / "run")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr.readline() != ""
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert rest.splitlines()[-1] == "error: interrupted"
+    assert not (tmp_path / "run").exists()

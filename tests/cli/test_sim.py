@@ -1,0 +1,109 @@
+import json
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import trimesh
+
+from scan3d_twin.recording.report import TIMINGS, report_schema
+from scan3d_twin.sim.scene import load_scene
+
+SCAN = ("sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100")
+
+
+def lasting(report):
+    """Return ``report`` without what depends on the computer."""
+    return {key: value for key, value in report.items() if key not in TIMINGS}
+
+
+def test_a_run_leaves_its_files_and_nothing_else(finished):
+    folder, _ = finished
+    names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    files = {"model.ply", "report.json", "top_view.svg", "config.toml"}
+    assert names == files | {"views/000.npz", "views/001.npz"}
+
+
+def test_the_report_fits_its_schema(finished):
+    jsonschema.validate(finished[1], report_schema())
+
+
+def test_the_report_tells_of_this_run(finished):
+    report = finished[1]
+    assert (report["scene"], report["preset"], report["seed"]) == ("three_boxes", "paper", 0)
+    assert report["views"] == 2
+    assert [row["view"] for row in report["registration"]] == [1]
+    assert 0 < report["coverage_20mm"] <= 1
+    assert report["path_m"] > 0.1
+    assert report["turn_deg"] > 360
+    assert report["real_time_factor"] > 0
+
+
+def test_the_model_holds_the_points_of_all_views_in_the_world(finished):
+    folder, report = finished
+    cloud = trimesh.load(folder / "model.ply")
+    view = np.ravel(cloud.metadata["_ply_raw"]["vertex"]["data"]["view"])
+    assert len(cloud.vertices) == report["points"] > 1000
+    assert set(view) == {0, 1}
+    for index in (0, 1):
+        with np.load(folder / "views" / f"{index:03d}.npz") as saved:
+            x, y, yaw = saved["T_world_scan"]
+            c, s = np.cos(yaw), np.sin(yaw)
+            placed = saved["target_points"] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        np.testing.assert_allclose(
+            cloud.vertices[view == index], placed + np.array([x, y, 0]), atol=1e-5
+        )
+
+
+def test_the_saved_settings_are_the_effective_ones(finished):
+    saved = tomllib.loads((finished[0] / "config.toml").read_text())
+    assert saved["max_views"] == 2
+    assert saved["run"]["scene"] == "three_boxes"
+    assert saved["run"]["seed"] == 0
+    assert saved["planning"]["lambda"] > 0
+
+
+def test_the_saved_settings_give_the_same_bytes_again(finished, twin):
+    folder, report = finished
+    result = twin("sim", "--config", folder / "config.toml", "--out", "again", "--json")
+    again = json.loads(result.out)
+    assert result.code == 0
+    assert lasting(again) == lasting(report)
+    for name in ("model.ply", "config.toml", "top_view.svg", "views/000.npz", "views/001.npz"):
+        assert (folder / name).read_bytes() == Path("again", name).read_bytes(), name
+
+
+def test_json_is_one_document_and_equals_the_file(twin):
+    result = twin(*SCAN, "--json", "--seed", "1", "--out", "run")
+    assert result.code == 0
+    assert result.out == Path("run/report.json").read_text()
+    jsonschema.validate(json.loads(result.out), report_schema())
+    assert "view 0" in result.err
+
+
+def test_another_seed_gives_another_model(finished, twin):
+    assert twin(*SCAN, "--seed", "1", "--out", "run").code == 0
+    assert (finished[0] / "model.ply").read_bytes() != Path("run/model.ply").read_bytes()
+
+
+def test_the_default_folder_is_named_after_the_scene(twin, tmp_path):
+    result = twin(*SCAN)
+    assert result.code == 0
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert folder.name.startswith("three_boxes-20")
+    assert f"runs/{folder.name}: model.ply report.json" in result.out
+
+
+def test_a_mesh_file_is_a_scene(twin, tmp_path):
+    trimesh.creation.box((300, 300, 500)).export(tmp_path / "crate.stl")
+    result = twin(
+        "sim", "--scene", "crate.stl", "--mesh-scale", "0.001", "--max-views", "2", "--json"
+    )
+    assert result.code in (0, 4)
+    assert json.loads(result.out)["scene"] == "crate"
+
+
+def test_a_target_can_be_named_or_placed(twin):
+    name = next(iter(load_scene("three_boxes").targets))
+    assert twin(*SCAN, "--target", name, "--out", "named").code == 0
+    assert twin(*SCAN, "--target", "1.6,-0.6", "--out", "placed").code == 0

@@ -1,0 +1,51 @@
+"""Help and lists: what answers at once."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from scan3d_twin import __version__
+from scan3d_twin.core.planning import planner_names
+from scan3d_twin.sim.scene import scene_names
+
+HEAVY = ("numpy", "scipy", "mujoco", "trimesh", "open3d")
+PROGRAM = """
+import sys
+from scan3d_twin.cli import main
+code = main(sys.argv[1:])
+print([name for name in {heavy} if name in sys.modules], code)
+"""
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["sim", "--help"], ["--version"], []], ids=str)
+def test_help_needs_nothing_heavy(arguments):
+    command = [sys.executable, "-c", PROGRAM.format(heavy=HEAVY), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[] 0"
+
+
+def test_the_version_is_the_packages(twin):
+    assert twin("--version").out.split() == ["scan3d_twin", __version__]
+
+
+def test_scenes_are_listed_with_a_line_each(twin):
+    lines = twin("scenes").out.splitlines()
+    assert [line.split()[0] for line in lines] == list(scene_names())
+    assert all(len(line.split()) > 4 for line in lines)
+
+
+def test_planners_are_listed_with_a_line_each(twin):
+    lines = twin("planners").out.splitlines()
+    assert [line.split()[0] for line in lines] == list(planner_names())
+    assert all(len(line.split()) > 2 for line in lines)
+
+
+def test_lists_are_one_document_with_json(twin):
+    assert set(json.loads(twin("scenes", "--json").out)) == set(scene_names())
+    assert set(json.loads(twin("planners", "--json").out)) == set(planner_names())
+
+
+def test_the_help_names_the_exit_codes(twin):
+    assert "130 interrupted" in " ".join(twin("--help").out.split())
