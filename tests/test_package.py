@@ -1,0 +1,110 @@
+"""The package as a stranger gets it: the wheel, the public names, the README and the examples."""
+
+import importlib
+import pkgutil
+import re
+import runpy
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import scan3d_twin
+
+ROOT = Path(__file__).resolve().parents[1]
+MODULES = sorted(
+    each.name
+    for each in pkgutil.walk_packages(scan3d_twin.__path__, "scan3d_twin.")
+    if not each.name.endswith("__main__")
+)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> set[str]:
+    """Names of the files in a freshly built wheel."""
+    folder = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=60)
+    (path,) = folder.glob("*.whl")
+    with zipfile.ZipFile(path) as archive:
+        return set(archive.namelist())
+
+
+def test_the_wheel_holds_all_scenes_and_assets(wheel):
+    for name in ("assets", "scenes"):
+        files = [path for path in (ROOT / name).rglob("*") if path.is_file()]
+        assert files
+        for path in files:
+            assert f"scan3d_twin/_data/{path.relative_to(ROOT)}" in wheel
+
+
+def test_the_wheel_holds_every_module_and_the_schema(wheel):
+    for name in MODULES:
+        stem = name.replace(".", "/")
+        assert {f"{stem}.py", f"{stem}/__init__.py"} & wheel, name
+    assert "scan3d_twin/recording/report.schema.json" in wheel
+    assert any(name.endswith("licenses/LICENSE") for name in wheel)
+
+
+def test_the_wheel_holds_nothing_else(wheel):
+    assert {name.split("/")[0] for name in wheel} == {
+        "scan3d_twin",
+        f"scan3d_twin-{scan3d_twin.__version__}.dist-info",
+    }
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_module_imports_and_has_the_names_it_promises(name):
+    module = importlib.import_module(name)
+    for each in getattr(module, "__all__", ()):
+        assert hasattr(module, each), each
+
+
+def test_the_version_is_stated_once_and_for_all():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["version"] == scan3d_twin.__version__
+    assert f"version: {scan3d_twin.__version__}" in (ROOT / "CITATION.cff").read_text()
+
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("code", BLOCKS, ids=range(len(BLOCKS)))
+def test_the_readmes_code_runs(code, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+    assert capsys.readouterr().out
+
+
+def test_the_readme_is_short_and_has_code():
+    assert len(README.splitlines()) <= 120
+    assert BLOCKS
+
+
+LINKS = {
+    (path.relative_to(ROOT), target)
+    for path in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
+    for target in re.findall(r"\]\(([^)#\s]+)", path.read_text(encoding="utf-8"))
+    if "://" not in target
+}
+
+
+@pytest.mark.parametrize(("page", "target"), sorted(LINKS), ids=str)
+def test_links_between_pages_lead_somewhere(page, target):
+    assert ((ROOT / page).parent / target).exists()
+
+
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_examples_run_and_are_short(path, tmp_path, monkeypatch, capsys):
+    assert len(path.read_text().splitlines()) < 60
+    monkeypatch.setattr(sys, "argv", [path.name, str(tmp_path)])
+    runpy.run_path(str(path), run_name="__main__")
+    assert "points" in capsys.readouterr().out
+    assert list(tmp_path.iterdir())
