@@ -40,7 +40,9 @@ def run_sim(settings: Settings, scene: Scene, out: Path | None, *, as_json: bool
         release_folder(folder)
     print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
     if isinstance(ended, KeyboardInterrupt):
-        raise KeyboardInterrupt(f"interrupted; finished views: {report['views']}, saved in {folder}")
+        raise KeyboardInterrupt(
+            f"interrupted; finished views: {report['views']}, saved in {folder}"
+        )
     if ended is not None:
         raise ended
 

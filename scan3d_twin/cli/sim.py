@@ -109,7 +109,9 @@ def _flat(options: SimOptions, sections: Options) -> Options:
     """Return the flat options where they belong in a configuration, in SI units."""
     run, top = {}, {}
     for name, value in _given(options):
-        if name in ("scene", "seed", "preset", "target", "mesh_scale"):
+        if name == "scene":
+            run[name] = _absolute(value)
+        elif name in ("seed", "preset", "target", "mesh_scale"):
             run[name] = value
         elif name in ("tour", "planner", "max_views", "robot", "lidar_link"):
             top[name] = value
@@ -119,6 +121,12 @@ def _flat(options: SimOptions, sections: Options) -> Options:
             raise ConfigError("--epsilon [mm] and --planning.epsilon [m] are the same; give one")
         planning["epsilon"] = options.epsilon / 1e3
     return {**top, "run": run, "planning": planning}
+
+
+def _absolute(scene: str) -> str:
+    """Return the path of a scene file so that it is found from any folder; a name as it is."""
+    path = Path(scene)
+    return str(path.resolve()) if path.suffix and path.is_file() else scene
 
 
 def _given(options: SimOptions) -> Iterator[tuple[str, Any]]:

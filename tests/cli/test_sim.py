@@ -101,6 +101,10 @@ def test_a_mesh_file_is_a_scene(twin, tmp_path):
     )
     assert result.code in (0, 4)
     assert json.loads(result.out)["scene"] == "crate"
+    (folder,) = (tmp_path / "runs").iterdir()
+    saved = tomllib.loads((folder / "config.toml").read_text())["run"]
+    assert saved["scene"] == str(tmp_path / "crate.stl")
+    assert saved["mesh_scale"] == 0.001
 
 
 def test_a_target_can_be_named_or_placed(twin):

@@ -1,0 +1,90 @@
+import io
+import math
+
+import numpy as np
+import synthetic
+from rich.console import Console
+
+from scan3d_twin.cli.progress import (
+    LiveProgress,
+    PlainProgress,
+    plan_words,
+    scanned_share,
+    view_words,
+)
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.digitize import integrate
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan, Pose2
+
+
+def scan(tour="front"):
+    """Return a session with one view of the middle of three boxes."""
+    hint = np.array([[0.65, y] for y in np.linspace(-1.1, 1.1, 23)])
+    session = Session(Config(tour=tour), 0, hint, np.array([-1.0, 0.0]))
+    return integrate(session, synthetic.observe(Pose2(-0.4, 0.0, 0.0)))
+
+
+def with_plan(session, viewpoint, predicted=0.0042):
+    return session.with_plan(Plan(viewpoint, 0.7, predicted, False, (), "it is best"))
+
+
+def test_a_view_of_the_middle_is_a_part_of_the_front():
+    assert 0.3 < scanned_share(scan()) < 0.9
+
+
+def test_a_view_of_one_side_is_less_than_all_round():
+    assert 0.1 < scanned_share(scan("full")) < 0.9
+
+
+def test_nothing_is_scanned_before_the_first_view():
+    session = scan()
+    empty = Session(session.config, 0, session.hint, session.front)
+    assert scanned_share(empty) == 0.0
+
+
+def test_a_view_tells_its_index_and_its_share():
+    words = view_words(scan())
+    assert words.startswith("view 0: ")
+    assert words.endswith("% of the front scanned")
+
+
+def test_a_plan_tells_overlap_error_and_reason():
+    session = scan()
+    words = plan_words(with_plan(session, Pose2()))
+    assert words.strip() == "next: 70% overlap, predicted error 4.2 mm (it is best)"
+    assert "error unknown" in plan_words(with_plan(session, Pose2(), math.nan))
+    assert plan_words(with_plan(session, None)) == "finished: it is best"
+
+
+def test_plain_progress_is_a_line_per_step(capsys):
+    session = with_plan(scan(), Pose2())
+    tell(PlainProgress(), session)
+    told = capsys.readouterr()
+    assert told.err.splitlines() == ["scanning", view_words(session), plan_words(session)]
+    assert told.out == ""
+
+
+def test_live_progress_counts_lines_and_keeps_views_and_plans():
+    session = with_plan(scan(), Pose2())
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=120, highlight=False)
+    with console.status("begin") as status:
+        progress = LiveProgress(console, status)
+        progress.event("scanning")
+        progress.line()
+        progress.line()
+        assert status.status == "scanning: 2 lines"
+        progress.view(session)
+        assert status.status == "planning"
+        progress.plan(session)
+    assert view_words(session) in screen.getvalue()
+    assert plan_words(session) in screen.getvalue()
+
+
+def tell(progress, session):
+    progress.event("scanning")
+    for _ in range(3):
+        progress.line()
+    progress.view(session)
+    progress.plan(session)
