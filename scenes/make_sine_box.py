@@ -11,15 +11,26 @@ from pathlib import Path
 WIDTH, DEPTH, HEIGHT = 0.40, 0.30, 0.50  # along y, x, z [m]; issue's figures, paper Fig. 10
 AMPLITUDE, PERIOD = 0.02, 0.08  # of the sine [m]
 NOTCH = 0.03  # width and depth [m]
-COLUMNS = 160  # 2.5 mm wide: the chord lies within .1 mm of the sine; the notch falls on columns
-ROWS = 10  # not one row: MuJoCo casts rays slowly against long slivers
+# About 2.5 mm wide, so that the chord lies within .1 mm of the sine. No edge lies at y = 0 or at the
+# lidar's height of .30 m: a ray exactly along an edge may slip through between triangles.
+COLUMNS_BESIDE, COLUMNS_NOTCH = 74, 11
+COLUMNS = 2 * COLUMNS_BESIDE + COLUMNS_NOTCH
+ROWS = 11  # not one row: MuJoCo casts rays slowly against long slivers
 
 Point = tuple[float, float, float]
 
 
+def columns() -> list[float]:
+    """Return the edges of the columns along y [m], rising; the notch falls on edges."""
+    side, notch = (WIDTH - NOTCH) / 2, NOTCH / 2
+    left = [-WIDTH / 2 + side * k / COLUMNS_BESIDE for k in range(COLUMNS_BESIDE)]
+    middle = [-notch + NOTCH * k / COLUMNS_NOTCH for k in range(COLUMNS_NOTCH + 1)]
+    return left + middle + [-y for y in reversed(left)]
+
+
 def outline() -> list[tuple[float, float]]:
     """Return the corners (x, y) of the footprint [m], counter-clockwise from above."""
-    ys = [WIDTH * (k / COLUMNS - 0.5) for k in range(COLUMNS + 1)]
+    ys = columns()
     wave = [(-DEPTH / 2 + AMPLITUDE * math.sin(math.tau * y / PERIOD), y) for y in ys]
     back = []
     for y in ys:

@@ -123,7 +123,7 @@ class SimBase:
 
     def _counts(self, side: int) -> int:
         turned = float(self._world.data.qpos[self._wheels[side]]) - self._zero[side]
-        # Rounded, not floored: at rest the encoder stands in the middle of a count, not on its edge.
+        # Rounded, not floored: at rest it stands in the middle of a count, not on its edge.
         return round(turned / math.tau * self.spec.counts_per_turn)
 
     def _ramp(self) -> None:

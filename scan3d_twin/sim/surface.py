@@ -114,6 +114,16 @@ def _sample_sphere(radius: float, spacing: float) -> Samples:
     return radius * normals, normals
 
 
+def corners(model: Any, geom: int) -> FloatArray:
+    """Return points (n, 3) [m] in the geom's frame whose bounding box is the geom's."""
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        return _mesh_triangles(model, geom).reshape(-1, 3)  # its own box is turned to the inertia
+    centre, half = np.split(np.array(model.geom_aabb[geom]), 2)
+    signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+    result: FloatArray = centre + signs * half
+    return result
+
+
 def _mesh_triangles(model: Any, geom: int) -> FloatArray:
     """Return a mesh geom's triangles (m, 3, 3) in the geom's frame."""
     mesh = model.geom_dataid[geom]

@@ -9,7 +9,7 @@ from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.casters import RayCaster
 from scan3d_twin.sim.scene import Scene
-from scan3d_twin.sim.surface import sample_geom
+from scan3d_twin.sim.surface import corners, sample_geom
 from scan3d_twin.sim.world import World
 
 ON_FLOOR = 0.002
@@ -73,13 +73,12 @@ class Truth:
         """
         if name not in self._scene.targets:
             raise UnknownNameError("target", name, self._scene.targets)
-        data, model = self._scene_data(), self._scene.model
-        corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+        data = self._scene_data()
         boxes = []
         for part in self._scene.targets[name]:
             geom = data.geom(part)
-            centre, half = np.split(model.geom_aabb[geom.id], 2)
-            boxes.append((centre + corners * half) @ geom.xmat.reshape(3, 3).T + geom.xpos)
+            local = corners(self._scene.model, geom.id)
+            boxes.append(local @ geom.xmat.reshape(3, 3).T + geom.xpos)
         extent = np.concatenate(boxes)
         x, y = ((extent.min(axis=0) + extent.max(axis=0)) / 2)[:2]
         odom = self._T_map_odom.inverse() @ Pose2(x, y)
