@@ -11,8 +11,8 @@ from pathlib import Path
 WIDTH, DEPTH, HEIGHT = 0.40, 0.30, 0.50  # along y, x, z [m]; issue's figures, paper Fig. 10
 AMPLITUDE, PERIOD = 0.02, 0.08  # of the sine [m]
 NOTCH = 0.03  # width and depth [m]
-# About 2.5 mm wide, so that the chord lies within .1 mm of the sine. No edge lies at y = 0 or at the
-# lidar's height of .30 m: a ray exactly along an edge may slip through between triangles.
+# About 2.5 mm wide, so that the chord lies within .1 mm of the sine. No edge lies at y = 0 or at
+# the lidar's height of .30 m: a ray exactly along an edge may slip through between triangles.
 COLUMNS_BESIDE, COLUMNS_NOTCH = 74, 11
 COLUMNS = 2 * COLUMNS_BESIDE + COLUMNS_NOTCH
 ROWS = 11  # not one row: MuJoCo casts rays slowly against long slivers

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 
+import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, HazardError
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.core.types import Hazards, Odometry
-from scan3d_twin.sim.casters import RayCaster
+from scan3d_twin.core.types import FloatArray, Hazards, Odometry
 from scan3d_twin.sim.odometry import DeadReckoning
 from scan3d_twin.sim.world import PREFIX, TIMESTEP, World
 
@@ -36,6 +36,7 @@ CLIFF_DISTANCE = 0.05
 HISTORY = 20_000
 """Odometry samples that are kept at least: 5 minutes."""
 
+_DOWN, _GEOM = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
 _CLIFFS = ("cliff_left", "cliff_front_left", "cliff_front_right", "cliff_right")
 
 
@@ -58,10 +59,9 @@ def wheel_speeds(spec: BaseSpec, linear: float, angular: float) -> tuple[float, 
 class SimBase:
     """A ``DriveBase`` on the twin."""
 
-    def __init__(self, world: World, caster: RayCaster, spec: BaseSpec = CREATE2) -> None:
+    def __init__(self, world: World, spec: BaseSpec = CREATE2) -> None:
         self.spec = spec
         self._world = world
-        self._caster = caster
         model, data = world.model, world.data
         names = [PREFIX + side for side in ("left", "right")]
         self._drives = [model.actuator(name + "_drive").id for name in names]
@@ -69,6 +69,7 @@ class SimBase:
         self._drops = [model.joint(name + "_drop").qposadr[0] for name in names]
         self._bumps = [model.sensor(PREFIX + "bump_" + s).adr[0] for s in ("left", "right")]
         self._cliffs = [data.site(PREFIX + name).xpos for name in _CLIFFS]
+        self._body = model.body(PREFIX + "base").id
         self._target = (0.0, 0.0)
         self._samples = 0
         self._zero = [float(data.qpos[wheel]) for wheel in self._wheels]
@@ -136,10 +137,16 @@ class SimBase:
         data = self._world.data
         bumps = [bool(data.sensordata[adr] > BUMP_FORCE) for adr in self._bumps]
         drops = [bool(data.qpos[adr] < WHEEL_DROP) for adr in self._drops]
-        down = np.tile([0.0, 0.0, -1.0], (len(self._cliffs), 1))
-        below = self._caster.cast(self._world.scene_qpos(), np.array(self._cliffs), down)
-        cliffs = [bool(distance > CLIFF_DISTANCE) for distance in below.distances]
+        cliffs = [not 0 <= self._distance_below(site) <= CLIFF_DISTANCE for site in self._cliffs]
         return Hazards(*bumps, *cliffs, *drops)
+
+    def _distance_below(self, point: FloatArray) -> float:
+        """Return the distance from ``point`` (3,) down to the scene [m]; -1 where there is none.
+
+        Cast only when a packet is due: as MuJoCo sensors the rays would cost every physics step.
+        """
+        model, data = self._world.model, self._world.data
+        return float(mujoco.mj_ray(model, data, point, _DOWN, None, 1, self._body, _GEOM, None))
 
 
 def _blocking(before: Hazards, now: Hazards, target: tuple[float, float]) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import trimesh
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
@@ -75,6 +74,8 @@ def mesh_spec(path: Path, scale: float) -> Any:
 
 def _load(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
     """Return vertices (n, 3) [m], centred at x = y = 0 and standing on z = 0, and faces (m, 3)."""
+    import trimesh  # slow to import, and only meshes need it
+
     try:
         mesh = trimesh.load_mesh(path)
         vertices = np.array(mesh.vertices, dtype=np.float64) * scale
@@ -82,6 +83,7 @@ def _load(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
     except Exception as error:  # noqa: BLE001 - each of trimesh's decoders fails in its own way
         reason = " ".join(str(error).split()) or type(error).__name__
         raise SceneError(f"{path} is not a mesh that can be read: {reason}") from None
+    faces = faces[_areas(vertices, faces) > 0]
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise SceneError(f"{path} holds no triangles; export it as a triangle mesh")
     if path.suffix.lower() == ".glb":
@@ -94,6 +96,13 @@ def _load(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
             f"{path} would be {largest:g} m large; give --mesh-scale, such as 0.001 for millimetres"
         )
     return vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], faces
+
+
+def _areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return the areas of the triangles (m,)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    areas: FloatArray = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return areas
 
 
 def _collision_boxes(vertices: FloatArray, faces: IntArray) -> list[tuple[FloatArray, FloatArray]]:

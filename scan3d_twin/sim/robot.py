@@ -46,7 +46,7 @@ def open_sim(
     world = World(scene, build_model(scene, config.robot, errors))
     caster = MujocoCaster(scene.model)
     clock = SimClock(world)
-    base = SimBase(world, caster)
+    base = SimBase(world)
     scanner = Scanner.create(scene.model, config.robot, config.lidar_link, config.lidar, caster)
     lidar = SimLidar(world, clock, scanner, [seed, _LIDAR_STREAM])
     clock.attach(lidar, base)

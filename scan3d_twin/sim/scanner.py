@@ -56,6 +56,7 @@ class Scanner:
     Attributes:
         spec: Geometry of its lines.
         config: Noise, dropouts and losses.
+        beams: Directions of the beams in the lidar's frame (n_beams, 3).
         caster: Casts rays against the scene.
         materials: Optical properties of the caster's geoms.
         housing: What the beams see of the robot itself.
@@ -63,6 +64,7 @@ class Scanner:
 
     spec: LidarSpec
     config: LidarModelConfig
+    beams: FloatArray
     caster: RayCaster
     materials: Materials
     housing: Hits
@@ -74,7 +76,8 @@ class Scanner:
         """Return the scanner of ``robot`` for a scene without a robot in it."""
         spec = lidar_spec(link)
         materials = Materials.of(scene_model, config)
-        return Scanner(spec, config, caster, materials, own_housing(robot, spec.elevations))
+        beams = read_only(beam_directions(spec.elevations))
+        return Scanner(spec, config, beams, caster, materials, own_housing(robot, spec.elevations))
 
     def measure(
         self,
@@ -94,16 +97,15 @@ class Scanner:
         Returns:
             Ranges (n_beams,) [m], NaN where there is none, and codes (n_beams,).
         """
-        beams = beam_directions(self.spec.elevations)
-        directions = np.einsum("nij,nj->ni", rotations, beams)
+        directions = np.einsum("nij,nj->ni", rotations, self.beams)
         hits = self.caster.cast(qpos, positions, directions)
         cosines = np.einsum("ni,ni->n", hits.normals, directions)
         own = self.housing.distances < hits.distances
         distances = np.where(own, self.housing.distances, hits.distances)
         geoms = np.where(own, -1, hits.geoms)
-        cosines = np.where(own, np.einsum("ni,ni->n", self.housing.normals, beams), cosines)
+        cosines = np.where(own, np.einsum("ni,ni->n", self.housing.normals, self.beams), cosines)
         power = self.materials.power(geoms, cosines, distances)
-        draws = rng.standard_normal((2, len(beams)))
+        draws = rng.standard_normal((2, len(directions)))
         seen = detected(power, draws[0], self.config) & np.isfinite(distances)
         distances = np.where(seen, distances, 0.0)
         return _reading(perturbed(distances, power, draws[1], self.config), seen)

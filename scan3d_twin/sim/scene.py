@@ -163,7 +163,10 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
             f"{label} has no target; name a geom or body 'target...' or add <tuple name=\"target\">"
         )
     for name in (name for parts in targets.values() for name in parts):
-        if spec.geom(name).type not in SAMPLED_TYPES:
+        geom = spec.geom(name)
+        if geom is None:
+            raise SceneError(f"{label}: the tuple 'target' names {name!r}, which is no geom")
+        if geom.type not in SAMPLED_TYPES:
             raise SceneError(f"{label}: target {name!r} must be a solid primitive or a mesh")
     return targets
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import trimesh
 
 from scan3d_twin.core.types import FloatArray
 
@@ -38,10 +37,9 @@ def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
         case mujoco.mjtGeom.mjGEOM_MESH:
             return sample_triangles(_mesh_triangles(model, geom), spacing)
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            mesh = trimesh.creation.capsule(2 * size[1], size[0], count=[64, 64])
-            return sample_triangles(mesh.triangles - mesh.bounds.mean(axis=0), spacing)
+            return sample_triangles(_capsule(size[0], size[1]), spacing)
         case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            return sample_triangles(trimesh.creation.icosphere(4).triangles * size, spacing)
+            return sample_triangles(_unit_sphere() * size, spacing)
         case other:
             raise ValueError(f"no surface samples of a {other.name}")
 
@@ -112,6 +110,22 @@ def _sample_sphere(radius: float, spacing: float) -> Samples:
     rho = np.sqrt(1 - z**2)
     normals = np.column_stack([rho * np.cos(angle), rho * np.sin(angle), z])
     return radius * normals, normals
+
+
+def _capsule(radius: float, half: float) -> FloatArray:
+    """Return triangles (m, 3, 3) of a capsule along z."""
+    import trimesh  # slow to import, and rarely needed
+
+    mesh = trimesh.creation.capsule(2 * half, radius, count=[64, 64])
+    triangles: FloatArray = np.array(mesh.triangles - mesh.bounds.mean(axis=0))
+    return triangles
+
+
+def _unit_sphere() -> FloatArray:
+    """Return triangles (m, 3, 3) of a sphere of radius 1."""
+    import trimesh  # as above
+
+    return np.array(trimesh.creation.icosphere(4).triangles)
 
 
 def corners(model: Any, geom: int) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import FloatArray, Pose2, read_only
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
 from scan3d_twin.sim.resources import resource_dir
@@ -58,7 +59,11 @@ def robot_spec(robot: RobotName) -> Any:
 
 
 def build_model(scene: Scene, robot: RobotName, errors: RobotErrors) -> Any:
-    """Return the compiled model of ``scene`` with a robot of these ``errors`` at its spawn."""
+    """Return the compiled model of ``scene`` with a robot of these ``errors`` at its spawn.
+
+    Raises:
+        SceneError: They do not go together, as with a keyframe that lacks the robot's joints.
+    """
     spec = scene.spec.copy()
     half = scene.spawn.yaw / 2
     frame = spec.worldbody.add_frame(
@@ -68,7 +73,11 @@ def build_model(scene: Scene, robot: RobotName, errors: RobotErrors) -> Any:
     _apply_errors(child, errors)
     spec.attach(child, prefix=PREFIX, frame=frame)
     _set_options(spec.option)
-    return spec.compile()
+    try:
+        return spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise SceneError(f"scene {scene.name} cannot take a robot: {reason}") from None
 
 
 def _apply_errors(spec: Any, errors: RobotErrors) -> None:
@@ -137,7 +146,7 @@ class World:
             base[k + 1] = qpos
             row = lidar[k % LIDAR_TRACE]
             row[:3], row[3:] = xpos, xmat
-        self.steps += steps
+            self.steps = k + 1
 
     def _reserve(self, rows: int) -> None:
         if rows > len(self._base_trace):

@@ -108,6 +108,13 @@ def test_what_is_not_a_mesh_is_one_line_with_the_file_name(tmp_path, suffix, con
     assert "\n" not in str(caught.value)
 
 
+def test_triangles_without_area_are_no_mesh(tmp_path):
+    path = tmp_path / "line.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    with pytest.raises(SceneError, match=r"line\.obj holds no triangles"):
+        load_scene(str(path))
+
+
 def test_points_without_triangles_are_no_mesh(tmp_path):
     path = tmp_path / "cloud.ply"
     trimesh.PointCloud(np.eye(3)).export(path)

@@ -163,6 +163,12 @@ def test_a_tuple_names_the_target(scene_of):
     assert scene.targets == {"vase": ("vase",)}
 
 
+def test_a_tuple_that_names_nothing_is_refused(scene_of):
+    head = '<custom><tuple name="target"><element objtype="geom" objname="gone"/></tuple></custom>'
+    with pytest.raises(SceneError, match="'gone'"):
+        scene_of('<geom name="vase" size=".1"/>', head=head)
+
+
 @pytest.mark.parametrize(
     ("floor", "count"), [("", 2), ('<geom name="floor_box" type="box" size="9 9 .1"/>', 2)]
 )
