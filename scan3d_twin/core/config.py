@@ -14,6 +14,8 @@ from scan3d_twin.core.errors import ConfigError
 
 Tour = Literal["front", "full"]
 Scope = Literal["target", "sweep"]
+Border = Literal["drop", "keep"]
+VirtualScan = Literal["smoothed", "copy"]
 Criterion = Literal["displacement", "eq3", "nn"]
 
 
@@ -40,10 +42,10 @@ class SweepConfig:
     """Horizontal angle of a sweep, the paper's C [rad]; 60 deg see 1.15 m at the 1 m standoff."""
     yaw_rate: float = math.radians(5.0)
     """Speed of the turn [rad/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
-    look_rate: float = math.radians(30.0)
-    """Speed of the first look around [rad/s]; 3 deg between lines are enough to find a target."""
+    look_rate: float = math.radians(20.0)
+    """Speed of a look around [rad/s]; 2 deg between lines are enough to find a target."""
     settle: float = 0.3
-    """Rest before a sweep [s]; several periods of the mast (11 to 18 Hz), which shakes till then."""
+    """Rest before a sweep [s]: several periods of the mast (11 to 18 Hz), till it is still."""
     retries: int = 5
     """How often missing lines are scanned again before the run gives up."""
 
@@ -97,11 +99,13 @@ class RegistrationConfig:
     """Which points are registered: the target's alone as in the paper, or the whole sweep's."""
     max_correspondence_distance: float = 0.10
     """Pairs farther apart than this are no correspondence [m]."""
-    max_iterations: int = 60
+    border: Border = "drop"
+    """Pairs on the border of the target scan, where the surface goes on unseen: drop or keep."""
+    max_iterations: int = 100
     """Iterations after which ICP stops."""
-    translation_epsilon: float = 1e-5
+    translation_epsilon: float = 5e-5
     """Converged when a step is shorter than this [m] ..."""
-    rotation_epsilon: float = 1e-5
+    rotation_epsilon: float = 5e-5
     """... and turns less than this [rad]."""
     max_points: int = 3000
     """Source points used per registration; more are thinned out evenly."""
@@ -141,7 +145,9 @@ class PlanningConfig:
     gamma: float = 0.01
     """Rotation error per radian of the turn, eq. (2) [rad/rad]."""
     sigma: float = 0.005
-    """Range noise of the virtual scan, N_noise of eq. (2) [m]; URG-04LX: 4 to 5 mm up to 2 m."""
+    """N_noise of eq. (2) in x, y and z [m]; URG-04LX: 4 to 5 mm up to 2 m."""
+    virtual_scan: VirtualScan = "smoothed"
+    """What Q'' is made from: the surface behind the noise of P, or P's very readings."""
     criterion: Criterion = "displacement"
     """Error E: eq. (3) on noise-free points, as printed, or the nearest-neighbour residual."""
     trials: int = 1
@@ -188,6 +194,11 @@ class MotionConfig:
     """A waypoint is reached within this distance [m]."""
     yaw_tolerance: float = math.radians(0.5)
     """A heading is reached within this angle [rad]."""
+
+    @property
+    def self_radius(self) -> float:
+        """Readings nearer to the axis than this are the robot itself [m]."""
+        return self.robot_radius + 0.03
 
     def __post_init__(self) -> None:
         _positive(

@@ -15,7 +15,6 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.target import SELF_RADIUS
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -160,7 +159,7 @@ def _solid(image: RangeImage, config: Config) -> BoolArray:
             points[..., 2] < config.motion.robot_height + HEIGHT_MARGIN
         )
         solid &= image.ranges <= config.target.max_range
-    return solid & (np.hypot(points[..., 0], points[..., 1]) > SELF_RADIUS)
+    return solid & (np.hypot(points[..., 0], points[..., 1]) > config.motion.self_radius)
 
 
 def _free_reach(image: RangeImage, solid: BoolArray, config: Config) -> FloatArray:
@@ -170,11 +169,11 @@ def _free_reach(image: RangeImage, solid: BoolArray, config: Config) -> FloatArr
     forward = np.abs(image.spec.elevations) < np.pi / 2
     with np.errstate(invalid="ignore"):
         floor = (np.abs(points[..., 2]) <= config.target.floor_height) & forward
-        floor &= (image.ranges <= config.target.max_range) & (distance > SELF_RADIUS)
+        floor &= (image.ranges <= config.target.max_range) & (distance > config.motion.self_radius)
     reach = np.zeros(image.n_lines)
     for k in range(image.n_lines):
         hits = np.sort(distance[k, floor[k]])
-        steps = np.diff(hits, prepend=SELF_RADIUS)
+        steps = np.diff(hits, prepend=config.motion.self_radius)
         broken = np.flatnonzero(steps > FLOOR_STEP)
         end = broken[0] if len(broken) else len(hits)
         reach[k] = hits[end - 1] if end > 0 else 0.0

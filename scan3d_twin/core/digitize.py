@@ -6,6 +6,7 @@ real robot, replay and tests all run the same algorithm.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from scan3d_twin.core.gaps import fill_gaps
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.motion import follow
 from scan3d_twin.core.planning import Planner
-from scan3d_twin.core.registration import overlapping_lines, register
+from scan3d_twin.core.registration import cut_lines, overlapping_lines, register
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.sweep import look_around, sweep
 from scan3d_twin.core.target import all_points, extract_target, find_target
@@ -29,8 +30,9 @@ from scan3d_twin.core.types import (
     RegistrationResult,
     Scan3D,
     ScanLine,
+    rms,
 )
-from scan3d_twin.core.viewpoints import first_segment, place
+from scan3d_twin.core.viewpoints import ends_in_view, first_segment, look_contour, place
 
 Command = Literal["go", "pause", "stop"]
 REGISTRATION, PLANNING = 1, 2
@@ -114,12 +116,11 @@ def begin(
     look = look_around(robot, config, observer.on_line)
     hint = find_target(look, target, config)
     here = robot.base.odometry().T_odom_base
-    front = np.array([here.x, here.y]) - hint.mean(axis=0)
-    front /= np.linalg.norm(front)
-    session = Session(config, seed, hint, front, ((0, look),))
+    contour = look_contour(here.inverse().apply(hint))
+    session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, look),))
     costmap = build_costmap(session.observations(), config, here)
     width = 2 * config.planning.standoff * np.tan(min(config.sweep.width, np.pi / 2) / 2)
-    segment = first_segment(here.inverse().apply(hint), width, from_left=config.tour == "front")
+    segment = first_segment(contour, width, from_left=config.tour == "front")
 
     def feasible(viewpoint: Pose2) -> bool:
         there = here @ viewpoint
@@ -141,9 +142,9 @@ def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer
     path = build_costmap(session.observations(), config, here).path(viewpoint.x, viewpoint.y)
     if path is None:
         raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
-    observer.on_event(f"driving to viewpoint {len(session.views) + 1}")
+    observer.on_event(f"driving to viewpoint {len(session.views)}")
     follow(robot, path, config.motion)
-    observer.on_event(f"scanning view {len(session.views) + 1}")
+    observer.on_event(f"scanning view {len(session.views)}")
     return sweep(robot, viewpoint.yaw, config, observer.on_line)
 
 
@@ -154,17 +155,13 @@ def integrate(session: Session, observation: Observation) -> Session:
     """
     config = session.config
     image = fill_gaps(observation.image, config.gaps)
-    points = all_points(image, config.target)
+    points = all_points(image, config)
     prior = _prior(session, observation)
     known = prior.inverse().apply(_known_target(session))
     target = extract_target(image, points, known, config.target)
-    view = View(observation, target, points, prior, None)
+    view = View(observation, image, target, points, prior, None)
     if session.views:
-        result = _register(session, view)
-        previous = session.views[-1]
-        if result.converged:
-            prior = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
-        view = View(observation, target, points, prior, result)
+        view = _place(view, session.views[-1], config)
     return session.with_view(view)
 
 
@@ -183,13 +180,34 @@ def _known_target(session: Session) -> FloatArray:
     return np.concatenate([session.hint, *seen])
 
 
-def _register(session: Session, view: View) -> RegistrationResult:
-    """Register ``view`` on the previous one where they are expected to overlap."""
-    config, previous = session.config.registration, session.views[-1]
+def _place(view: View, previous: View, config: Config) -> View:
+    """Return ``view`` registered on ``previous``; by odometry where ICP does not vouch for better.
+
+    A correction of the target by more than correspondences reach is no correction: ICP has slid.
+    """
+    result = _register(view, previous, config)
+    T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
+    points = view.target.points
+    correction = T_world_scan.apply(points) - view.T_world_scan.apply(points)
+    slid = rms(correction) > config.registration.max_correspondence_distance
+    result = replace(result, converged=result.converged and not slid)
+    placed = T_world_scan if result.converged else view.T_world_scan
+    return replace(view, T_world_scan=placed, registration=result)
+
+
+def _register(view: View, previous: View, config: Config) -> RegistrationResult:
+    """Register ``view`` on ``previous`` where, by odometry, they are expected to overlap."""
     init = previous.T_world_scan.inverse() @ view.T_world_scan
-    target, source = (_in_scope(v, config.scope) for v in (previous, view))
-    source = overlapping_lines(target, source, init, config.max_correspondence_distance)
-    return register(target.points, source.points, init_T_target_source=init, config=config)
+    target, source = (_in_scope(v, config.registration.scope) for v in (previous, view))
+    source = overlapping_lines(target, source, init)
+    ends = ends_in_view(previous.image, previous.sweep, previous.target, config.target)
+    return register(
+        target.points,
+        source.points,
+        init_T_target_source=init,
+        border=cut_lines(target, right=not ends),
+        config=config.registration,
+    )
 
 
 def _in_scope(view: View, scope: str) -> Scan3D:

@@ -17,7 +17,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.model import fuse, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
+from scan3d_twin.core.types import BoolArray, FloatArray, Pose2, rms
 
 COVERAGE_DISTANCE = 0.020
 """A surface point is covered when a model point is this near [m]: twice the range accuracy."""
@@ -148,8 +148,7 @@ def true_pose(view: View, truth: Truth) -> Pose2:
 
 def displacement(points: FloatArray, a: Pose2, b: Pose2) -> float:
     """Return the RMS distance [m] of ``points`` (n, 3) mapped by ``a`` and by ``b``."""
-    difference = a.apply(points) - b.apply(points)
-    return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
+    return rms(a.apply(points) - b.apply(points))
 
 
 def _pair_error(k: int, session: Session, truth: Truth, T_map_world: Pose2) -> PairError:

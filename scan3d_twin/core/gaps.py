@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from scan3d_twin.core.config import GapConfig
-from scan3d_twin.core.types import FloatArray, RangeImage, read_only
+from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
 
 
 def fill_gaps(image: RangeImage, config: GapConfig) -> RangeImage:
@@ -27,9 +27,8 @@ def _fill_rows(ranges: FloatArray, angles: FloatArray, config: GapConfig) -> Flo
     """Fill NaN runs of each row of ``ranges`` (m, n); ``angles`` (m, n) [rad] rise along a row."""
     valid = np.isfinite(ranges)
     rows, columns = np.indices(ranges.shape)
-    before = np.asarray(np.maximum.accumulate(np.where(valid, columns, -1), axis=1))
-    after = np.where(valid, columns, ranges.shape[1])[:, ::-1]
-    after = np.asarray(np.minimum.accumulate(after, axis=1))[:, ::-1]
+    before = _running_max(np.where(valid, columns, -1))
+    after = _running_max(np.where(valid, -columns, -ranges.shape[1])[:, ::-1])[:, ::-1] * -1
     bounded = ~valid & (before >= 0) & (after < ranges.shape[1])
     row, column = rows[bounded], columns[bounded]
     a, b = (row, before[bounded]), (row, after[bounded])
@@ -39,3 +38,9 @@ def _fill_rows(ranges: FloatArray, angles: FloatArray, config: GapConfig) -> Flo
     filled = ranges.copy()
     filled[row[narrow], column[narrow]] = (ranges[a] + share * (ranges[b] - ranges[a]))[narrow]
     return filled
+
+
+def _running_max(values: IntArray) -> IntArray:
+    """Return the largest value so far along each row."""
+    running: IntArray = np.maximum.accumulate(values, axis=1)
+    return running

@@ -72,7 +72,7 @@ class DriveBase(Protocol):
         ...
 
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
-        """Drive at ``linear`` [m/s] and ``angular`` [rad/s, counter-clockwise] until told otherwise.
+        """Drive at ``linear`` [m/s] and ``angular`` [rad/s], until told otherwise.
 
         Returns:
             The (linear, angular) really sent, after clipping to the wheel speed (the ratio is kept)

@@ -14,7 +14,9 @@ from scipy.spatial import cKDTree
 from scan3d_twin.core.config import RegistrationConfig
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.types import (
+    BoolArray,
     FloatArray,
+    IntArray,
     Pose2,
     RegistrationResult,
     Scan3D,
@@ -23,6 +25,9 @@ from scan3d_twin.core.types import (
 
 PLANAR = [0, 1, 5]
 """Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
+OVERLAP_DISTANCE = 0.03
+"""Points this near to the other scan are expected to show the same surface [m]: the odometry's
+error over a step plus a few times the range noise."""
 MIN_PAIRS = 10
 """Fewer correspondences than this determine nothing reliably."""
 
@@ -32,6 +37,7 @@ def register(
     source: FloatArray,
     *,
     init_T_target_source: Pose2 | None = None,
+    border: BoolArray | None = None,
     config: RegistrationConfig | None = None,
     tree: cKDTree | None = None,
 ) -> RegistrationResult:
@@ -41,12 +47,14 @@ def register(
         target: Points (n, 3) [m], the paper's model set M.
         source: Points (m, 3) [m], the paper's data set D.
         init_T_target_source: First guess; identity by default.
+        border: Target points (n,) behind which the surface goes on unseen: a source point whose
+            nearest target point is one of them has no correspondence (Turk and Levoy 1994).
         config: Thresholds; the defaults of ``RegistrationConfig``.
         tree: ``cKDTree(target)`` when the caller has it already.
 
     Returns:
         The result; ``converged`` is False when the iterations ran out, when too few points found
-        a partner or when a set is empty.
+        a partner, or when a set is empty.
     """
     config = config or RegistrationConfig()
     pose = init_T_target_source or Pose2()
@@ -58,8 +66,7 @@ def register(
     while not settled and iterations < config.max_iterations:
         iterations += 1
         moved = pose.apply(source)
-        distances, index = nearest(tree, moved, config.max_correspondence_distance)
-        paired = np.isfinite(distances)
+        paired, index, _ = _correspondences(tree, moved, border, config)
         if np.count_nonzero(paired) < MIN_PAIRS:
             return _failed(pose)
         step = fit_planar(target[index[paired]], moved[paired])
@@ -68,7 +75,9 @@ def register(
             math.hypot(step.x, step.y) < config.translation_epsilon
             and abs(step.yaw) < config.rotation_epsilon
         )
-    return _judge(tree, source, pose, iterations, settled, config)
+    moved = pose.apply(source)
+    paired, _, distances = _correspondences(tree, moved, border, config)
+    return _judge(moved, distances[paired], pose, iterations, settled, config)
 
 
 def fit_planar(target: FloatArray, source: FloatArray) -> Pose2:
@@ -82,9 +91,7 @@ def fit_planar(target: FloatArray, source: FloatArray) -> Pose2:
     return Pose2(float(shift[0]), float(shift[1]), turn.yaw)
 
 
-def overlapping_lines(
-    target: Scan3D, source: Scan3D, init_T_target_source: Pose2, distance: float
-) -> Scan3D:
+def overlapping_lines(target: Scan3D, source: Scan3D, init_T_target_source: Pose2) -> Scan3D:
     """Return the lines of ``source`` expected on ``target``: half of whose points come near it.
 
     The planner chose an overlap; registering whole images instead would drag one image onto the
@@ -93,28 +100,45 @@ def overlapping_lines(
     if len(target) == 0 or len(source) == 0:
         return source.select(np.zeros(len(source), dtype=bool))
     moved = init_T_target_source.apply(source.points)
-    near = np.isfinite(nearest(cKDTree(target.points), moved, distance)[0])
+    near = np.isfinite(nearest(cKDTree(target.points), moved, OVERLAP_DISTANCE)[0])
     total = np.bincount(source.lines, minlength=source.n_lines)
     hits = np.bincount(source.lines, weights=near, minlength=source.n_lines)
     return source.select((2 * hits >= total)[source.lines])
 
 
+def cut_lines(scan: Scan3D, *, right: bool) -> BoolArray:
+    """Tell which points (n,) are on the border: the first line and, if ``right``, the last.
+
+    A scan that ends at a silhouette has no border there: the end of the surface is a feature.
+    """
+    ends = scan.occupied_lines[[0, -1]] if right else scan.occupied_lines[:1]
+    return np.isin(scan.lines, ends)
+
+
+def _correspondences(
+    tree: cKDTree, moved: FloatArray, border: BoolArray | None, config: RegistrationConfig
+) -> tuple[BoolArray, IntArray, FloatArray]:
+    """Return which points (m,) have a partner, its index and its distance [m]."""
+    distances, index = nearest(tree, moved, config.max_correspondence_distance)
+    paired = np.isfinite(distances)
+    if border is not None and config.border == "drop":
+        paired[paired] = ~border[index[paired]]
+    return paired, index, distances
+
+
 def _judge(
-    tree: cKDTree,
-    source: FloatArray,
+    moved: FloatArray,
+    distances: FloatArray,
     pose: Pose2,
     iterations: int,
     settled: bool,
     config: RegistrationConfig,
 ) -> RegistrationResult:
-    """Fill the result at the final ``pose``."""
-    moved = pose.apply(source)
-    distances, _ = nearest(tree, moved, config.max_correspondence_distance)
-    paired = np.isfinite(distances)
-    pairs = int(np.count_nonzero(paired))
-    fitness = pairs / len(source)
-    rmse = float(np.sqrt(np.mean(distances[paired] ** 2))) if pairs else math.nan
-    information = _information(moved[paired], rmse)
+    """Return the result for the source at its final place and the distances of its pairs."""
+    pairs = len(distances)
+    fitness = pairs / len(moved)
+    rmse = float(np.sqrt(np.mean(distances**2))) if pairs else math.nan
+    information = _information(moved, rmse)
     covariance = np.zeros((6, 6))
     covariance[np.ix_(PLANAR, PLANAR)] = np.linalg.pinv(information[np.ix_(PLANAR, PLANAR)])
     return RegistrationResult(

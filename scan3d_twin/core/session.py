@@ -11,6 +11,7 @@ from scan3d_twin.core.types import (
     Observation,
     Plan,
     Pose2,
+    RangeImage,
     RegistrationResult,
     Scan3D,
 )
@@ -22,13 +23,15 @@ class View:
 
     Attributes:
         observation: As it came from the robot.
-        target: The target's points in ``scan``, gaps filled, background removed (section 4).
+        image: Its range image with the gaps filled (section 4.1).
+        target: The target's points in ``scan`` (section 4.2).
         sweep: All points in ``scan`` except the floor.
         T_world_scan: Where registration put the scan.
         registration: Against the previous view; None for the first.
     """
 
     observation: Observation
+    image: RangeImage
     target: Scan3D
     sweep: Scan3D
     T_world_scan: Pose2
@@ -45,7 +48,7 @@ class Session:
         config: The effective configuration.
         seed: The run's one seed.
         hint: Top-view points (n, 2) of the target in ``odom``, found by the look around [m].
-        front: Unit direction (2,) in ``world`` from the target to where the robot first saw it.
+        front: Outward unit normal (2,) in ``world`` of the target as the robot first saw it.
         looks: Coarse sweeps all round, each with the number of views taken before it.
         views: In the order they were taken.
         plans: ``plans[k]`` was made after ``views[k]``.

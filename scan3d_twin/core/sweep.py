@@ -14,7 +14,7 @@ import numpy as np
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import DataLossError
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.motion import stopping, turn_to
+from scan3d_twin.core.motion import stopping, turn_by, turn_to
 from scan3d_twin.core.types import (
     FloatArray,
     Observation,
@@ -68,10 +68,16 @@ def sweep(
 
 
 def look_around(robot: Robot, config: Config, on_line: Callable[[ScanLine], None]) -> Observation:
-    """Scan one full turn coarsely from where the robot stands; lost lines do not matter here."""
+    """Scan one full turn coarsely from where the robot stands; lost lines do not matter here.
+
+    The robot turns half a turn back before and after, so that an error of its wheel base, which
+    falsifies every turn by the same share, cancels.
+    """
     started = robot.clock.now()
     yaw = robot.base.odometry().T_odom_base.yaw
-    lines = _pass(robot, yaw, (0.0, math.tau), config.sweep.look_rate, config, on_line)
+    lines = _pass(robot, yaw, (-math.pi, math.pi), config.sweep.look_rate, config, on_line)
+    turn_by(robot, -math.pi, config.motion)
+    turn_to(robot, yaw, config.motion)
     return _observation(robot, lines, yaw, started)
 
 
@@ -100,7 +106,8 @@ def _pass(
     period = robot.lidar.spec.line_period
     direction = math.copysign(1.0, ends[1] - ends[0])
     margin = RUN_UP * rate * period
-    turn_to(robot, yaw + ends[0] - direction * margin, config.motion)
+    here = wrap(robot.base.odometry().T_odom_base.yaw - yaw)
+    turn_by(robot, ends[0] - direction * margin - here, config.motion)
     robot.clock.sleep(config.sweep.settle)
     started = robot.clock.now()
     duration = (abs(ends[1] - ends[0]) + 2 * margin) / rate

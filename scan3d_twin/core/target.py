@@ -22,22 +22,23 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Observation,
 
 CELL = 0.05
 """Cell of the top view in which points are grouped [m]; a quarter of the default cluster_gap."""
-SELF_RADIUS = 0.20
-"""Readings nearer to the base's axis than this are the robot itself [m]; body radius 0.165."""
 DEPTH_EDGE = 0.10
 """Neighbouring readings that differ by more are on different surfaces [m]; a plane seen at 80 deg
 incidence from 1.5 m changes by 0.08 m within a line spacing of 0.5 deg."""
+GRAZING = math.radians(75.0)
+"""Up to this incidence a step in depth between two lines may still be one and the same wall."""
 COMPACT = 3.5
 """A salient target is smaller than this [m]; larger things are taken if there is nothing else."""
 
 
-def all_points(image: RangeImage, config: TargetConfig) -> Scan3D:
+def all_points(image: RangeImage, config: Config) -> Scan3D:
     """Return every trusted point of the sweep except the floor and the robot itself."""
     points = image.points
     radius = np.hypot(points[..., 0], points[..., 1])
     with np.errstate(invalid="ignore"):
-        keep = (image.ranges <= config.max_range) & (points[..., 2] > config.floor_height)
-        keep &= radius > SELF_RADIUS
+        keep = image.ranges <= config.target.max_range
+        keep &= points[..., 2] > config.target.floor_height
+        keep &= radius > config.motion.self_radius
     lines, beams = np.nonzero(keep)
     return Scan3D(points[keep], lines, beams, image.n_lines)
 
@@ -94,14 +95,16 @@ def find_target(look: Observation, near: tuple[float, float] | None, config: Con
     Raises:
         SceneError: Nothing was seen, or nothing near ``near``.
     """
-    sweep = all_points(look.image, config.target)
+    sweep = all_points(look.image, config)
     sweep = sweep.select(in_window(look.image, sweep.beams, config.target))
     if len(sweep) < config.target.min_points:
         raise SceneError(
             f"no target: the look around saw nothing within {config.target.max_range:g} m; "
             "start the robot nearer to the target"
         )
-    labels = _group_top_view(sweep.points[:, :2], config.target.cluster_gap)
+    distance = float(np.median(np.linalg.norm(sweep.points[:, :2], axis=1)))
+    gap = config.target.cluster_gap + distance * _line_spacing(look.image)
+    labels = _group_top_view(sweep.points[:, :2], gap)
     groups = [
         _judge(look.image, sweep, labels == label)
         for label in np.unique(labels)
@@ -139,10 +142,20 @@ def _judge(image: RangeImage, sweep: Scan3D, member: BoolArray) -> _Group:
     if gaps[widest] > 1:
         right, left = lines[widest], lines[(widest + 1) % len(lines)]
         beyond = foremost[[(right + 1) % image.n_lines, left - 1]]
-        stands_free = bool(np.all(beyond > own[[right, left]] + DEPTH_EDGE))
+        stands_free = bool(np.all(beyond > own[[right, left]] * (1 + _grazing_step(image))))
     points = sweep.points[member, :2]
     extent = float(np.max(np.ptp(points, axis=0)))
     return _Group(points, int(np.count_nonzero(member)), stands_free, extent <= COMPACT)
+
+
+def _grazing_step(image: RangeImage) -> float:
+    """Return by how much, relatively, a wall seen at ``GRAZING`` recedes from line to line."""
+    return math.tan(GRAZING) * _line_spacing(image)
+
+
+def _line_spacing(image: RangeImage) -> float:
+    """Return the typical angle between two lines [rad]."""
+    return float(np.median(-np.diff(image.yaws[:, image.spec.n_beams // 2])))
 
 
 def _nearest_per_line(points: FloatArray, lines: IntArray, n_lines: int) -> FloatArray:

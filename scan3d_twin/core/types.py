@@ -28,6 +28,11 @@ def wrap(angle: float) -> float:
     return (angle + math.pi) % math.tau - math.pi
 
 
+def rms(vectors: FloatArray) -> float:
+    """Return the root mean square length of ``vectors`` (n, k); 0 for none."""
+    return float(np.sqrt(np.sum(vectors**2) / max(1, len(vectors))))
+
+
 def read_only(array: npt.ArrayLike, dtype: Any = np.float64) -> npt.NDArray[Any]:
     """Return ``array`` as a contiguous array that refuses writes; writable input is copied."""
     result = np.ascontiguousarray(array, dtype=dtype)
@@ -264,13 +269,23 @@ class Scan3D:
         """Indices of the lines that hold at least one point, ascending: the paper's l_1 .. l_n."""
         return np.unique(self.lines)
 
+    def on(self, image: RangeImage) -> Scan3D:
+        """Return the same lines and beams with the points of another ``image`` of the sweep."""
+        points = image.points[self.lines, self.beams]
+        return Scan3D(points, self.lines, self.beams, self.n_lines)
+
     def select(self, mask: BoolArray) -> Scan3D:
         """Return the points where ``mask`` (n,) is True."""
         return Scan3D(self.points[mask], self.lines[mask], self.beams[mask], self.n_lines)
 
     def first_lines(self, k: int) -> Scan3D:
-        """Return the points of the first ``k`` occupied lines: Q' of eq. (5) when called on Q."""
+        """Return the points of the first ``k`` occupied lines."""
         return self.select(np.isin(self.lines, self.occupied_lines[:k]))
+
+    def middle_lines(self, k: int) -> Scan3D:
+        """Return the points of the middle ``k`` occupied lines: Q' of eq. (5) when called on Q."""
+        first = max(0, len(self.occupied_lines) - k) // 2
+        return self.select(np.isin(self.lines, self.occupied_lines[first : first + k]))
 
     def last_lines(self, k: int) -> Scan3D:
         """Return the points of the last ``k`` occupied lines: the paper's Q for k = n_Q."""

@@ -12,30 +12,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, Scan3D
+from scan3d_twin.core.config import Config, TargetConfig
+from scan3d_twin.core.types import FloatArray, IntArray, Pose2, RangeImage, Scan3D
 
-BREAK = 4.0
-"""A step between two lines of more than this many median steps is a depth edge, not surface."""
-NORMAL_REACH = 4
-"""Lines on each side from which a local normal is taken; 3.5 cm at 0.5 deg and 1 m."""
 MAX_INCIDENCE = math.radians(65.0)
 """Q is seen from O2 at no flatter angle than this from its mean normal; beyond about 70 deg the
 URG-04LX returns gross errors (UBG-04LX-F01 data, 80 deg)."""
+FRONT_SIDE = math.radians(45.0)
+"""A tour of the front looks at it from no more than this to either side."""
+HERE = np.array([-1.0, 0.0])
+"""Direction from what the robot looks at towards the robot, in ``scan``."""
 
 
 @dataclass(frozen=True)
 class Contour:
-    """Top view of a target, one point per line, left to right.
+    """Convex top-view envelope of a target towards the robot, one point per line, left to right.
+
+    Gaps and niches do not count: the robot travels along the envelope, not into them.
 
     Attributes:
-        points: (n, 2) [m].
-        normals: Outward unit normals (n, 2), towards the robot.
-        arc: Length of surface from the first point (n,) [m]; jumps in depth do not count.
+        points: Where each line meets the envelope (n, 2) [m].
+        arc: Length along the envelope from the first point (n,) [m].
     """
 
     points: FloatArray
-    normals: FloatArray
     arc: FloatArray
 
     @property
@@ -43,9 +43,13 @@ class Contour:
         """Length of the whole segment [m]: the paper's S1."""
         return float(self.arc[-1])
 
+    def normal(self, first: int, last: int = -1) -> FloatArray:
+        """Return the mean outward unit normal (2,) between two points: that of their chord."""
+        return _unit(clockwise(self.points[last] - self.points[first]))
+
 
 def contour_of(scan: Scan3D) -> Contour:
-    """Return the contour of a target scan: the mean top-view point of each of its lines."""
+    """Return the contour of a target scan, from the mean top-view point of each of its lines."""
     count = np.bincount(scan.lines, minlength=scan.n_lines)
     sums = [np.bincount(scan.lines, scan.points[:, i], scan.n_lines) for i in (0, 1)]
     lines = scan.occupied_lines
@@ -53,50 +57,55 @@ def contour_of(scan: Scan3D) -> Contour:
 
 
 def trace(points: FloatArray) -> Contour:
-    """Return the contour through ``points`` (n, 2), given left to right around the origin."""
-    steps = np.diff(points, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1])
-    typical = float(np.median(lengths)) if len(lengths) else 0.0
-    surface = lengths <= BREAK * max(typical, 1e-9)
-    arc = np.concatenate(([0.0], np.cumsum(np.where(surface, lengths, typical))))
-    return Contour(points, _normals(points, surface), arc)
+    """Return the contour of ``points`` (n, 2), given left to right around the origin."""
+    kept = _convex_towards_origin(points)
+    edge = np.clip(np.searchsorted(kept, np.arange(len(points)), side="right") - 1, 0, None)
+    a = points[kept[np.minimum(edge, len(kept) - 1)]]
+    b = points[kept[np.minimum(edge + 1, len(kept) - 1)]]
+    across = _cross(b - a, points)
+    share = np.divide(_cross(points, a), across, out=np.zeros(len(points)), where=across != 0)
+    envelope = a + np.clip(share, 0.0, 1.0)[:, None] * (b - a)
+    steps = np.diff(envelope, axis=0)
+    return Contour(envelope, np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))))
 
 
-def _normals(points: FloatArray, surface: np.ndarray) -> FloatArray:
-    """Return for each point the normal of the surface piece it lies on, towards the origin."""
-    piece = np.concatenate(([0], np.cumsum(~surface)))
-    normals = np.empty_like(points)
-    for i in range(len(points)):
-        near = np.arange(max(0, i - NORMAL_REACH), min(len(points), i + NORMAL_REACH + 1))
-        near = near[piece[near] == piece[i]]
-        normals[i] = _line_normal(points[near]) if len(near) > 2 else -_unit(points[i])
-    return normals
+def _convex_towards_origin(points: FloatArray) -> IntArray:
+    """Return the indices of the points on the convex hull's side towards the origin."""
+    kept: list[int] = []
+    for i, point in enumerate(points):
+        while len(kept) > 1:
+            a, b = points[kept[-2]], points[kept[-1]]
+            if float(_cross(b - a, point - a)) > 0:
+                break
+            kept.pop()
+        kept.append(i)
+    return np.array(kept)
 
 
-def _line_normal(points: FloatArray) -> FloatArray:
-    """Return the unit normal (2,) of the best line through ``points``, towards the origin."""
-    centred = points - points.mean(axis=0)
-    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
-    return np.asarray(-normal if normal @ points.mean(axis=0) > 0 else normal)
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def ends_in_view(image: RangeImage, sweep: Scan3D, target: Scan3D, gap: float) -> bool:
-    """Tell whether the target's right end is a silhouette: nothing nearer follows for ``gap`` [m].
+def ends_in_view(image: RangeImage, sweep: Scan3D, target: Scan3D, config: TargetConfig) -> bool:
+    """Tell whether the target's right end is a silhouette: only farther things follow it.
 
     Args:
         image: The range image.
         sweep: All its points except the floor.
         target: The target's points among them.
-        gap: Width beyond the end that has to be clear at the end's distance [m].
+        config: Beyond the end, ``cluster_gap`` has to be clear in the window.
     """
     last = int(target.occupied_lines[-1])
     end = target.points[target.lines == last, :2]
     distance = float(np.median(np.hypot(end[:, 0], end[:, 1])))
     yaws = image.yaws[:, image.spec.n_beams // 2]
-    if yaws[last] - yaws[-1] < gap / distance:
+    clear_until = yaws[last] - config.cluster_gap / distance
+    if yaws[-1] > clear_until:
         return False
-    beyond = sweep.points[(sweep.lines > last) & (yaws[sweep.lines] > yaws[last] - gap / distance)]
-    return bool(np.all(np.hypot(beyond[:, 0], beyond[:, 1]) > distance))
+    beyond = (sweep.lines > last) & (yaws[sweep.lines] > clear_until)
+    beyond &= np.abs(image.spec.elevations[sweep.beams]) <= config.window / 2
+    nearest = np.hypot(sweep.points[beyond, 0], sweep.points[beyond, 1])
+    return bool(np.all(nearest > distance))
 
 
 @dataclass(frozen=True)
@@ -112,54 +121,59 @@ class Segment:
     normal: FloatArray
 
     def viewpoint(self, standoff: float, turn: float = 0.0) -> Pose2:
-        """Return the pose facing the middle from ``standoff`` [m], off the normal by ``turn`` [rad]."""
+        """Return the pose that faces the middle from ``standoff``, off the normal by ``turn``."""
         direction = Pose2(0.0, 0.0, turn).apply(self.normal)
         place = self.middle + standoff * direction
         return Pose2(float(place[0]), float(place[1]), math.atan2(-direction[1], -direction[0]))
 
 
-def next_segment(contour: Contour, n_Q: int, turns_away: bool) -> Segment:
+def next_segment(contour: Contour, n_Q: int, beyond: FloatArray | None, *, ends: bool) -> Segment:
     """Return the segment that begins where Q begins and is as wide as S1 (Fig. 8).
 
-    Its outward normal is the mean over the segment. Beyond what was seen the surface is taken to go
-    on straight, or, where ``turns_away``, to turn a convex right-angled corner at the silhouette.
+    Its outward normal is the mean over the segment: that of Q on the part that is known, and what
+    is expected beyond. Where the target ``ends``, the hidden part is taken for a face around a
+    right-angled corner, and the view turns by its share of the quarter turn.
 
     Args:
         contour: Of the current target scan P.
         n_Q: Number of overlapping lines.
-        turns_away: Whether the target ends at the last line, so that what follows is hidden.
+        beyond: Outward unit normal expected beyond the end (2,); None to go on as Q lies.
+        ends: Whether the target ends at the last line, so that what follows is hidden.
     """
     first = len(contour.points) - n_Q
-    known = contour.width - float(contour.arc[first])
-    unknown = contour.width - known
-    normal_known = _unit(contour.normals[first:].mean(axis=0))
-    end, normal_end = contour.points[-1], _unit(contour.normals[-NORMAL_REACH:].mean(axis=0))
-    normal_next = _to_the_right(normal_end) if turns_away else normal_end
-    middle = _along(contour, first, end, _to_the_right(normal_next), contour.width / 2)
-    normal = _unit(known * normal_known + unknown * normal_next)
-    return Segment(middle, _limit(normal, normal_known))
+    known = 1.0 - float(contour.arc[first]) / max(contour.width, 1e-9)
+    normal_known = contour.normal(first)
+    if ends:
+        quarter = Pose2(0.0, 0.0, (1.0 - known) * math.pi / 2)
+        normal, onwards = quarter.rotate(HERE), -normal_known
+    else:
+        expected = normal_known if beyond is None else beyond
+        normal = _unit(known * normal_known + (1.0 - known) * expected)
+        onwards = -clockwise(expected)
+    middle = _along(contour, first, onwards, contour.width / 2)
+    return Segment(middle, limit(normal, normal_known, MAX_INCIDENCE))
 
 
-def first_segment(points: FloatArray, width: float, from_left: bool) -> Segment:
-    """Return the segment to start with, from the coarse top view of a look around.
+def first_segment(contour: Contour, width: float, *, from_left: bool) -> Segment:
+    """Return the segment to start with.
 
     Args:
-        points: Top view (n, 2) of the target around the robot at the origin [m].
+        contour: Of the target as the look around saw it.
         width: Length of surface that one sweep covers [m].
-        from_left: Whether to begin at the target's left end; else in front of its middle.
+        from_left: Whether to begin around the target's left end, looking at it from ``FRONT_SIDE``;
+            else in front of its middle.
     """
-    contour = trace(_left_to_right(points))
-    begin = 0.0 if from_left else max(0.0, (contour.width - width) / 2)
-    inside = (contour.arc >= begin) & (contour.arc <= begin + width)
-    part = contour.points[inside]
-    middle = np.array(
-        [
-            np.interp(begin + min(width, contour.width) / 2, contour.arc, contour.points[:, i])
-            for i in (0, 1)
-        ]
-    )
-    normal = _line_normal(part) if len(part) > 2 else -_unit(middle)
-    return Segment(middle, normal)
+    if from_left:
+        last = int(np.searchsorted(contour.arc, width, side="right")) - 1
+        corner = Pose2(0.0, 0.0, -FRONT_SIDE).rotate(contour.normal(0, max(1, last)))
+        return Segment(contour.points[0], corner)
+    middle = _along(contour, 0, np.zeros(2), contour.width / 2)
+    return Segment(middle, contour.normal(0))
+
+
+def look_contour(points: FloatArray) -> Contour:
+    """Return the contour of a coarse top view (n, 2) [m] around the robot at the origin."""
+    return trace(_left_to_right(points))
 
 
 def _left_to_right(points: FloatArray) -> FloatArray:
@@ -196,33 +210,34 @@ def place(
     return None, False
 
 
-def _along(
-    contour: Contour, first: int, end: FloatArray, tangent: FloatArray, length: float
-) -> FloatArray:
-    """Return the point ``length`` [m] after line ``first``, straight on beyond ``end``."""
+def _along(contour: Contour, first: int, onwards: FloatArray, length: float) -> FloatArray:
+    """Return the point ``length`` [m] after line ``first``, ``onwards`` beyond the end."""
     wanted = float(contour.arc[first]) + length
     if wanted > contour.width:
-        return np.asarray(end + (wanted - contour.width) * tangent)
+        return np.asarray(contour.points[-1] + (wanted - contour.width) * onwards)
     return np.array([np.interp(wanted, contour.arc, contour.points[:, i]) for i in (0, 1)])
 
 
-def _limit(normal: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return ``normal``, turned towards ``reference`` to within ``MAX_INCIDENCE`` of it."""
-    angle = math.atan2(
-        reference[0] * normal[1] - reference[1] * normal[0], float(reference @ normal)
-    )
-    if abs(angle) <= MAX_INCIDENCE:
+def angle_between(a: FloatArray, b: FloatArray) -> float:
+    """Return the angle from ``a`` (2,) to ``b`` (2,), counter-clockwise [rad]."""
+    return math.atan2(float(_cross(a, b)), float(a @ b))
+
+
+def limit(normal: FloatArray, reference: FloatArray, most: float) -> FloatArray:
+    """Return ``normal``, turned towards ``reference`` to within ``most`` [rad] of it."""
+    angle = angle_between(reference, normal)
+    if abs(angle) <= most:
         return normal
-    return Pose2(0.0, 0.0, math.copysign(MAX_INCIDENCE, angle)).apply(reference)
+    return Pose2(0.0, 0.0, math.copysign(most, angle)).apply(reference)
 
 
-def _to_the_right(normal: FloatArray) -> FloatArray:
-    """Return ``normal`` turned a quarter counter-clockwise.
+def clockwise(vector: FloatArray) -> FloatArray:
+    """Return ``vector`` turned a quarter clockwise.
 
-    For a robot that looks against ``normal`` this is the direction along the face to its right, and
-    also the outward normal of the face around a right-angled convex corner there.
+    For a robot that faces a surface this turns the way along it to the right into its outward
+    normal.
     """
-    return np.array([-normal[1], normal[0]])
+    return np.array([vector[1], -vector[0]])
 
 
 def _unit(vector: FloatArray) -> FloatArray:

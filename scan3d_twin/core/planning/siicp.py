@@ -12,11 +12,19 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d_twin.core.config import PlanningConfig, RegistrationConfig
-from scan3d_twin.core.planning.situation import Situation, blocked, finish, in_world, rms
-from scan3d_twin.core.registration import register
+from scan3d_twin.core.config import Criterion, PlanningConfig
+from scan3d_twin.core.planning.situation import Situation, blocked, finish, in_world
+from scan3d_twin.core.registration import cut_lines, register
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2, Scan3D
+from scan3d_twin.core.types import (
+    Candidate,
+    FloatArray,
+    Plan,
+    Pose2,
+    RegistrationResult,
+    Scan3D,
+    rms,
+)
 
 
 class SiicpPlanner:
@@ -34,14 +42,7 @@ class SiicpPlanner:
                 return blocked(situation)
             if placement.viewpoint is None:
                 continue
-            error = simulated_error(
-                situation.view.target,
-                situation.n_Q(eta),
-                placement.viewpoint,
-                config,
-                session.config.registration,
-                draws,
-            )
+            error = simulated_error(situation, eta, placement.viewpoint, draws)
             viewpoint = in_world(situation, placement.viewpoint)
             candidates.append(Candidate(viewpoint, eta, error, feasible=True))
             if error <= config.epsilon:
@@ -56,44 +57,70 @@ def overlaps(config: PlanningConfig) -> list[float]:
 
 
 def simulated_error(
-    P: Scan3D,
-    n_Q: int,
-    viewpoint: Pose2,
-    config: PlanningConfig,
-    registration: RegistrationConfig,
-    rng: np.random.Generator,
+    situation: Situation, overlap: float, viewpoint: Pose2, rng: np.random.Generator
 ) -> float:
     """Return the error E [m] of the simulated registration, steps a to f of the pseudo-code.
 
     Args:
-        P: The current target scan.
-        n_Q: Number of overlapping lines.
+        situation: With the current scan P.
+        overlap: eta; Q is the last eta * n lines of P.
         viewpoint: The candidate O2 in frame ``scan`` of P, where O1 is the origin.
-        config: alpha, lambda, gamma, noise, criterion, trials and quantile.
-        registration: Thresholds of the ICP.
         rng: For the random motion errors and the noise.
 
     Returns:
-        The ``config.quantile`` order statistic over ``config.trials`` draws, rounded up; a draw in
-        which ICP fails counts as infinite.
+        The ``quantile`` order statistic over the ``trials`` draws, rounded up; a draw in which ICP
+        finds no correspondences counts as infinite.
     """
-    Q = P.last_lines(n_Q).points
-    Q_prime = P.last_lines(n_Q).first_lines(max(1, round(config.alpha * n_Q))).points  # eq. (5)
-    tree = cKDTree(Q)
+    config = situation.session.config.planning
+    n_Q = situation.n_Q(overlap)
+    Q = situation.view.target.last_lines(n_Q)
+    Q_prime = _surface(situation, config).last_lines(n_Q)
+    Q_prime = Q_prime.middle_lines(max(1, round(config.alpha * n_Q)))  # eq. (5)
+    border = cut_lines(Q, right=not situation.ends)
+    tree = cKDTree(Q.points)
     errors = []
     for _ in range(config.trials):
         R_T = draw_motion_error(viewpoint, config, rng)  # eq. (2)
-        noise = _ray_noise(Q_prime, config.sigma, rng)
-        Q_virtual = R_T.apply(Q_prime + noise)  # eq. (6)
-        result = register(Q, Q_virtual, config=registration, tree=tree)
-        T = Pose2.from_matrix(result.T_target_source)
-        residual = {
-            "displacement": rms((T @ R_T).apply(Q_prime) - Q_prime),
-            "eq3": rms(T.apply(Q_virtual) - Q_prime),
-            "nn": result.inlier_rmse,
-        }[config.criterion]
-        errors.append(residual if result.num_inliers else math.inf)
+        N_noise = config.sigma * rng.standard_normal(Q_prime.points.shape)
+        Q_virtual = R_T.apply(Q_prime.points) + N_noise  # eq. (6)
+        result = register(
+            Q.points,
+            Q_virtual,
+            border=border,
+            config=situation.session.config.registration,
+            tree=tree,
+        )
+        errors.append(_error(result, R_T, Q_prime.points, Q_virtual, config.criterion))
     return float(np.quantile(errors, config.quantile, method="higher"))
+
+
+def _surface(situation: Situation, config: PlanningConfig) -> Scan3D:
+    """Return the points that are scanned virtually: those of P, with or without its noise.
+
+    The noise of P is a texture that Q and a copy of it share, and two real scans do not: ICP would
+    find it again on the barest wall.
+    """
+    if config.virtual_scan == "copy":
+        return situation.view.target
+    return situation.view.target.on(situation.smoothed)
+
+
+def _error(
+    result: RegistrationResult,
+    R_T: Pose2,
+    Q_prime: FloatArray,
+    Q_virtual: FloatArray,
+    criterion: Criterion,
+) -> float:
+    """Return E of one draw: eq. (3), index by index, without or with the noise, or the residual."""
+    if result.num_inliers == 0:
+        return math.inf
+    T = Pose2.from_matrix(result.T_target_source)
+    if criterion == "displacement":
+        return rms((T @ R_T).apply(Q_prime) - Q_prime)
+    if criterion == "eq3":
+        return rms(T.apply(Q_virtual) - Q_prime)
+    return result.inlier_rmse
 
 
 def draw_motion_error(viewpoint: Pose2, config: PlanningConfig, rng: np.random.Generator) -> Pose2:
@@ -104,12 +131,6 @@ def draw_motion_error(viewpoint: Pose2, config: PlanningConfig, rng: np.random.G
         y * config.lambda_ * abs(viewpoint.y),
         yaw * config.gamma * abs(viewpoint.yaw),
     )
-
-
-def _ray_noise(points: FloatArray, sigma: float, rng: np.random.Generator) -> FloatArray:
-    """Draw N_noise of eq. (2): range noise along the ray from O1 to each point (n, 3) [m]."""
-    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
-    return np.asarray(rays * (sigma * rng.standard_normal(len(points)))[:, None])
 
 
 def _with_generators(

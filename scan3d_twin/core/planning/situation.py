@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
-import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.costmap import Costmap, build_costmap
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import Plan, Pose2, wrap
-from scan3d_twin.core.viewpoints import Contour, contour_of, ends_in_view, next_segment, place
+from scan3d_twin.core.smoothing import smooth
+from scan3d_twin.core.types import FloatArray, Plan, Pose2, RangeImage, wrap
+from scan3d_twin.core.viewpoints import (
+    FRONT_SIDE,
+    HERE,
+    Contour,
+    angle_between,
+    contour_of,
+    ends_in_view,
+    limit,
+    next_segment,
+    place,
+)
 
 MIN_LINES = 5
 """A target seen in fewer lines gives no contour to go along."""
 NEARLY_ROUND = math.radians(240.0)
 """Turn since the first view after which the contour may close; three sides of a box are 270 deg."""
+BESIDE_TOLERANCE = math.radians(20.0)
+"""A view this near to ``FRONT_SIDE`` ends a tour of the front: one more would show little new."""
 CLOSED = 0.10
 """The contour is closed when its end comes this near to where it began [m]: a few times the drift
 of a dozen registered views."""
@@ -57,9 +69,13 @@ class Situation:
     @cached_property
     def ends(self) -> bool:
         """Whether the target ends within the latest view, on the travel side."""
-        gap = self.session.config.target.cluster_gap
         view = self.view
-        return ends_in_view(view.observation.image, view.sweep, view.target, gap)
+        return ends_in_view(view.image, view.sweep, view.target, self.session.config.target)
+
+    @cached_property
+    def smoothed(self) -> RangeImage:
+        """The latest range image without most of its noise."""
+        return smooth(self.view.image)
 
     @cached_property
     def costmap(self) -> Costmap:
@@ -85,8 +101,10 @@ class Situation:
     def place(self, overlap: float) -> Placement:
         """Return where to stand to see ``overlap`` of the current lines again."""
         config = self.session.config
-        turns_away = self.ends and config.tour == "full"
-        segment = next_segment(self.contour, self.n_Q(overlap), turns_away)
+        beyond = self._front if config.tour == "front" else None
+        segment = next_segment(self.contour, self.n_Q(overlap), beyond, ends=self.ends)
+        if config.tour == "front":
+            segment = replace(segment, normal=limit(segment.normal, self._front, FRONT_SIDE))
         viewpoint, wanted = place(segment, config, self.feasible)
         return Placement(viewpoint, wanted)
 
@@ -102,8 +120,17 @@ class Situation:
         if len(self.session.views) >= self.session.config.max_views:
             return f"max_views: {len(self.session.views)} views taken"
         if self.session.config.tour == "front":
-            return "front complete" if self.ends else None
+            return "front complete" if self.ends and self._beside_front() else None
         return "contour complete" if self._closed() else None
+
+    @property
+    def _front(self) -> FloatArray:
+        """Outward unit normal (2,) in ``scan`` of the target's front as the robot first saw it."""
+        return self.view.T_world_scan.inverse().rotate(self.session.front)
+
+    def _beside_front(self) -> bool:
+        """Tell whether the latest view already looked at the front from its far side."""
+        return angle_between(self._front, HERE) >= FRONT_SIDE - BESIDE_TOLERANCE
 
     def _closed(self) -> bool:
         """Tell whether a tour all round has come back to where the first view began."""
@@ -135,8 +162,3 @@ def blocked(situation: Situation) -> Plan:
 def in_world(situation: Situation, viewpoint: Pose2) -> Pose2:
     """Return ``T_world_next`` of a viewpoint given in ``scan``."""
     return situation.view.T_world_scan @ viewpoint
-
-
-def rms(displacements: np.ndarray) -> float:
-    """Return the root mean square length of ``displacements`` (n, 3)."""
-    return float(np.sqrt(np.mean(np.sum(displacements**2, axis=1))))
