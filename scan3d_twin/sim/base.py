@@ -29,6 +29,8 @@ SPEED_STEP = 0.001
 """Resolution of a wheel's speed [m/s]; opcode 145 takes whole mm/s."""
 BUMP_FORCE = 0.5
 """Force that presses the bumper [N]; assumption."""
+BUMPER_TRAVEL = 0.004
+"""How far the robot must back off before the springs release the bumper [m]; assumption."""
 WHEEL_DROP = -0.010
 """Drop of a wheel that opens its switch [m]; assumption, of 25 mm of travel."""
 CLIFF_DISTANCE = 0.05
@@ -68,6 +70,8 @@ class SimBase:
         self._wheels = [model.joint(name + "_wheel").qposadr[0] for name in names]
         self._drops = [model.joint(name + "_drop").qposadr[0] for name in names]
         self._bumps = [model.sensor(PREFIX + "bump_" + s).adr[0] for s in ("left", "right")]
+        self._place = data.body(PREFIX + "base").xpos
+        self._pressed_at: list[FloatArray | None] = [None, None]
         self._cliffs = [data.site(PREFIX + name).xpos for name in _CLIFFS]
         self._body = model.body(PREFIX + "base").id
         self._target = (0.0, 0.0)
@@ -135,10 +139,18 @@ class SimBase:
 
     def _sense(self) -> Hazards:
         data = self._world.data
-        bumps = [bool(data.sensordata[adr] > BUMP_FORCE) for adr in self._bumps]
+        bumps = [self._bumped(side) for side in (0, 1)]
         drops = [bool(data.qpos[adr] < WHEEL_DROP) for adr in self._drops]
         cliffs = [not 0 <= self._distance_below(site) <= CLIFF_DISTANCE for site in self._cliffs]
         return Hazards(*bumps, *cliffs, *drops)
+
+    def _bumped(self, side: int) -> bool:
+        if self._world.data.sensordata[self._bumps[side]] > BUMP_FORCE:
+            self._pressed_at[side] = np.array(self._place)
+        pressed_at = self._pressed_at[side]
+        if pressed_at is None:
+            return False
+        return math.dist(pressed_at[:2], self._place[:2]) < BUMPER_TRAVEL
 
     def _distance_below(self, point: FloatArray) -> float:
         """Return the distance from ``point`` (3,) down to the scene [m]; -1 where there is none.

@@ -24,9 +24,9 @@ LATENCY = 0.1
 class _Revolution:
     """A revolution not yet read: enough to compute its line later."""
 
-    index: int
     stamp: float
     qpos: FloatArray
+    rng: np.random.Generator
 
 
 class SimLidar:
@@ -58,10 +58,11 @@ class SimLidar:
 
     def service(self) -> None:
         """Take in the line that has arrived, unless it is lost."""
-        index = self._next
+        stamp = self._stamp(self._next)
+        rng = np.random.default_rng([*self._seed, self._next])
         self._next += 1
-        if self._rng(index).random() >= self._scanner.config.line_loss:
-            self._unread.append(_Revolution(index, self._stamp(index), self._world.scene_qpos()))
+        if rng.random() >= self._scanner.config.line_loss:
+            self._unread.append(_Revolution(stamp, self._world.scene_qpos(), rng))
 
     def read_line(self, timeout: float) -> ScanLine:
         """See ``Lidar.read_line``."""
@@ -74,13 +75,8 @@ class SimLidar:
 
     def _line(self, revolution: _Revolution) -> ScanLine:
         positions, rotations = self._world.lidar_poses(revolution.stamp + self.spec.beam_times)
-        rng = self._rng(revolution.index)
-        rng.random()  # the draw that decided whether the line was lost
-        ranges, codes = self._scanner.measure(revolution.qpos, positions, rotations, rng)
+        ranges, codes = self._scanner.measure(revolution.qpos, positions, rotations, revolution.rng)
         return ScanLine(revolution.stamp, read_only(ranges), read_only(codes, np.int64))
 
     def _stamp(self, index: int) -> float:
         return self._start + index * self.spec.line_period
-
-    def _rng(self, index: int) -> np.random.Generator:
-        return np.random.default_rng([*self._seed, index])

@@ -112,6 +112,22 @@ def test_lifting_the_robot_drops_its_wheels(bare):
             robot.clock.sleep(0.2)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_bumper_stays_pressed_until_the_robot_backs_off(seed):
+    with open_sim("plain_wall", seed) as (robot, truth):
+        robot.base.set_velocity(0.2, 0.0)
+        with pytest.raises(HazardError):
+            robot.clock.sleep(10.0)
+        for _ in range(20):
+            robot.clock.sleep(0.03)
+            assert "bump left" in robot.base.hazards().active()
+        touching = truth.pose_at(robot.clock.now())
+        robot.base.set_velocity(-0.1, 0.0)
+        robot.clock.sleep(1.0)
+        assert touching.distance(truth.pose_at(robot.clock.now())) > 0.05
+        assert robot.base.hazards().active() == ()
+
+
 @pytest.mark.parametrize(
     ("y", "names"),
     [(0.0, {"bump left", "bump right"}), (0.2, {"bump left"}), (-0.2, {"bump right"})],

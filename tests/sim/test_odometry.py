@@ -28,6 +28,21 @@ def test_arcs_are_exact(pieces):
     assert (pose.x, pose.y, pose.yaw) == pytest.approx((2.0, 2.0, math.pi / 2))
 
 
+def test_a_long_step_follows_the_arc():
+    # The right wheel runs pi * .235 m further than the left: half a turn about the left wheel.
+    count = math.pi * 0.072 / 508.8
+    pose = DeadReckoning(CREATE2, 0, 0).update(1.0, 0, round(math.pi * 0.235 / count)).T_odom_base
+    assert abs(pose.yaw) == pytest.approx(math.pi, abs=0.002)
+    assert (pose.x, pose.y) == pytest.approx((0.0, 0.235), abs=0.001)
+
+
+def test_covariance_matches_the_robots_errors_after_a_quarter_turn():
+    counts = round(math.pi / 4 * 0.235 / (math.pi * 0.072 / 508.8))
+    covariance = DeadReckoning(CREATE2, 0, 0).update(1.0, -counts, counts).covariance
+    expected = math.hypot(0.01, 0.006 / math.sqrt(2)) * math.pi / 2
+    assert math.sqrt(covariance[2, 2]) == pytest.approx(expected, rel=0.01)
+
+
 def test_a_straight_arc():
     assert arc(0.5, 0.0) == Pose2(0.5, 0.0, 0.0)
 
