@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.model import fuse, voxel_thin
@@ -24,11 +24,15 @@ COVERAGE_DISTANCE = 0.020
 F_DISTANCES = (0.010, 0.020, 0.030)
 """Distances of the F-scores [m]."""
 SPACING = 0.005
-"""Distance of the truth's samples [m]; a quarter of ``COVERAGE_DISTANCE``."""
+"""Distance of the truth's samples [m]: a quarter of ``COVERAGE_DISTANCE`` ..."""
+MOST_SAMPLES = 200_000
+"""... or as much more as keeps them to this number on a large target."""
 MIN_COSINE = 0.15
 """Flatter than this (81 deg from the normal) a surface counts as not visible."""
 POSE_STEP = 0.30
 """Grid of the poses from which surface can be covered [m]."""
+EYE_HEIGHT = 0.30
+"""Height of the lidar [m]; its 5 cm ahead of the axle are neglected here."""
 LOOK_HEIGHTS = (0.05, 0.15, 0.25, 0.33)
 """Heights at which a pose must be free of things [m]."""
 HIT_TOLERANCE = 0.005
@@ -121,15 +125,20 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
     """Compare ``session``, which has at least one view with target points, with the truth."""
     T_map_world = true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
     model = T_map_world.apply(fuse(session)[0])
-    surface, normals = truth.surface(SPACING)
+    surface, normals, spacing = _samples(truth)
     coverable = coverable_surface(surface, normals, truth, session.config)
-    to_truth = surface_distance(model, surface, normals)
+    to_truth = surface_distance(model, surface, normals, spacing)
     to_model, _ = nearest(cKDTree(model), surface[coverable])
     return Evaluation(
         coverage=float(np.mean(to_model <= COVERAGE_DISTANCE)),
         accuracy=Distances.of(to_truth),
         completeness=Distances.of(to_model),
-        f_score={d: _f_score(model, surface, normals, to_model, d) for d in F_DISTANCES},
+        f_score={
+            d: _f_score(
+                surface_distance(voxel_thin(model, d / 2), surface, normals, spacing), to_model, d
+            )
+            for d in F_DISTANCES
+        },
         coverable_share=float(np.mean(coverable)),
         pairs=tuple(
             _pair_error(k, session, truth, T_map_world) for k in range(1, len(session.views))
@@ -166,8 +175,19 @@ def _pair_error(k: int, session: Session, truth: Truth, T_map_world: Pose2) -> P
     )
 
 
-def surface_distance(points: FloatArray, surface: FloatArray, normals: FloatArray) -> FloatArray:
-    """Return the distance (n,) [m] of ``points`` (n, 3) to a surface sampled every ``SPACING``.
+def _samples(truth: Truth) -> tuple[FloatArray, FloatArray, float]:
+    """Return samples of the true surface, their normals and their distance [m]."""
+    surface, normals = truth.surface(SPACING)
+    if len(surface) <= MOST_SAMPLES:
+        return surface, normals, SPACING
+    spacing = SPACING * float(np.sqrt(len(surface) / MOST_SAMPLES))
+    return *truth.surface(spacing), spacing
+
+
+def surface_distance(
+    points: FloatArray, surface: FloatArray, normals: FloatArray, spacing: float
+) -> FloatArray:
+    """Return the distance (n,) [m] of ``points`` (n, 3) to a surface sampled every ``spacing`` [m].
 
     The nearest sample stands for a small flat patch with its normal, so that the sampling adds no
     distance of its own.
@@ -176,19 +196,12 @@ def surface_distance(points: FloatArray, surface: FloatArray, normals: FloatArra
     offset = points - surface[index]
     along = np.sum(offset * normals[index], axis=1)
     across = np.linalg.norm(offset - along[:, None] * normals[index], axis=1)
-    return np.asarray(np.hypot(along, np.maximum(0.0, across - SPACING / np.sqrt(2))))
+    return np.asarray(np.hypot(along, np.maximum(0.0, across - spacing / np.sqrt(2))))
 
 
-def _f_score(
-    model: FloatArray,
-    surface: FloatArray,
-    normals: FloatArray,
-    to_model: FloatArray,
-    distance: float,
-) -> float:
-    """Return 2PR/(P+R) at ``distance`` [m]; the model is thinned so that all parts weigh alike."""
-    thinned = surface_distance(voxel_thin(model, distance / 2), surface, normals)
-    precision, recall = float(np.mean(thinned <= distance)), float(np.mean(to_model <= distance))
+def _f_score(to_truth: FloatArray, to_model: FloatArray, distance: float) -> float:
+    """Return 2PR/(P+R) at ``distance`` [m]; the model was thinned so that all parts weigh alike."""
+    precision, recall = float(np.mean(to_truth <= distance)), float(np.mean(to_model <= distance))
     return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
 
@@ -201,23 +214,42 @@ def coverable_surface(
     in between. Feasible means: the robot fits and can get there from the spawn; for the tour
     ``front`` also: on the front side.
     """
+    places = _feasible_places(surface, truth, config)
+    eyes = np.column_stack([places, np.full(len(places), EYE_HEIGHT)])
+    unseen = np.flatnonzero(_faced(surface, normals, eyes))
     seen = np.zeros(len(surface), dtype=bool)
-    height = 0.30
-    slope = np.tan(config.target.window / 2)
-    for x, y in _feasible_places(surface, truth, config):
-        rays = surface - (x, y, height)
-        distance = np.linalg.norm(rays, axis=1)
-        flat = np.hypot(rays[:, 0], rays[:, 1])
-        candidates = ~seen & (distance <= config.target.max_range)
-        candidates &= np.abs(rays[:, 2]) <= slope * flat
-        candidates &= -np.einsum("ij,ij->i", rays, normals) > MIN_COSINE * distance
-        index = np.flatnonzero(candidates)
-        if len(index) == 0:
-            continue
-        directions = rays[index] / distance[index, None]
-        hits = truth.first_hits(np.broadcast_to((x, y, height), (len(index), 3)), directions)
-        seen[index] = hits >= distance[index] - HIT_TOLERANCE
+    for eye in eyes:
+        now = unseen[_visible(eye, surface[unseen], normals[unseen], truth, config)]
+        seen[now] = True
+        unseen = unseen[~seen[unseen]]
     return seen
+
+
+def _faced(surface: FloatArray, normals: FloatArray, eyes: FloatArray) -> BoolArray:
+    """Tell which samples (n,) face at least one of ``eyes`` (m, 3), whatever is in between."""
+    if len(eyes) == 0:
+        return np.zeros(len(surface), dtype=bool)
+    corners = eyes[ConvexHull(eyes[:, :2]).vertices] if len(eyes) > 3 else eyes
+    farthest = np.max(normals @ corners.T, axis=1)
+    return np.asarray(farthest > np.einsum("ij,ij->i", normals, surface))
+
+
+def _visible(
+    eye: FloatArray, surface: FloatArray, normals: FloatArray, truth: Truth, config: Config
+) -> BoolArray:
+    """Tell which samples (n,) the lidar sees from ``eye`` (3,)."""
+    rays = surface - eye
+    distance = np.linalg.norm(rays, axis=1)
+    slope = np.tan(config.target.window / 2)
+    visible = distance <= config.target.max_range
+    visible &= np.abs(rays[:, 2]) <= slope * np.hypot(rays[:, 0], rays[:, 1])
+    visible &= -np.einsum("ij,ij->i", rays, normals) > MIN_COSINE * distance
+    index = np.flatnonzero(visible)
+    if len(index):
+        directions = rays[index] / distance[index, None]
+        hits = truth.first_hits(np.broadcast_to(eye, (len(index), 3)), directions)
+        visible[index] = hits >= distance[index] - HIT_TOLERANCE
+    return visible
 
 
 def _feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatArray:
@@ -249,4 +281,4 @@ def _is_free(places: FloatArray, truth: Truth, config: Config) -> BoolArray:
         free &= hits.min(axis=1) > config.motion.robot_radius
     down = np.broadcast_to((0.0, 0.0, -1.0), (len(places), 3))
     floor = truth.first_hits(np.column_stack([places, np.full(len(places), 0.3)]), down)
-    return free & (np.abs(floor - 0.3) < config.target.floor_height)
+    return np.asarray(free & (np.abs(floor - 0.3) < config.target.floor_height))

@@ -26,11 +26,11 @@ def fill_gaps(image: RangeImage, config: GapConfig) -> RangeImage:
 def _fill_rows(ranges: FloatArray, angles: FloatArray, config: GapConfig) -> FloatArray:
     """Fill NaN runs of each row of ``ranges`` (m, n); ``angles`` (m, n) [rad] rise along a row."""
     valid = np.isfinite(ranges)
-    rows, columns = np.indices(ranges.shape)
+    columns = np.broadcast_to(np.arange(ranges.shape[1]), ranges.shape)
     before = _running_max(np.where(valid, columns, -1))
     after = _running_max(np.where(valid, -columns, -ranges.shape[1])[:, ::-1])[:, ::-1] * -1
     bounded = ~valid & (before >= 0) & (after < ranges.shape[1])
-    row, column = rows[bounded], columns[bounded]
+    row, column = np.nonzero(bounded)
     a, b = (row, before[bounded]), (row, after[bounded])
     width = angles[b] - angles[a]
     narrow = (width <= config.max_angle) & (np.abs(ranges[b] - ranges[a]) <= config.depth_edge)

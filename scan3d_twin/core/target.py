@@ -81,6 +81,11 @@ class _Group:
     stands_free: bool
     compact: bool
 
+    @property
+    def rank(self) -> int:
+        """2 for a compact thing that stands free, 1 for a large one, 0 for background."""
+        return self.stands_free * (1 + self.compact)
+
 
 def find_target(look: Observation, near: tuple[float, float] | None, config: Config) -> FloatArray:
     """Return the top view (n, 2) in ``odom`` [m] of the salient target of a look around.
@@ -114,7 +119,7 @@ def find_target(look: Observation, near: tuple[float, float] | None, config: Con
         return _nearest(groups, look, near)
     if not groups:
         raise SceneError("no target: the look around saw only stray points")
-    best = max(groups, key=lambda group: (group.stands_free, group.compact, group.pixels))
+    best = max(groups, key=lambda group: (group.rank, group.pixels))
     return look.T_odom_scan.apply(best.points)
 
 

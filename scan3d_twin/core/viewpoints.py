@@ -18,6 +18,8 @@ from scan3d_twin.core.types import FloatArray, IntArray, Pose2, RangeImage, Scan
 MAX_INCIDENCE = math.radians(65.0)
 """Q is seen from O2 at no flatter angle than this from its mean normal; beyond about 70 deg the
 URG-04LX returns gross errors (UBG-04LX-F01 data, 80 deg)."""
+STRAIGHT = math.radians(5.0)
+"""A contour whose two halves differ by less than this is straight: noise alone makes 1 or 2 deg."""
 FRONT_SIDE = math.radians(45.0)
 """A tour of the front looks at it from no more than this to either side."""
 HERE = np.array([-1.0, 0.0])
@@ -45,7 +47,8 @@ class Contour:
 
     def normal(self, first: int, last: int = -1) -> FloatArray:
         """Return the mean outward unit normal (2,) between two points: that of their chord."""
-        return _unit(clockwise(self.points[last] - self.points[first]))
+        chord = self.points[last] - self.points[first]
+        return _unit(clockwise(chord)) if chord.any() else -_unit(self.points[first])
 
 
 def contour_of(scan: Scan3D) -> Contour:
@@ -131,8 +134,8 @@ def next_segment(contour: Contour, n_Q: int, beyond: FloatArray | None, *, ends:
     """Return the segment that begins where Q begins and is as wide as S1 (Fig. 8).
 
     Its outward normal is the mean over the segment: that of Q on the part that is known, and what
-    is expected beyond. Where the target ``ends``, the hidden part is taken for a face around a
-    right-angled corner, and the view turns by its share of the quarter turn.
+    is expected beyond. Where the target ``ends``, the surface goes on around it out of sight, and
+    the view turns by the hidden part's share of the bend expected there.
 
     Args:
         contour: Of the current target scan P.
@@ -144,14 +147,24 @@ def next_segment(contour: Contour, n_Q: int, beyond: FloatArray | None, *, ends:
     known = 1.0 - float(contour.arc[first]) / max(contour.width, 1e-9)
     normal_known = contour.normal(first)
     if ends:
-        quarter = Pose2(0.0, 0.0, (1.0 - known) * math.pi / 2)
-        normal, onwards = quarter.rotate(HERE), -normal_known
+        turn = Pose2(0.0, 0.0, (1.0 - known) * _expected_bend(contour))
+        normal, onwards = turn.rotate(HERE), -normal_known
     else:
         expected = normal_known if beyond is None else beyond
         normal = _unit(known * normal_known + (1.0 - known) * expected)
         onwards = -clockwise(expected)
     middle = _along(contour, first, onwards, contour.width / 2)
     return Segment(middle, limit(normal, normal_known, MAX_INCIDENCE))
+
+
+def _expected_bend(contour: Contour) -> float:
+    """Return the angle [rad] by which the surface bends over the next width of a contour that ends.
+
+    A curved contour is taken to go on as curved as it is; a straight one to turn a right angle.
+    """
+    middle = int(np.searchsorted(contour.arc, contour.width / 2))
+    bend = angle_between(contour.normal(0, middle), contour.normal(middle))
+    return min(2 * bend, math.pi / 2) if bend > STRAIGHT else math.pi / 2
 
 
 def first_segment(contour: Contour, width: float, *, from_left: bool) -> Segment:
@@ -161,14 +174,14 @@ def first_segment(contour: Contour, width: float, *, from_left: bool) -> Segment
         contour: Of the target as the look around saw it.
         width: Length of surface that one sweep covers [m].
         from_left: Whether to begin around the target's left end, looking at it from ``FRONT_SIDE``;
-            else in front of its middle.
+            else with its middle, from the side the robot is on.
     """
     if from_left:
         last = int(np.searchsorted(contour.arc, width, side="right")) - 1
-        corner = Pose2(0.0, 0.0, -FRONT_SIDE).rotate(contour.normal(0, max(1, last)))
+        corner = Pose2(0.0, 0.0, -FRONT_SIDE).rotate(contour.normal(0, last))
         return Segment(contour.points[0], corner)
     middle = _along(contour, 0, np.zeros(2), contour.width / 2)
-    return Segment(middle, contour.normal(0))
+    return Segment(middle, -_unit(middle))
 
 
 def look_contour(points: FloatArray) -> Contour:
