@@ -1,0 +1,1 @@
+"""The real robot: serial drivers behind the hardware interface."""
