@@ -10,8 +10,8 @@ import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, HazardError
 from scan3d_twin.core.hal import BaseSpec
+from scan3d_twin.core.odometry import DeadReckoning
 from scan3d_twin.core.types import FloatArray, Hazards, Odometry
-from scan3d_twin.sim.odometry import DeadReckoning
 from scan3d_twin.sim.world import PREFIX, TIMESTEP, World
 
 CREATE2 = BaseSpec(

@@ -2,9 +2,9 @@ import math
 
 import pytest
 
+from scan3d_twin.core.odometry import DeadReckoning, arc
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.sim.base import CREATE2
-from scan3d_twin.sim.odometry import DeadReckoning, arc
 
 
 def test_a_full_turn_of_both_wheels_is_a_circumference():
