@@ -1,1 +1,1 @@
-"""The devices as bytes: what a robot behind the hardware interface would say on its serial ports."""
+"""The devices as bytes: what a robot behind the hardware interface says on its ports."""

@@ -1,8 +1,26 @@
-"""Seam B: bytes between a driver and its device."""
+"""Seam B: bytes between a driver and its device; here over a serial port or a socket."""
 
 from __future__ import annotations
 
-from typing import Protocol
+import errno
+import fcntl
+import grp
+import os
+import select
+import termios
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import serial
+
+from scan3d_twin.core.errors import LinkError
+from scan3d_twin.core.hal import Clock
+
+WRITE_TIMEOUT = 1.0
+"""A command of at most 100 bytes that is not taken within this time never will be [s]."""
+_CHUNK = 4096
 
 
 class Transport(Protocol):
@@ -25,7 +43,11 @@ class Transport(Protocol):
         ...
 
     def set_baud(self, baud: int) -> None:
-        """Send and receive at ``baud`` [bit/s] from now on."""
+        """Send and receive at ``baud`` [bit/s] from now on.
+
+        Raises:
+            LinkError: The port cannot do that.
+        """
         ...
 
     def discard_input(self) -> None:
@@ -35,3 +57,144 @@ class Transport(Protocol):
     def close(self) -> None:
         """Give the port back; closing twice does nothing."""
         ...
+
+
+class SerialTransport:
+    """A serial port, for this process alone; also ``socket://HOST:PORT``.
+
+    The modem lines are left alone: pseudo-terminals and many adapters have none.
+    """
+
+    def __init__(self, port: str, baud: int = 115200) -> None:
+        """Open ``port``.
+
+        Raises:
+            LinkError: It is missing, not permitted, in use or no serial port; says what to do.
+        """
+        self.port = port
+        try:
+            self._serial = serial.serial_for_url(port, baud, timeout=0, **_options(port))
+        except (OSError, ValueError, termios.error) as error:
+            raise LinkError(_why_not_open(port, error)) from None
+        with suppress(OSError):
+            fcntl.ioctl(self.fileno(), termios.TIOCEXCL)
+
+    def fileno(self) -> int:
+        """Return the file descriptor, to wait on or to hand to a process that guards the device."""
+        return int(self._serial.fileno())
+
+    def read(self, timeout: float) -> bytes:
+        """See ``Transport.read``."""
+        try:
+            if not select.select([self.fileno()], [], [], max(0.0, timeout))[0]:
+                return b""
+            data = os.read(self.fileno(), _CHUNK)
+        except BlockingIOError:
+            return b""
+        except (OSError, ValueError) as error:
+            raise self._gone(error) from None
+        if not data:
+            raise self._gone("end of file")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See ``Transport.write``."""
+        while data:
+            try:
+                if not select.select([], [self.fileno()], [], WRITE_TIMEOUT)[1]:
+                    raise LinkError(f"{self.port} takes no bytes: is the device hung? replug it")
+                data = data[os.write(self.fileno(), data) :]
+            except BlockingIOError:
+                continue
+            except (OSError, ValueError) as error:
+                raise self._gone(error) from None
+
+    def set_baud(self, baud: int) -> None:
+        """See ``Transport.set_baud``."""
+        try:
+            self._serial.baudrate = baud
+        except (OSError, ValueError, termios.error) as error:
+            raise LinkError(f"{self.port} cannot do {baud} baud: {error}") from None
+
+    def discard_input(self) -> None:
+        """See ``Transport.discard_input``."""
+        while self.read(0.0):
+            pass
+
+    def close(self) -> None:
+        """See ``Transport.close``."""
+        self._serial.close()
+
+    def _gone(self, why: object) -> LinkError:
+        return LinkError(f"{self.port} was unplugged ({why}): check the cable and the power")
+
+
+Tap = Callable[[float, Literal["<", ">"], bytes], None]
+"""Is told the stamp [s], the direction (``<`` from the device, ``>`` to it) and the bytes."""
+
+
+class Tapped:
+    """A ``Transport`` that tells a tap whatever passes."""
+
+    def __init__(self, transport: Transport, clock: Clock, tap: Tap) -> None:
+        self._transport = transport
+        self._clock = clock
+        self._tap = tap
+        self.set_baud = transport.set_baud
+        self.discard_input = transport.discard_input
+        self.close = transport.close
+
+    def read(self, timeout: float) -> bytes:
+        """See ``Transport.read``."""
+        data = self._transport.read(timeout)
+        if data:
+            self._tap(self._clock.now(), "<", data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See ``Transport.write``."""
+        self._tap(self._clock.now(), ">", data)
+        self._transport.write(data)
+
+
+def holders(port: str) -> list[str]:
+    """Return the processes known to have ``port`` open, each such as ``42 (cat)``."""
+    target = os.path.realpath(port)
+    found = set()
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):
+            if os.readlink(link) == target and link.parts[2] != str(os.getpid()):
+                found.add(f"{link.parts[2]} ({(link.parents[1] / 'comm').read_text().strip()})")
+    return sorted(found)
+
+
+def _options(port: str) -> dict[str, Any]:
+    return {} if "://" in port else {"exclusive": True}
+
+
+def _why_not_open(port: str, error: Exception) -> str:
+    """Return the cause and the cure in one line."""
+    number = getattr(error, "errno", None)
+    if "://" in port:
+        return f"cannot connect to {port}: is `twin emulate --tcp` or the bridge running? ({error})"
+    if number == errno.ENOENT:
+        return f"there is no port {port}: plug the device in; `twin doctor` lists the ports"
+    if number == errno.EACCES:
+        group = _group(port)
+        return (
+            f"no permission for {port}: run `sudo usermod -aG {group} $USER` and log in again "
+            f"(the port belongs to the group {group})"
+        )
+    if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
+        others = ", ".join(holders(port)) or "another process"
+        return f"{port} is in use by {others}: end it first"
+    if number in (errno.ENOTTY, errno.EINVAL) or isinstance(error, termios.error):
+        return f"{port} is no serial port: give a device such as /dev/ttyUSB0"
+    return f"cannot open {port}: {error}"
+
+
+def _group(port: str) -> str:
+    try:
+        return grp.getgrgid(os.stat(port).st_gid).gr_name
+    except (OSError, KeyError):
+        return "dialout"
