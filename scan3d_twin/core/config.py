@@ -15,6 +15,7 @@ from scan3d_twin.core.errors import ConfigError
 Tour = Literal["front", "full"]
 Scope = Literal["target", "sweep"]
 Border = Literal["drop", "keep"]
+Draws = Literal["common", "independent"]
 VirtualScan = Literal["smoothed", "copy"]
 Criterion = Literal["displacement", "eq3", "nn"]
 
@@ -140,10 +141,10 @@ class PlanningConfig:
     """Overlap taken when none meets epsilon; paper section 5."""
     alpha: float = 0.9
     """Share of Q that the virtual scan holds, eq. (5)."""
-    lambda_: float = 0.02
-    """Translation error per metre of the move, eq. (2)."""
-    gamma: float = 0.01
-    """Rotation error per radian of the turn, eq. (2) [rad/rad]."""
+    lambda_: float = 0.030
+    """Translation error per metre of the move, eq. (2); fitted by benchmarks/motion_error.py."""
+    gamma: float = 0.026
+    """Rotation error per radian of the turn, eq. (2) [rad/rad]; fitted there too."""
     sigma: float = 0.005
     """N_noise of eq. (2) in x, y and z [m]; URG-04LX: 4 to 5 mm up to 2 m."""
     virtual_scan: VirtualScan = "smoothed"
@@ -152,6 +153,8 @@ class PlanningConfig:
     """Error E: eq. (3) on noise-free points, as printed, or the nearest-neighbour residual."""
     trials: int = 1
     """Random draws per overlap; the paper draws once."""
+    draws: Draws = "common"
+    """Whether all overlaps are tried with the same luck, or each with its own."""
     quantile: float = 0.9
     """Share of the draws that must meet epsilon."""
     standoff: float = 1.0

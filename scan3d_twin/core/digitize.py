@@ -32,7 +32,13 @@ from scan3d_twin.core.types import (
     ScanLine,
     rms,
 )
-from scan3d_twin.core.viewpoints import ends_in_view, first_segment, look_contour, place
+from scan3d_twin.core.viewpoints import (
+    ends_in_view,
+    first_segment,
+    look_contour,
+    place,
+    sweep_width,
+)
 
 Command = Literal["go", "pause", "stop"]
 REGISTRATION, PLANNING = 1, 2
@@ -119,8 +125,7 @@ def begin(
     contour = look_contour(here.inverse().apply(hint))
     session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, look),))
     costmap = build_costmap(session.observations(), config, here)
-    width = 2 * config.planning.standoff * np.tan(min(config.sweep.width, np.pi / 2) / 2)
-    segment = first_segment(contour, width, from_left=config.tour == "front")
+    segment = first_segment(contour, sweep_width(config), from_left=config.tour == "front")
 
     def feasible(viewpoint: Pose2) -> bool:
         there = here @ viewpoint

@@ -249,7 +249,7 @@ def _visible(
         directions = rays[index] / distance[index, None]
         hits = truth.first_hits(np.broadcast_to(eye, (len(index), 3)), directions)
         visible[index] = hits >= distance[index] - HIT_TOLERANCE
-    return visible
+    return np.asarray(visible)
 
 
 def _feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatArray:

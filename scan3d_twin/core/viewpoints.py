@@ -18,6 +18,10 @@ from scan3d_twin.core.types import FloatArray, IntArray, Pose2, RangeImage, Scan
 MAX_INCIDENCE = math.radians(65.0)
 """Q is seen from O2 at no flatter angle than this from its mean normal; beyond about 70 deg the
 URG-04LX returns gross errors (UBG-04LX-F01 data, 80 deg)."""
+REACH = 6
+"""Lines over which the direction of the surface is taken at the contour's end."""
+CORNER = math.radians(30.0)
+"""A surface that bends by more than this has turned a corner."""
 STRAIGHT = math.radians(5.0)
 """A contour whose two halves differ by less than this is straight: noise alone makes 1 or 2 deg."""
 FRONT_SIDE = math.radians(45.0)
@@ -49,6 +53,26 @@ class Contour:
         """Return the mean outward unit normal (2,) between two points: that of their chord."""
         chord = self.points[last] - self.points[first]
         return _unit(clockwise(chord)) if chord.any() else -_unit(self.points[first])
+
+
+def well_seen(contour: Contour) -> int:
+    """Return how many lines, from the left, lie before the surface turns too flat on the right.
+
+    Lines at grazing incidence are few, noisy and far apart: a poor basis for an overlap.
+    """
+    n = len(contour.points)
+    for k in range(n, 1, -1):
+        normal = contour.normal(max(0, k - REACH), k - 1)
+        if angle_between(normal, -contour.points[k - 1]) > -MAX_INCIDENCE:
+            return k
+    return n
+
+
+def bends_after(contour: Contour, k: int) -> bool:
+    """Tell whether the surface after the first ``k`` lines turns away from them."""
+    if k >= len(contour.points):
+        return False
+    return angle_between(contour.normal(0, k - 1), contour.normal(k)) > CORNER
 
 
 def contour_of(scan: Scan3D) -> Contour:
@@ -130,7 +154,9 @@ class Segment:
         return Pose2(float(place[0]), float(place[1]), math.atan2(-direction[1], -direction[0]))
 
 
-def next_segment(contour: Contour, n_Q: int, beyond: FloatArray | None, *, ends: bool) -> Segment:
+def next_segment(
+    contour: Contour, n_Q: int, S1: float, beyond: FloatArray | None, *, ends: bool
+) -> Segment:
     """Return the segment that begins where Q begins and is as wide as S1 (Fig. 8).
 
     Its outward normal is the mean over the segment: that of Q on the part that is known, and what
@@ -140,11 +166,13 @@ def next_segment(contour: Contour, n_Q: int, beyond: FloatArray | None, *, ends:
     Args:
         contour: Of the current target scan P.
         n_Q: Number of overlapping lines.
+        S1: Width of the segment that a sweep covers [m]; of a target that ends, at most its own.
         beyond: Outward unit normal expected beyond the end (2,); None to go on as Q lies.
         ends: Whether the target ends at the last line, so that what follows is hidden.
     """
     first = len(contour.points) - n_Q
-    known = 1.0 - float(contour.arc[first]) / max(contour.width, 1e-9)
+    width = min(contour.width, S1) if ends else S1
+    known = min(1.0, (contour.width - float(contour.arc[first])) / max(width, 1e-9))
     normal_known = contour.normal(first)
     if ends:
         turn = Pose2(0.0, 0.0, (1.0 - known) * _expected_bend(contour))
@@ -153,7 +181,7 @@ def next_segment(contour: Contour, n_Q: int, beyond: FloatArray | None, *, ends:
         expected = normal_known if beyond is None else beyond
         normal = _unit(known * normal_known + (1.0 - known) * expected)
         onwards = -clockwise(expected)
-    middle = _along(contour, first, onwards, contour.width / 2)
+    middle = _along(contour, first, onwards, width / 2)
     return Segment(middle, limit(normal, normal_known, MAX_INCIDENCE))
 
 
@@ -182,6 +210,12 @@ def first_segment(contour: Contour, width: float, *, from_left: bool) -> Segment
         return Segment(contour.points[0], corner)
     middle = _along(contour, 0, np.zeros(2), contour.width / 2)
     return Segment(middle, -_unit(middle))
+
+
+def sweep_width(config: Config) -> float:
+    """Return the width of surface that a sweep covers from the standoff [m]."""
+    half = min(config.sweep.width, math.pi / 2) / 2
+    return 2 * config.planning.standoff * math.tan(half)
 
 
 def look_contour(points: FloatArray) -> Contour:

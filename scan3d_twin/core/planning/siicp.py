@@ -36,13 +36,15 @@ class SiicpPlanner:
         if reason := situation.finished():
             return finish(reason)
         candidates: list[Candidate] = []
-        for eta, draws in _with_generators(overlaps(config), rng):
+        etas = overlaps(config)
+        luck = draw_luck(len(etas), config, rng)
+        for eta, draws, noise in zip(etas, luck, rng.spawn(len(etas)), strict=True):
             placement = situation.place(eta)
             if not placement.wanted and not situation.looked:
                 return blocked(situation)
             if placement.viewpoint is None:
                 continue
-            error = simulated_error(situation, eta, placement.viewpoint, draws)
+            error = simulated_error(situation, eta, placement.viewpoint, draws, noise)
             viewpoint = in_world(situation, placement.viewpoint)
             candidates.append(Candidate(viewpoint, eta, error, feasible=True))
             if error <= config.epsilon:
@@ -57,7 +59,11 @@ def overlaps(config: PlanningConfig) -> list[float]:
 
 
 def simulated_error(
-    situation: Situation, overlap: float, viewpoint: Pose2, rng: np.random.Generator
+    situation: Situation,
+    overlap: float,
+    viewpoint: Pose2,
+    draws: FloatArray,
+    rng: np.random.Generator,
 ) -> float:
     """Return the error E [m] of the simulated registration, steps a to f of the pseudo-code.
 
@@ -65,22 +71,23 @@ def simulated_error(
         situation: With the current scan P.
         overlap: eta; Q is the last eta * n lines of P.
         viewpoint: The candidate O2 in frame ``scan`` of P, where O1 is the origin.
-        rng: For the random motion errors and the noise.
+        draws: Standard normal draws for x, y and yaw (trials, 3).
+        rng: For the noise.
 
     Returns:
-        The ``quantile`` order statistic over the ``trials`` draws, rounded up; a draw in which ICP
+        The ``quantile`` order statistic over the draws, rounded up; a draw in which ICP
         finds no correspondences counts as infinite.
     """
     config = situation.session.config.planning
     n_Q = situation.n_Q(overlap)
-    Q = situation.view.target.last_lines(n_Q)
+    Q = situation.P.last_lines(n_Q)
     Q_prime = _surface(situation, config).last_lines(n_Q)
     Q_prime = Q_prime.middle_lines(max(1, round(config.alpha * n_Q)))  # eq. (5)
     border = cut_lines(Q, right=not situation.ends)
     tree = cKDTree(Q.points)
     errors = []
-    for _ in range(config.trials):
-        R_T = draw_motion_error(viewpoint, config, rng)  # eq. (2)
+    for draw in draws:
+        R_T = motion_error(draw, viewpoint, config)  # eq. (2)
         N_noise = config.sigma * rng.standard_normal(Q_prime.points.shape)
         Q_virtual = R_T.apply(Q_prime.points) + N_noise  # eq. (6)
         result = register(
@@ -101,8 +108,8 @@ def _surface(situation: Situation, config: PlanningConfig) -> Scan3D:
     find it again on the barest wall.
     """
     if config.virtual_scan == "copy":
-        return situation.view.target
-    return situation.view.target.on(situation.smoothed)
+        return situation.P
+    return situation.P.on(situation.smoothed)
 
 
 def _error(
@@ -123,21 +130,25 @@ def _error(
     return result.inlier_rmse
 
 
-def draw_motion_error(viewpoint: Pose2, config: PlanningConfig, rng: np.random.Generator) -> Pose2:
-    """Draw R and T of eq. (2): errors proportional to the move along x and y and to the turn."""
-    x, y, yaw = rng.standard_normal(3)
+def draw_luck(overlaps: int, config: PlanningConfig, rng: np.random.Generator) -> FloatArray:
+    """Draw standard normal numbers (overlaps, trials, 3) for the motion errors.
+
+    ``common`` draws are the same for all overlaps: with luck of its own each, trying seven overlaps
+    would be seven chances for one lucky draw to end the search.
+    """
+    if config.draws == "independent":
+        return rng.standard_normal((overlaps, config.trials, 3))
+    return np.broadcast_to(rng.standard_normal((config.trials, 3)), (overlaps, config.trials, 3))
+
+
+def motion_error(draw: FloatArray, viewpoint: Pose2, config: PlanningConfig) -> Pose2:
+    """Return R and T of eq. (2): errors proportional to the move along x and y and to the turn."""
+    x, y, yaw = draw
     return Pose2(
         x * config.lambda_ * abs(viewpoint.x),
         y * config.lambda_ * abs(viewpoint.y),
         yaw * config.gamma * abs(viewpoint.yaw),
     )
-
-
-def _with_generators(
-    etas: list[float], rng: np.random.Generator
-) -> list[tuple[float, np.random.Generator]]:
-    """Give each overlap a generator of its own, so that results do not depend on the order."""
-    return list(zip(etas, rng.spawn(len(etas)), strict=True))
 
 
 def _chosen(candidate: Candidate, candidates: list[Candidate], fell_back: bool) -> Plan:

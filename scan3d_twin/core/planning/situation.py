@@ -13,17 +13,20 @@ from scan3d_twin.core.costmap import Costmap, build_costmap
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.smoothing import smooth
-from scan3d_twin.core.types import FloatArray, Plan, Pose2, RangeImage, wrap
+from scan3d_twin.core.types import FloatArray, Plan, Pose2, RangeImage, Scan3D, wrap
 from scan3d_twin.core.viewpoints import (
     FRONT_SIDE,
     HERE,
     Contour,
     angle_between,
+    bends_after,
     contour_of,
     ends_in_view,
     limit,
     next_segment,
     place,
+    sweep_width,
+    well_seen,
 )
 
 MIN_LINES = 5
@@ -62,14 +65,26 @@ class Situation:
         return self.session.views[-1]
 
     @cached_property
-    def contour(self) -> Contour:
-        """The target's contour in the latest view."""
+    def P(self) -> Scan3D:
+        """The paper's P: the target in the latest view, up to where it is seen too flat."""
+        return self.view.target.first_lines(well_seen(self._whole))
+
+    @cached_property
+    def _whole(self) -> Contour:
+        """The contour of all that is seen of the target in the latest view."""
         return contour_of(self.view.target)
 
     @cached_property
+    def contour(self) -> Contour:
+        """The contour of P."""
+        return contour_of(self.P)
+
+    @cached_property
     def ends(self) -> bool:
-        """Whether the target ends within the latest view, on the travel side."""
+        """Whether the target ends with P, or turns around a corner there, on the travel side."""
         view = self.view
+        if self.n_lines < len(self._whole.points):
+            return bends_after(self._whole, self.n_lines)
         return ends_in_view(view.image, view.sweep, view.target, self.session.config.target)
 
     @cached_property
@@ -91,8 +106,8 @@ class Situation:
 
     @property
     def n_lines(self) -> int:
-        """The paper's n: lines of the latest view that show the target."""
-        return len(self.view.target.occupied_lines)
+        """The paper's n: lines of P."""
+        return len(self.P.occupied_lines)
 
     def n_Q(self, overlap: float) -> int:
         """Return the number of overlapping lines for ``overlap``, eta * n."""
@@ -102,7 +117,8 @@ class Situation:
         """Return where to stand to see ``overlap`` of the current lines again."""
         config = self.session.config
         beyond = self._front if config.tour == "front" else None
-        segment = next_segment(self.contour, self.n_Q(overlap), beyond, ends=self.ends)
+        n_Q, S1 = self.n_Q(overlap), sweep_width(config)
+        segment = next_segment(self.contour, n_Q, S1, beyond, ends=self.ends)
         if config.tour == "front":
             segment = replace(segment, normal=limit(segment.normal, self._front, FRONT_SIDE))
         viewpoint, wanted = place(segment, config, self.feasible)
@@ -115,7 +131,7 @@ class Situation:
 
     def finished(self) -> str | None:
         """Return why the tour is finished, or None while there is more to scan."""
-        if self.n_lines < MIN_LINES:
+        if len(self.view.target.occupied_lines) < MIN_LINES:
             return "target lost: the latest view shows nothing of it"
         if len(self.session.views) >= self.session.config.max_views:
             return f"max_views: {len(self.session.views)} views taken"
