@@ -26,8 +26,28 @@ TRUSTED_RANGE_MM = 4000
 REVOLUTION = 0.1
 """Time of one turn of the mirror at 600 rpm [SCAN] [s]; the time stamp is that of step 0."""
 
+MODULATIONS = (46.55e6, 53.2e6)
+"""Frequencies of the light's two modulations [Hz]; their phases repeat together every 22.5 m."""
+REPLY_LATENCY = 0.101
+"""From step 0 of a turn to the start of the reply that holds it [s]; a capture of firmware 3.1.04
+over USB, a single sample."""
+COMMAND_TICK = 0.0998
+"""Commands are answered once per turn, on this tick [s]; the same capture, 9 replies."""
+
 NO_RETURN = 0
 """Error code "possibly 22 m": nothing came back."""
+WEAK_RETURN = 2
+"""Error code: low intensity (1 and 2)."""
+OTHER_ERROR = 6
+"""Error code: others."""
+NEIGHBOURS_INVALID = 7
+"""Error code: the steps before and after are invalid."""
+AMPLITUDES_DIFFER = 8
+"""Error code: the intensities of the two waves differ."""
+GLITCH = 10
+"""Error code: others (10 to 17)."""
+TOO_STRONG = 18
+"""Error code: strong reflection."""
 
 
 @dataclass(frozen=True, slots=True)

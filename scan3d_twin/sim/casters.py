@@ -9,6 +9,12 @@ import numpy as np
 from mujoco import batch
 
 from scan3d_twin.core.types import FloatArray, IntArray
+from scan3d_twin.sim.embree import Triangles, available, triangulated
+
+CROWDED = 8
+"""Geoms from which on Embree is faster; measured: 8 geoms 1.8 times, 109 geoms 10 times."""
+LARGE_MESH = 2000
+"""Triangles of all meshes from which on Embree is faster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +46,17 @@ class RayCaster(Protocol):
         ...
 
 
+def choose_caster(model: Any) -> RayCaster:
+    """Return the faster caster of those that can cast against ``model``.
+
+    Embree (where it is installed) for crowded scenes and large meshes, unless something moves.
+    """
+    large = model.ngeom >= CROWDED or model.nmeshface >= LARGE_MESH
+    if large and available() and triangulated(model):
+        return EmbreeCaster(model)
+    return MujocoCaster(model)
+
+
 class MujocoCaster:
     """The reference: exact primitives, true mesh triangles, moving objects.
 
@@ -57,3 +74,18 @@ class MujocoCaster:
         distances, geoms, normals = self._batch.ray(origins, directions, normal=True)
         missed = geoms[0] < 0
         return Hits(np.where(missed, np.inf, distances[0]), normals[0], geoms[0].astype(np.int64))
+
+
+class EmbreeCaster:
+    """A hierarchy of triangles: hardly slower with a hundred objects than with one.
+
+    Static scenes only, single precision. Curved primitives are tessellated, but what hits them gets
+    its exact distance and normal: on shiny things flat facets would come back in bands.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._triangles = Triangles(model)
+
+    def cast(self, qpos: FloatArray, origins: FloatArray, directions: FloatArray) -> Hits:
+        """See ``RayCaster.cast``."""
+        return Hits(*self._triangles.run(origins, directions))

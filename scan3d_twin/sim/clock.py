@@ -50,9 +50,10 @@ class SimClock:
         Raises:
             HazardError: A device reported a hazard.
         """
-        while self._world.steps < step:
-            due = min([step, *(device.next_step for device in self._devices)])
-            self._world.advance(max(1, due - self._world.steps))
-            for device in self._devices:
-                if device.next_step <= self._world.steps:
+        world, devices = self._world, self._devices
+        while world.steps < step:
+            due = min([step, *[device.next_step for device in devices]])
+            world.advance(max(1, due - world.steps))
+            for device in devices:
+                if device.next_step <= world.steps:
                     device.service()

@@ -6,77 +6,18 @@ Default is the `typical` robot: each seed draws its own errors from these distri
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.protocols.urg04lx import LINKS
+from scan3d_twin.sim.checks import check, within
+from scan3d_twin.sim.lidar_config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelConfig
 
-RobotName = Literal["create2"]
+__all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
 
-
-def _check(condition: bool, message: str) -> None:
-    if not condition:
-        raise ConfigError(message)
-
-
-def _within(name: str, value: float, low: float, high: float) -> None:
-    _check(low <= value <= high, f"{name} must be in [{low:g}, {high:g}], got {value:g}")
-
-
-def _at_least_zero(section: str, **values: float) -> None:
-    for name, value in values.items():
-        _check(value >= 0 and math.isfinite(value), f"{section}.{name} must be >= 0, got {value:g}")
-
-
-@dataclass(frozen=True, slots=True)
-class LidarModelConfig:
-    """The URG-04LX: noise, dropouts, losses."""
-
-    line_loss: float = 0.0
-    """Probability that a line is lost on its way, 0..1."""
-    sigma: float = 0.004
-    """Range noise at distance 0, standard deviation [m]; real logs: 4.2 to 5.2 mm at 0.5 to 2 m."""
-    sigma_per_metre: float = 0.0009
-    """Growth of the range noise with distance [m/m]; real logs: 6.8 to 7.3 mm at 2 to 4 m."""
-    sigma_weak: float = 0.004
-    """Range noise of a return at the threshold, added in quadrature [m]; assumption."""
-    bias: float = 0.004
-    """Amplitude of the phase measurement's cyclic error [m]; assumption, within the +-10 mm of the
-    data sheet."""
-    albedo: float = 0.6
-    """Diffuse reflectance of surfaces that state no other, 0..1; light grey paint."""
-    roughness: float = 0.6
-    """Roughness of surfaces that state none, 0..1 (GGX alpha = roughness squared); matte."""
-    threshold: float = 0.0018
-    """Weakest return power that is detected, where a white surface at 1 m returns 0.29; 0 detects
-    all. Reproduces the data sheet: 10 % grey seen to 4.2 m."""
-    softness: float = 0.5
-    """Spread of the detection threshold, in ln(power); assumption."""
-    sub_rays: int = 1
-    """Rays per beam over its footprint; 1 is a beam without width."""
-
-    def __post_init__(self) -> None:
-        _within("lidar.line_loss", self.line_loss, 0.0, 0.99)
-        _within("lidar.roughness", self.roughness, 0.01, 1.0)
-        _within("lidar.albedo", self.albedo, 0.0, 1.0)
-        _check(self.softness > 0, f"lidar.softness must be > 0, got {self.softness:g}")
-        _check(self.sub_rays == 1, f"lidar.sub_rays must be 1, got {self.sub_rays}")
-        _at_least_zero(
-            "lidar",
-            sigma=self.sigma,
-            sigma_per_metre=self.sigma_per_metre,
-            sigma_weak=self.sigma_weak,
-            bias=self.bias,
-            threshold=self.threshold,
-        )
-
-
-IDEAL_LIDAR = LidarModelConfig(
-    sigma=0.0, sigma_per_metre=0.0, sigma_weak=0.0, bias=0.0, threshold=0.0
-)
-"""A lidar that errs by its 1 mm resolution only."""
+RobotName = Literal["create1", "create2"]
+ROBOTS: tuple[RobotName, ...] = ("create1", "create2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +39,28 @@ class RobotErrorConfig:
     cogging: float = 0.03
     """Amplitude of the wheel torque's cogging [N m]; .02 to .04 shake the scan plane by .01 deg."""
 
+    uneven: float = 0.0
+    """Unevenness of plane floors, standard deviation of the height [m]."""
+    uneven_length: float = 0.3
+    """Length over which an uneven floor changes [m]; assumption, parquet and carpet edges."""
+    battery_life: float = 7200.0
+    """Time in which the battery is drained [s]; about 2 h, as in the paper."""
+    truncates: bool = True
+    """create1: packets 19 and 20 lose the fraction at each read (libcreate issue 22)."""
+    angle_gain: float = 1.0
+    """create1: factor of packet 20; .25 on firmware 2012-03-22 (robotics.stackexchange 7121)."""
+    distance_unsigned: bool = False
+    """create1: packet 19 grows in reverse too (answers.ros.org 12338)."""
+
     def __post_init__(self) -> None:
-        _within("errors.wheel_radius", self.wheel_radius, 0.0, 0.05)
-        _within("errors.wheel_base", self.wheel_base, 0.0, 0.05)
-        _within("errors.cogging", self.cogging, 0.0, 0.1)
-        _check(
+        within("errors.uneven", self.uneven, 0.0, 0.01)
+        within("errors.uneven_length", self.uneven_length, 0.1, 2.0)
+        within("errors.battery_life", self.battery_life, 1.0, 1e9)
+        within("errors.angle_gain", self.angle_gain, 0.0, 2.0)
+        within("errors.wheel_radius", self.wheel_radius, 0.0, 0.05)
+        within("errors.wheel_base", self.wheel_base, 0.0, 0.05)
+        within("errors.cogging", self.cogging, 0.0, 0.1)
+        check(
             0 < self.friction_min <= self.friction_max <= 2,
             "errors.friction_min and errors.friction_max must be in (0, 2], in this order,"
             f" got {self.friction_min:g} and {self.friction_max:g}",
@@ -110,9 +68,26 @@ class RobotErrorConfig:
 
 
 IDEAL_ROBOT = RobotErrorConfig(
-    wheel_radius=0.0, wheel_base=0.0, friction_min=0.7, friction_max=0.7, cogging=0.0
+    wheel_radius=0.0,
+    wheel_base=0.0,
+    friction_min=0.7,
+    friction_max=0.7,
+    cogging=0.0,
+    battery_life=1e9,
+    truncates=False,
 )
 """A robot that is exactly its data sheet; it still slips as the physics has it."""
+
+HARSH_ROBOT = RobotErrorConfig(
+    wheel_radius=0.012,
+    wheel_base=0.02,
+    friction_min=0.3,
+    friction_max=1.2,
+    cogging=0.05,
+    uneven=0.001,
+    battery_life=3600.0,
+)
+"""Worn tyres, an old battery and a bad floor: twice the errors of a `typical` one; assumption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,11 +103,32 @@ class TwinConfig:
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
 
     def __post_init__(self) -> None:
-        _check(self.robot == "create2", f"robot must be create2, got {self.robot!r}")
+        check(self.robot in ROBOTS, f"robot must be one of {', '.join(ROBOTS)}, got {self.robot!r}")
         if self.lidar_link not in LINKS:
             raise UnknownNameError("lidar link", self.lidar_link, LINKS)
 
     @classmethod
     def ideal(cls, lidar_link: str = "usb") -> TwinConfig:
         """Return a robot and a lidar without errors, for tests."""
-        return cls(lidar_link=lidar_link, lidar=IDEAL_LIDAR, errors=IDEAL_ROBOT)
+        return cls.of("ideal", lidar_link=lidar_link)
+
+    @classmethod
+    def of(cls, world: str, robot: RobotName = "create2", lidar_link: str = "usb") -> TwinConfig:
+        """Return the twin in the named ``world``: ideal, typical or harsh.
+
+        Raises:
+            UnknownNameError: There is no such world.
+        """
+        if world not in WORLDS:
+            raise UnknownNameError("world", world, WORLDS)
+        lidar, errors = WORLDS[world]
+        return cls(robot, lidar_link, lidar, errors)
+
+
+DEFAULT_WORLD = "typical"
+WORLDS = {
+    "ideal": (IDEAL_LIDAR, IDEAL_ROBOT),
+    DEFAULT_WORLD: (LidarModelConfig(), RobotErrorConfig()),
+    "harsh": (HARSH_LIDAR, HARSH_ROBOT),
+}
+"""Lidar and robot errors by the name of the world."""

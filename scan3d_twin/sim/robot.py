@@ -9,17 +9,18 @@ import numpy as np
 
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.sim.base import SimBase
-from scan3d_twin.sim.casters import MujocoCaster
+from scan3d_twin.sim.casters import MujocoCaster, choose_caster
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.lidar import SimLidar
+from scan3d_twin.sim.profiles import PROFILES
 from scan3d_twin.sim.scanner import Scanner
 from scan3d_twin.sim.scene import Scene, load_scene
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, World, build_model
 
 # Streams of the one seed; a new source of chance gets a new number, so that the others stay.
-_ROBOT_STREAM, _LIDAR_STREAM = 0, 1
+_ROBOT_STREAM, _LIDAR_STREAM, _SURFACE_STREAM = 0, 1, 2
 
 
 @contextmanager
@@ -44,13 +45,17 @@ def open_sim(
     scene = load_scene(scene) if isinstance(scene, str) else scene
     errors = RobotErrors.draw(config.errors, np.random.default_rng([seed, _ROBOT_STREAM]))
     world = World(scene, build_model(scene, config.robot, errors))
-    caster = MujocoCaster(scene.model)
     clock = SimClock(world)
-    base = SimBase(world)
-    scanner = Scanner.create(scene.model, config.robot, config.lidar_link, config.lidar, caster)
+    base = SimBase(world, PROFILES[config.robot], config.errors)
+    caster = choose_caster(scene.model)
+    surfaces = np.random.default_rng([seed, _SURFACE_STREAM])
+    scanner = Scanner(scene.model, config.robot, config.lidar_link, config.lidar, caster, surfaces)
     lidar = SimLidar(world, clock, scanner, [seed, _LIDAR_STREAM])
     clock.attach(lidar, base)
     try:
-        yield Robot(base, lidar, clock), Truth(scene, world, caster)
+        yield (
+            Robot(base, lidar, clock),
+            Truth(scene, world, MujocoCaster(scene.model), lidar.evidence),
+        )
     finally:
         base.stop()

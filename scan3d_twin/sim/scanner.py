@@ -1,4 +1,4 @@
-"""From the lidar's motion to the readings of one line: geometry, optics, quantisation."""
+"""From the lidar's motion to the readings of its lines: geometry, optics, firmware."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray, LidarSpec, read_only
+from scan3d_twin.core.types import FloatArray, IntArray, LidarSpec, read_only
 from scan3d_twin.protocols import urg04lx
 from scan3d_twin.sim.casters import Hits, RayCaster
-from scan3d_twin.sim.config import LidarModelConfig, RobotName
-from scan3d_twin.sim.optics import Materials, detected, perturbed
+from scan3d_twin.sim.config import RobotName
+from scan3d_twin.sim.firmware import Light, read
+from scan3d_twin.sim.footprint import mix, offsets
+from scan3d_twin.sim.lidar_config import LidarModelConfig
+from scan3d_twin.sim.noise import Draws
+from scan3d_twin.sim.optics import Materials
 from scan3d_twin.sim.world import robot_spec
+
+CHUNK = 8
+"""Lines computed at once; more do not fit the processor's cache."""
 
 
 def lidar_spec(link: str) -> LidarSpec:
@@ -49,71 +56,159 @@ def own_housing(robot: RobotName, elevations: FloatArray) -> Hits:
     return Hits(reach, normals.reshape(n, 3), np.full(n, -1, np.int64))
 
 
-@dataclass(frozen=True)
-class Scanner:
-    """Everything about the sensor that does not change while it runs.
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What lay behind a line's readings; for evaluation only, no planner sees it.
 
     Attributes:
-        spec: Geometry of its lines.
-        config: Noise, dropouts and losses.
-        beams: Directions of the beams in the lidar's frame (n_beams, 3).
-        caster: Casts rays against the scene.
-        materials: Optical properties of the caster's geoms.
-        housing: What the beams see of the robot itself.
+        intensity: Power of the return, in units of a white surface at 1 m times 1 / pi (n_beams,).
+        distances: Noise-free distance along the middle of the beam (n_beams,) [m]; inf for a miss.
+        geoms: Geom ids in the scene's model (n_beams,); -1 for a miss or the robot itself.
+        normals: Of the surface, outwards, in ``map`` (n_beams, 3); 0 for a miss or the robot.
+        positions: The lidar's place at the beam's time, in ``map`` (n_beams, 3) [m].
+        directions: Of the beam, in ``map`` (n_beams, 3).
     """
 
-    spec: LidarSpec
-    config: LidarModelConfig
-    beams: FloatArray
-    caster: RayCaster
-    materials: Materials
-    housing: Hits
+    intensity: FloatArray
+    distances: FloatArray
+    geoms: IntArray
+    normals: FloatArray
+    positions: FloatArray
+    directions: FloatArray
 
-    @staticmethod
-    def create(
-        scene_model: Any, robot: RobotName, link: str, config: LidarModelConfig, caster: RayCaster
-    ) -> Scanner:
-        """Return the scanner of ``robot`` for a scene without a robot in it."""
-        spec = lidar_spec(link)
-        materials = Materials.of(scene_model, config)
-        beams = read_only(beam_directions(spec.elevations))
-        return Scanner(spec, config, beams, caster, materials, own_housing(robot, spec.elevations))
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Lines as the sensor reports them.
+
+    Attributes:
+        ranges: (m, n_beams) [m]; NaN where there is none.
+        codes: (m, n_beams).
+        evidence: Per line; empty unless it was asked for.
+    """
+
+    ranges: FloatArray
+    codes: IntArray
+    evidence: tuple[Evidence, ...]
+
+
+class Scanner:
+    """Everything about the sensor that does not change while it runs."""
+
+    def __init__(
+        self,
+        scene_model: Any,
+        robot: RobotName,
+        link: str,
+        config: LidarModelConfig,
+        caster: RayCaster,
+        rng: np.random.Generator,
+    ) -> None:
+        self.spec = lidar_spec(link)
+        self.config = config
+        self.caster = caster
+        self.materials = Materials.of(scene_model, config)
+        self.surface_bias = config.surface_bias * rng.standard_normal(scene_model.ngeom + 1)
+        self.beams = read_only(beam_directions(self.spec.elevations))
+        own = own_housing(robot, self.spec.elevations)
+        cosines = np.abs(np.einsum("ni,ni->n", own.normals, self.beams))
+        self._own = Light(
+            own.distances[None],
+            self.materials.power(own.geoms, cosines, own.distances)[None],
+            cosines[None],
+            np.full((1, self.spec.n_beams), self.surface_bias[-1]),
+        )
+        self._free = _range(np.flatnonzero(np.isinf(own.distances)))
+        self._fan = self._sub_beams()
+
+    def _sub_beams(self) -> FloatArray:
+        """Return the sub-rays that pass the robot, in the lidar's frame (K, n_free, 3)."""
+        along, across = offsets(self.config).T[:, :, None]
+        angles = self.spec.elevations[self._free] + along
+        fan = np.stack(
+            [
+                np.cos(across) * np.cos(angles),
+                np.broadcast_to(np.sin(across), angles.shape),
+                np.cos(across) * np.sin(angles),
+            ],
+            axis=-1,
+        )
+        return read_only(fan)
 
     def measure(
         self,
         qpos: FloatArray,
         positions: FloatArray,
         rotations: FloatArray,
-        rng: np.random.Generator,
-    ) -> tuple[FloatArray, IntArray]:
-        """Return the readings of a line.
+        draws: Draws,
+        drift: FloatArray,
+        *,
+        evidence: bool = False,
+    ) -> Readings:
+        """Return the readings of m lines.
 
         Args:
             qpos: Positions of the scene's moving objects.
-            positions: The lidar's position at each beam's time (n_beams, 3) [m].
-            rotations: The lidar's attitude at each beam's time (n_beams, 3, 3).
-            rng: Of this line.
-
-        Returns:
-            Ranges (n_beams,) [m], NaN where there is none, and codes (n_beams,).
+            positions: The lidar's position at each beam's time (m, n_beams, 3) [m].
+            rotations: The lidar's attitude at each beam's time (m, n_beams, 3, 3).
+            draws: The lines' chance.
+            drift: Error of each whole line (m,) [m].
+            evidence: Keep what lay behind the readings, for evaluation.
         """
-        directions = np.einsum("nij,nj->ni", rotations, self.beams)
-        hits = self.caster.cast(qpos, positions, directions)
-        cosines = np.einsum("ni,ni->n", hits.normals, directions)
-        own = self.housing.distances < hits.distances
-        distances = np.where(own, self.housing.distances, hits.distances)
-        geoms = np.where(own, -1, hits.geoms)
-        cosines = np.where(own, np.einsum("ni,ni->n", self.housing.normals, self.beams), cosines)
-        power = self.materials.power(geoms, cosines, distances)
-        draws = rng.standard_normal((2, len(directions)))
-        seen = detected(power, draws[0], self.config) & np.isfinite(distances)
-        distances = np.where(seen, distances, 0.0)
-        return _reading(perturbed(distances, power, draws[1], self.config), seen)
+        m, free, fan = len(positions), self._free, self._fan
+        at = positions[:, free]
+        ahead, left, up = (rotations[:, free, :, k] for k in range(3))
+        rays = fan[:, None, :, 0, None] * ahead + fan[:, None, :, 2, None] * up
+        if len(fan) > 1:
+            rays += fan[:, None, :, 1, None] * left
+        directions = rays.reshape(-1, 3)
+        origins = np.broadcast_to(at, rays.shape).reshape(-1, 3)
+        hits = self.caster.cast(qpos, origins, directions)
+        cosines = np.abs(np.einsum("ni,ni->n", hits.normals, directions))
+        power = self.materials.power(hits.geoms, cosines, hits.distances)
+        shape = (len(fan), at.shape[0] * at.shape[1])
+        mixed = mix(hits.distances.reshape(shape), power.reshape(shape), self.config)
+        middle = slice(0, shape[1])
+        bias = self.surface_bias.take(hits.geoms[middle])
+        light = self._with_housing(m, mixed.distances, mixed.power, cosines[middle], bias)
+        row, column = np.divmod(mixed.broken, at.shape[1])
+        broken = (row, np.arange(self.spec.n_beams)[free][column])
+        ranges, codes = read(light, (broken, mixed.codes), draws, drift, self.config)
+        if not evidence:
+            return Readings(ranges, codes, ())
+        behind = Hits(hits.distances[middle], hits.normals[middle], hits.geoms[middle])
+        kept = self._evidence(light, behind, positions, rotations)
+        return Readings(ranges, codes, kept)
+
+    def _with_housing(self, m: int, *arrays: FloatArray) -> Light:
+        """Return ``arrays`` (m * n_free,) of the free beams as (m, n_beams), with the robot's."""
+        result = []
+        for own, array in zip(self._own.arrays(), arrays, strict=True):
+            whole = np.empty((m, own.shape[1]))
+            whole[:] = own
+            whole[:, self._free] = array.reshape(m, -1)
+            result.append(whole)
+        return Light(*result)
+
+    def _evidence(
+        self, light: Light, hits: Hits, positions: FloatArray, rotations: FloatArray
+    ) -> tuple[Evidence, ...]:
+        m, n = light.distances.shape
+        distances = np.repeat(self._own.distances, m, axis=0)
+        geoms, normals = np.full((m, n), -1), np.zeros((m, n, 3))
+        distances[:, self._free] = hits.distances.reshape(m, -1)
+        geoms[:, self._free] = hits.geoms.reshape(m, -1)
+        normals[:, self._free] = hits.normals.reshape(m, -1, 3)
+        directions = np.einsum("mnij,nj->mni", rotations, self.beams)
+        rows = (light.power, distances, geoms, normals, positions, directions)
+        kinds = (np.float64, np.float64, np.int64, np.float64, np.float64, np.float64)
+        return tuple(
+            Evidence(*(read_only(row[k], kind) for row, kind in zip(rows, kinds, strict=True)))
+            for k in range(m)
+        )
 
 
-def _reading(distances: FloatArray, seen: BoolArray) -> tuple[FloatArray, IntArray]:
-    """Return ``distances`` (n,) [m] as the sensor reports them: whole millimetres, or a code."""
-    distances_mm = np.round(distances * 1000)
-    valid = seen & (distances_mm >= urg04lx.MIN_RANGE_MM) & (distances_mm <= urg04lx.MAX_RANGE_MM)
-    ranges = np.where(valid, distances_mm / 1000, np.nan)
-    return ranges, np.where(valid, VALID, urg04lx.NO_RETURN)
+def _range(indices: IntArray) -> slice | IntArray:
+    """Return ``indices`` (n,) as a slice where they have no gap; it costs no copies."""
+    first, last = int(indices[0]), int(indices[-1])
+    return slice(first, last + 1) if last - first + 1 == len(indices) else indices

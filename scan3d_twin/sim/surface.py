@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray
+from scan3d_twin.sim.tessellation import mesh_triangles
 
 Samples = tuple[FloatArray, FloatArray]
 """Points (n, 3) [m] and outward unit normals (n, 3)."""
@@ -35,7 +36,7 @@ def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
         case mujoco.mjtGeom.mjGEOM_SPHERE:
             return _sample_sphere(size[0], spacing)
         case mujoco.mjtGeom.mjGEOM_MESH:
-            return sample_triangles(_mesh_triangles(model, geom), spacing)
+            return sample_triangles(mesh_triangles(model, geom), spacing)
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
             return sample_triangles(_capsule(size[0], size[1]), spacing)
         case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
@@ -131,19 +132,8 @@ def _unit_sphere() -> FloatArray:
 def corners(model: Any, geom: int) -> FloatArray:
     """Return points (n, 3) [m] in the geom's frame whose bounding box is the geom's."""
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
-        return _mesh_triangles(model, geom).reshape(-1, 3)  # its own box is turned to the inertia
+        return mesh_triangles(model, geom).reshape(-1, 3)  # its own box is turned to the inertia
     centre, half = np.split(np.array(model.geom_aabb[geom]), 2)
     signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
     result: FloatArray = centre + signs * half
     return result
-
-
-def _mesh_triangles(model: Any, geom: int) -> FloatArray:
-    """Return a mesh geom's triangles (m, 3, 3) in the geom's frame."""
-    mesh = model.geom_dataid[geom]
-    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    vertex = model.mesh_vertadr[mesh]
-    vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
-    faces = model.mesh_face[first : first + count]
-    triangles: FloatArray = np.asarray(vertices, dtype=np.float64)[faces]
-    return triangles

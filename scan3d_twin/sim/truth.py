@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.casters import RayCaster
+from scan3d_twin.sim.scanner import Evidence
 from scan3d_twin.sim.scene import Scene
 from scan3d_twin.sim.surface import corners, sample_geom
 from scan3d_twin.sim.world import World
@@ -19,10 +22,17 @@ ON_FLOOR = 0.002
 class Truth:
     """The true poses and surfaces, in ``map``, the scene's own frame."""
 
-    def __init__(self, scene: Scene, world: World, caster: RayCaster) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        world: World,
+        caster: RayCaster,
+        evidence: Callable[[], Evidence | None],
+    ) -> None:
         self._scene = scene
         self._world = world
         self._caster = caster
+        self._evidence = evidence
         self._T_map_odom = world.base_pose(0.0)
 
     @property
@@ -64,6 +74,10 @@ class Truth:
             directions: Unit vectors (n, 3).
         """
         return self._caster.cast(self._world.scene_qpos(), origins, directions).distances
+
+    def evidence(self) -> Evidence | None:
+        """Return what lay behind the scan line read last; None before the first."""
+        return self._evidence()
 
     def locate(self, name: str) -> tuple[float, float]:
         """Return the centre (x, y) [m] of the target ``name`` in the odometry frame.

@@ -19,8 +19,11 @@ TIMESTEP = 0.002
 """Physics step [s]; 1 to 4 ms agree within .5 %, 2 ms keeps the tilt under .5 deg."""
 SETTLE = 1.0
 """Physics time before time 0, in which the suspension comes to rest [s]."""
-LIDAR_TRACE = 4096
-"""Steps of the lidar's pose that are kept: 8 s, more than the unread lines span."""
+RECENT = 16_384
+"""Steps of the lidar's pose that are kept, a power of 2: 32 s, a sweep of 300 lines."""
+LAST = RECENT - 1
+LIDAR, BASE = 12, 7
+"""Columns of the trace: the lidar's place and axes; the base's place and quaternion."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +109,8 @@ def _set_options(option: Any) -> None:
 class World:
     """A running physics simulation.
 
-    Time is ``steps * TIMESTEP`` since the robot came to rest. The lidar's pose of a step is known
-    one step later: after ``mj_step`` MuJoCo's derived fields still describe the state before it.
+    Time is ``steps * TIMESTEP`` since the robot came to rest. The poses of a step are known one
+    step later: after ``mj_step`` MuJoCo's derived fields still describe the state before it.
     """
 
     def __init__(self, scene: Scene, model: Any) -> None:
@@ -120,11 +123,11 @@ class World:
         mujoco.mj_forward(model, self.data)
         free = model.joint(PREFIX + "free").qposadr[0]
         self._base_qpos = self.data.qpos[free : free + 7]
-        lidar = self.data.site(PREFIX + "lidar")
-        self._lidar_xpos, self._lidar_xmat = lidar.xpos, lidar.xmat
-        self._base_trace = np.empty((1024, 7))
-        self._base_trace[0] = self._base_qpos
-        self._lidar_trace = np.empty((LIDAR_TRACE, 12))
+        row = model.sensor(PREFIX + "trace").adr[0]
+        self._row = self.data.sensordata[row : row + LIDAR + BASE]
+        self._recent = np.empty((RECENT, LIDAR + BASE))
+        self._base = np.empty((1024, BASE))
+        self._kept = 0
 
     @property
     def time(self) -> float:
@@ -137,47 +140,62 @@ class World:
 
     def advance(self, steps: int) -> None:
         """Run ``steps`` physics steps and record the poses."""
-        self._reserve(self.steps + steps + 1)
-        model, data, base, lidar = self.model, self.data, self._base_trace, self._lidar_trace
-        step, qpos = mujoco.mj_step, self._base_qpos
-        xpos, xmat = self._lidar_xpos, self._lidar_xmat
+        model, data, recent, row, step = (
+            self.model,
+            self.data,
+            self._recent,
+            self._row,
+            mujoco.mj_step,
+        )
         for k in range(self.steps, self.steps + steps):
             step(model, data)
-            base[k + 1] = qpos
-            row = lidar[k % LIDAR_TRACE]
-            row[:3], row[3:] = xpos, xmat
-            self.steps = k + 1
+            recent[k & LAST] = row
+            if k & LAST == LAST:
+                self._keep(k + 1)
+        self.steps += steps
 
-    def _reserve(self, rows: int) -> None:
-        if rows > len(self._base_trace):
-            grown = np.empty((2 * rows, 7))
-            grown[: self.steps + 1] = self._base_trace[: self.steps + 1]
-            self._base_trace = grown
+    def _keep(self, end: int) -> None:
+        """Move the base's poses of the steps before ``end`` to the long trace."""
+        rows = np.arange(self._kept, end)
+        if end > len(self._base):
+            grown = np.empty((2 * end, BASE))
+            grown[: self._kept] = self._base[: self._kept]
+            self._base = grown
+        self._base[rows] = self._recent[rows & LAST, LIDAR:]
+        self._kept = end
 
     def base_pose(self, time: float) -> Pose2:
         """Return ``T_map_base`` at ``time`` [s], interpolated; clamped to what was recorded."""
-        x, y, _, qw, qx, qy, qz = _interpolate(
-            self._base_trace, np.array([time]), 0, self.steps + 1
-        )[0]
+        self._keep(self.steps + 1)
+        self._base[self.steps] = self._base_qpos
+        self._kept = self.steps
+        rows = _interpolate(self._base, np.array([time]), 0, self.steps + 1)
+        x, y, _, qw, qx, qy, qz = rows[0]
         yaw = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
         return Pose2(x, y, float(yaw))
 
     def lidar_poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the lidar's positions (n, 3) [m] and rotations (n, 3, 3) in ``map``."""
-        first = max(0, self.steps - LIDAR_TRACE)
-        rows = _interpolate(self._lidar_trace, times, first, self.steps)
-        return rows[:, :3], rows[:, 3:].reshape(-1, 3, 3)
+        first = max(0, self.steps - RECENT)
+        rows = _interpolate(self._recent[:, :LIDAR], times, first, self.steps)
+        return rows[:, :3], rows[:, 3:].reshape(-1, 3, 3).transpose(0, 2, 1)
 
 
 def _interpolate(trace: FloatArray, times: FloatArray, first: int, end: int) -> FloatArray:
-    """Return rows of ``trace`` at ``times``; the row of step k lies at k modulo its length.
+    """Return rows (n, k) of ``trace`` at ``times`` (n,); step k's lies at k modulo its length.
 
     Steps ``first`` to ``end`` - 1 are known; 2 ms apart, a line between them errs by less than
     1e-7 of a rotation.
     """
-    place = np.clip(times / TIMESTEP, first, end - 1)
-    lower = place.astype(np.int64)
+    place = np.minimum(np.maximum(times / TIMESTEP, first), end - 1)
+    lower = np.minimum(place.astype(np.int64), max(first, end - 2))
+    start = int(lower.min())
+    steps = np.arange(start, int(lower.max()) + 2)
+    window = trace[np.minimum(steps, end - 1) % len(trace)]
+    rises = window[1:] - window[:-1]
     share = (place - lower)[:, None]
-    upper = np.minimum(lower + 1, end - 1)
-    result: FloatArray = trace[lower % len(trace)] * (1 - share) + trace[upper % len(trace)] * share
+    lower -= start
+    result: FloatArray = rises.take(lower, axis=0)
+    result *= share
+    result += window.take(lower, axis=0)
     return result

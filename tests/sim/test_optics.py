@@ -2,14 +2,17 @@ import numpy as np
 import pytest
 
 from scan3d_twin.sim.config import LidarModelConfig
-from scan3d_twin.sim.optics import Materials, detected, perturbed
+from scan3d_twin.sim.firmware import _detected as detected
+from scan3d_twin.sim.noise import spread
+from scan3d_twin.sim.optics import Materials
 
 CONFIG = LidarModelConfig()
 ONE = np.array([0])
 
 
 def surface(diffuse, specular, alpha):
-    return Materials(np.array([diffuse]), np.array([specular]), np.array([alpha]))
+    alpha2 = np.array([alpha**2])
+    return Materials(np.array([diffuse / np.pi]), specular * alpha2 / np.pi, alpha2, None)
 
 
 def power(material, cosine, distance):
@@ -46,26 +49,34 @@ def test_detection_is_even_at_the_threshold_and_certain_far_from_it():
     assert shares[2] > 0.99
 
 
-@pytest.mark.parametrize(
-    ("distance", "low", "high"), [(0.5, 4.0, 5.5), (2, 4.0, 6.5), (3, 6.0, 7.5)]
-)
-def test_noise_of_a_grey_wall_is_that_of_real_logs(distance, low, high):
-    n = 20_000
-    draws = np.random.default_rng(1).standard_normal(n)
-    wall = surface(0.6, 0.04, 0.36)
-    readings = perturbed(
-        np.full(n, distance), np.full(n, power(wall, 1.0, distance)), draws, CONFIG
-    )
-    assert low < readings.std() * 1000 < high
-    assert abs(readings.mean() - distance) <= 1.1 * CONFIG.bias
+def sigma_mm(distance, cosine=1.0, material=None):
+    wall = surface(0.6, 0.04, 0.36) if material is None else material
+    at = np.array([distance])
+    strength = np.array([power(wall, cosine, distance)])
+    return 1000 * float(spread(at, strength, np.array([cosine]), CONFIG)[0])
+
+
+@pytest.mark.parametrize("distance", [0.5, 1.0, 1.5, 1.95])
+def test_noise_up_to_two_metres_is_that_of_real_logs(distance):
+    assert 4.0 < sigma_mm(distance) < 5.5
+
+
+@pytest.mark.parametrize("distance", [2.25, 2.5, 3.0, 3.5, 4.0])
+def test_noise_beyond_two_metres_is_that_of_real_logs(distance):
+    assert 6.5 < sigma_mm(distance) < 7.5
+
+
+def test_noise_grows_with_incidence_as_measured_on_the_sibling():
+    # UBG-04LX-F01, medians 2.6, 3.0, 3.9, 3.9, 4.5 mm at 0, 20, 40, 60, 80 deg.
+    angles, measured = (20, 40, 60, 80), np.array([3.0, 3.9, 3.9, 4.5]) / 2.6
+    ratios = [sigma_mm(1.0, np.cos(np.radians(angle))) / sigma_mm(1.0) for angle in angles]
+    assert np.all(np.diff(ratios) > 0)
+    assert ratios == pytest.approx(measured, rel=0.15)
 
 
 def test_weak_returns_are_noisier():
-    draws = np.random.default_rng(1).standard_normal(20_000)
-    near = np.full(20_000, 1.0)
-    strong = perturbed(near, near, draws, CONFIG).std()
-    weak = perturbed(near, near * CONFIG.threshold, draws, CONFIG).std()
-    assert weak > 1.1 * strong
+    dark = surface(0.05, 0.0, 0.36)
+    assert sigma_mm(1.9, material=dark) > 1.05 * sigma_mm(1.9)
 
 
 def test_materials_are_read_from_metallic_and_roughness_alone(scene_of):
@@ -80,9 +91,11 @@ def test_materials_are_read_from_metallic_and_roughness_alone(scene_of):
     model = scene_of(body, head=head).model
     materials = Materials.of(model, CONFIG)
     paint, drum, plain = (model.geom(name).id for name in ("target", "drum", "plain"))
-    assert materials.diffuse[paint] == materials.diffuse[plain] == CONFIG.albedo
-    assert materials.alpha[paint] == materials.alpha[plain] == pytest.approx(0.36)
+    assert materials.diffuse[paint] == pytest.approx(CONFIG.albedo / np.pi)
+    assert materials.diffuse[plain] == pytest.approx(0.5 / np.pi)
+    assert materials.alpha2[paint] == materials.alpha2[plain] == pytest.approx(0.36**2)
     assert materials.diffuse[drum] == 0.0
-    assert materials.specular[drum] == pytest.approx(0.9)
-    assert materials.alpha[drum] == pytest.approx(0.04)
-    assert len(materials.alpha) == model.ngeom + 1
+    assert materials.specular[drum] == pytest.approx(0.9 * 0.04**2 / np.pi)
+    assert materials.alpha2[drum] == pytest.approx(0.04**2)
+    assert len(materials.alpha2) == model.ngeom + 1
+    assert materials.retro is None

@@ -1,0 +1,27 @@
+"""The two generations of the base: what their data sheets say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from scan3d_twin.core.hal import BaseSpec
+from scan3d_twin.sim.config import RobotName
+
+CREATE2 = BaseSpec(
+    name="create2",
+    radius=0.165,  # create_robot URDF
+    wheel_base=0.235,  # libcreate types.cpp, as the next two
+    wheel_diameter=0.072,
+    counts_per_turn=508.8,
+    max_wheel_speed=0.5,  # Create 2 Open Interface: +-500 mm/s
+    sample_period=0.015,  # Create 2 Open Interface: sensors are updated every 15 ms
+)
+CREATE1 = replace(
+    CREATE2,
+    name="create1",
+    wheel_base=0.258,  # libcreate types.cpp, as the next
+    wheel_diameter=0.078,
+    counts_per_turn=1000 * math.pi * 0.078,  # no counts: packet 19 has whole millimetres
+)
+PROFILES: dict[RobotName, BaseSpec] = {"create1": CREATE1, "create2": CREATE2}

@@ -1,0 +1,119 @@
+"""A geom's surface as triangles, outward facing, in the geom's frame."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from scan3d_twin.core.types import FloatArray
+
+TOLERANCE = 1e-5
+"""How far a chord may lie below the surface [m]."""
+PLANE_REACH = 100.0
+"""Half the side of the square that stands for an endless plane [m]; the lidar sees 4 m."""
+
+_GEOM = mujoco.mjtGeom
+KNOWN = (
+    _GEOM.mjGEOM_PLANE,
+    _GEOM.mjGEOM_BOX,
+    _GEOM.mjGEOM_SPHERE,
+    _GEOM.mjGEOM_ELLIPSOID,
+    _GEOM.mjGEOM_CYLINDER,
+    _GEOM.mjGEOM_CAPSULE,
+    _GEOM.mjGEOM_MESH,
+)
+"""Geom types that ``geom_triangles`` knows."""
+
+
+def geom_triangles(model: Any, geom: int) -> FloatArray:
+    """Return the triangles (m, 3, 3) [m] of a geom."""
+    size = np.array(model.geom_size[geom])
+    match mujoco.mjtGeom(int(model.geom_type[geom])):
+        case mujoco.mjtGeom.mjGEOM_PLANE:
+            return _plane(size)
+        case mujoco.mjtGeom.mjGEOM_BOX:
+            return _box(size)
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            return _revolved(_arc(size[0], -90, 90), size[0])
+        case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            largest = float(size.max())
+            stretched: FloatArray = _revolved(_arc(largest, -90, 90), largest) * (size / largest)
+            return stretched
+        case mujoco.mjtGeom.mjGEOM_CYLINDER:
+            r, half = size[:2]
+            return _revolved(np.array([[0, -half], [r, -half], [r, half], [0, half]]), r)
+        case mujoco.mjtGeom.mjGEOM_CAPSULE:
+            r, half = size[:2]
+            end = np.array([0.0, half])
+            ends = [_arc(r, -90, 0) - end, end + _arc(r, 0, 90)]
+            return _revolved(np.concatenate(ends), r)
+        case mujoco.mjtGeom.mjGEOM_MESH:
+            return mesh_triangles(model, geom)
+        case other:
+            raise ValueError(f"no triangles of a {other.name}")
+
+
+def mesh_triangles(model: Any, geom: int) -> FloatArray:
+    """Return a mesh geom's triangles (m, 3, 3) in the geom's frame."""
+    mesh = model.geom_dataid[geom]
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    vertex = model.mesh_vertadr[mesh]
+    vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
+    faces = model.mesh_face[first : first + count]
+    triangles: FloatArray = np.asarray(vertices, dtype=np.float64)[faces]
+    return triangles
+
+
+def _segments(radius: float, angle: float) -> int:
+    """Return how many chords stand for an arc of ``angle`` [rad] within ``TOLERANCE``."""
+    # A chord over the angle a lies radius * a^2 / 8 below the arc.
+    return min(512, max(6, math.ceil(angle / math.sqrt(8 * TOLERANCE / radius))))
+
+
+def _arc(radius: float, first: float, last: float) -> FloatArray:
+    """Return points (n, 2), radius and height, from latitude ``first`` to ``last`` [deg]."""
+    n = _segments(radius, math.radians(last - first))
+    latitudes = np.radians(np.linspace(first, last, n + 1))
+    points: FloatArray = radius * np.stack([np.cos(latitudes), np.sin(latitudes)], axis=1)
+    points[np.abs(points[:, 0]) < 1e-12, 0] = 0.0
+    return points
+
+
+def _revolved(profile: FloatArray, radius: float) -> FloatArray:
+    """Return the triangles swept by ``profile`` (n, 2), radius and height, upwards, about z."""
+    n = _segments(radius, math.tau)
+    angles = math.tau * np.arange(n) / n
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    rows = [np.column_stack([r * ring, np.full(n, z)]) for r, z in profile]
+    triangles = []
+    for (r_low, _), (r_high, _), low, high in zip(
+        profile[:-1], profile[1:], rows[:-1], rows[1:], strict=True
+    ):
+        next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
+        if r_low > 0:
+            triangles.append(np.stack([low, next_low, next_high], axis=1))
+        if r_high > 0:
+            triangles.append(np.stack([low, next_high, high], axis=1))
+    return np.concatenate(triangles)
+
+
+def _plane(size: FloatArray) -> FloatArray:
+    x, y = (half if half > 0 else PLANE_REACH for half in size[:2])
+    corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
+    return corners[[[0, 1, 2], [0, 2, 3]]]
+
+
+def _box(size: FloatArray) -> FloatArray:
+    faces = []
+    square = np.array([[[-1, -1], [1, -1], [1, 1]], [[-1, -1], [1, 1], [-1, 1]]], dtype=float)
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            face = np.empty((2, 3, 3))
+            face[..., axis] = sign
+            face[..., (axis + 1) % 3], face[..., (axis + 2) % 3] = square[..., 0], square[..., 1]
+            faces.append(face if sign > 0 else face[:, ::-1])
+    triangles: FloatArray = np.concatenate(faces) * size
+    return triangles
