@@ -1,4 +1,4 @@
-"""Dead reckoning from wheel encoders."""
+"""Dead reckoning: a pose from what the wheels turned."""
 
 from __future__ import annotations
 
@@ -36,9 +36,12 @@ class DeadReckoning:
         left_way = (left - self._counts[0]) * self._metres_per_count
         right_way = (right - self._counts[1]) * self._metres_per_count
         self._counts = (left, right)
-        if left_way or right_way:
-            way = (left_way + right_way) / 2
-            turn = (right_way - left_way) / self._wheel_base
+        way, turn = (left_way + right_way) / 2, (right_way - left_way) / self._wheel_base
+        return self.advance(stamp, way, turn)
+
+    def advance(self, stamp: float, way: float, turn: float) -> Odometry:
+        """Return the odometry at ``stamp`` [s] after an arc of ``way`` [m] and ``turn`` [rad]."""
+        if way or turn:
             self._covariance = _grown(self._covariance, self._pose.yaw, way, turn)
             self._pose = self._pose @ arc(way, turn)
         return Odometry(stamp, self._pose, read_only(self._covariance))

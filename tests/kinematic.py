@@ -1,0 +1,69 @@
+"""A drive base that does what it is told, on a clock that only jumps: no physics, no noise."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+
+import numpy as np
+
+from scan3d_twin.core.hal import BaseSpec
+from scan3d_twin.core.odometry import arc
+from scan3d_twin.core.types import Hazards, Odometry, Pose2
+
+CREATE2 = BaseSpec("create2", 0.165, 0.235, 0.072, 508.8, 0.5, 0.015)
+NOTHING = np.zeros((3, 3))
+
+
+class KinematicBase:
+    """A ``DriveBase`` without inertia; ``hazard`` may be set at any time."""
+
+    def __init__(self, spec: BaseSpec = CREATE2) -> None:
+        self.spec = spec
+        self.hazard = Hazards()
+        self.speed = (0.0, 0.0)
+        self._samples = [Odometry(0.0, Pose2(), NOTHING)]
+
+    def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
+        self.speed = (linear, angular)
+        return self.speed
+
+    def odometry(self) -> Odometry:
+        return self._samples[-1]
+
+    def odometry_since(self, stamp: float) -> tuple[Odometry, ...]:
+        after = bisect_right(self._samples, stamp, key=lambda sample: sample.stamp)
+        return tuple(self._samples[max(0, after - 1) :])
+
+    def hazards(self) -> Hazards:
+        return self.hazard
+
+    def advance(self) -> None:
+        """Move on by one sample period."""
+        linear, angular = (speed * self.spec.sample_period for speed in self.speed)
+        last = self._samples[-1]
+        stamp = len(self._samples) * self.spec.sample_period
+        self._samples.append(Odometry(stamp, last.T_odom_base @ arc(linear, angular), NOTHING))
+
+
+class JumpingClock:
+    """A ``Clock`` that moves ``base`` along."""
+
+    def __init__(self, base: KinematicBase) -> None:
+        self._base = base
+        self._time = 0.0
+
+    def now(self) -> float:
+        return self._time
+
+    def sleep(self, seconds: float) -> None:
+        self._time += max(0.0, seconds)
+        period = self._base.spec.sample_period
+        while self._base.odometry().stamp + period <= self._time + 1e-9:
+            self._base.advance()
+
+
+def turned(base: KinematicBase) -> float:
+    """Return the sum of all turns of ``base`` [rad], more than half a turn included."""
+    yaws = [sample.T_odom_base.yaw for sample in base.odometry_since(0.0)]
+    return float(np.unwrap(yaws)[-1]) if yaws else math.nan
