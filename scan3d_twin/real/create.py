@@ -1,0 +1,346 @@
+"""The driver of the iRobot Create 1, Create 2 and Roomba 500 and 600: bytes to ``DriveBase``.
+
+No threads: whoever waits calls ``service``. The base obeys its last drive command for ever, so the
+driver stops it on every hazard and every way out, and tells a guard process that it is alive.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from bisect import bisect_right
+from contextlib import suppress
+from dataclasses import replace
+from typing import Protocol
+
+from scan3d_twin.core.errors import ConfigError, HazardError, LinkError, LinkTimeoutError
+from scan3d_twin.core.hal import BaseSpec, Clock
+from scan3d_twin.core.types import Hazards, Odometry
+from scan3d_twin.protocols import oi
+from scan3d_twin.protocols.oi import CREATE1, Op
+from scan3d_twin.protocols.oi_packets import Mode, Packet
+from scan3d_twin.real.create_hazards import blocking, hazards_of, why_not_safe
+from scan3d_twin.real.create_link import (
+    BAUDS,
+    HALF_ANYTHING,
+    HALF_DRIVE,
+    MODE_SETTLE,
+    POLL_PERIOD,
+    Contact,
+    Source,
+    Stream,
+    Values,
+    at_rest,
+    find_base,
+    open_source,
+    plausible,
+    watched,
+)
+from scan3d_twin.real.create_reckoning import (
+    CommandedReckoning,
+    EncoderReckoning,
+    Reckoning,
+    SampleTimes,
+)
+from scan3d_twin.real.transport import Transport
+
+log = logging.getLogger(__name__)
+
+SILENCE = 0.2
+"""A base that is silent for so long while it drives is lost [s]; 13 periods."""
+SILENCE_AT_REST = 3.0
+"""The same while it stands [s]; its stream is asked for again meanwhile."""
+ASK_AGAIN = 0.1
+"""Time between two such requests, and between two repeated drive commands [s]."""
+ASKS_AT_ONE_SPEED = 10
+"""Requests in vain before other speeds are tried: garbage may have changed the base's."""
+AWAY = 0.5
+"""Bytes that waited longer than this for ``service`` are stale [s]."""
+REST = 0.2
+"""The wheels stand so long after the command [s]; they slow down with 1.8 m/s2."""
+LOW_BATTERY = 0.1
+"""Share of charge below which the robot does not drive; it must still find home."""
+HISTORY = 20_000
+"""Odometry samples that are kept at least: 5 minutes."""
+STOP = oi.drive_direct(0, 0)
+FAREWELL = STOP + oi.command(Op.PAUSE_RESUME, 0) + oi.command(Op.START)
+"""Wheels stopped, line silent, mode Passive: the base may charge and sleep again."""
+
+
+class Guard(Protocol):
+    """Stops the wheels if this process no longer can."""
+
+    def beat(self, moving: bool) -> None:
+        """Tell that the process is alive, and whether it drives."""
+        ...
+
+
+class NoGuard:
+    """No guard, where time is not real."""
+
+    def beat(self, moving: bool) -> None:
+        """See ``Guard.beat``."""
+
+
+def open_create(transport: Transport, clock: Clock, guard: Guard | None = None) -> CreateBase:
+    """Return the base on the line, standing and in mode Passive.
+
+    Raises:
+        LinkTimeoutError: There is none.
+    """
+    contact = find_base(transport, clock)
+    return CreateBase(transport, clock, contact, NoGuard() if guard is None else guard)
+
+
+class CreateBase:
+    """A ``DriveBase`` on a serial line; made by ``open_create``."""
+
+    def __init__(self, transport: Transport, clock: Clock, contact: Contact, guard: Guard) -> None:
+        self.contact = contact
+        self.mode = Mode.PASSIVE
+        self._transport, self._clock, self._guard = transport, clock, guard
+        self._summed: bool | None = None
+        self._heard = self._serviced = clock.now()
+        self._packets: tuple[Packet, ...] = ()
+        self._source = self._ask(at_rest(contact))
+        self.spec = _spec(contact.model, isinstance(self._source, Stream))
+        self._patience = ASK_AGAIN if isinstance(self._source, Stream) else 3 * ASK_AGAIN
+        latency = oi.frame_size(self._packets) * 10 / contact.baud
+        self._times = SampleTimes(self.spec.sample_period, latency)
+        self._sent = (0, 0)
+        self._sent_at = self._asked_at = -math.inf
+        self._asks = 0
+        self._hazards, self._values = Hazards(), Values()
+        self._history: list[Odometry] = []
+        self._reckoning: Reckoning | None = None
+        while not self._history:
+            clock.sleep(oi.PERIOD / 3)
+            self._receive(clock.now())
+            self._listen(clock.now())
+
+    @property
+    def bad(self) -> int:
+        """Readings that were dropped since the packets were asked for last."""
+        return self._source.bad
+
+    def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
+        """See ``DriveBase.set_velocity``.
+
+        Raises:
+            HazardError: The base cannot drive: charger, battery, or it refuses Safe mode.
+        """
+        right, left = _wheel_speeds(self.spec, linear, angular)
+        if right or left:
+            self._prepare()
+        self._drive(right, left)
+        return (right + left) / 2000, (right - left) / 1000 / self.spec.wheel_base
+
+    def odometry(self) -> Odometry:
+        """See ``DriveBase.odometry``."""
+        return self._history[-1]
+
+    def odometry_since(self, stamp: float) -> tuple[Odometry, ...]:
+        """See ``DriveBase.odometry_since``."""
+        after = bisect_right(self._history, stamp, key=lambda sample: sample.stamp)
+        return tuple(self._history[max(0, after - 1) :])
+
+    def hazards(self) -> Hazards:
+        """See ``DriveBase.hazards``."""
+        return self._hazards
+
+    def service(self, now: float) -> None:
+        """Take in what has arrived, and stop the wheels if something is wrong.
+
+        Raises:
+            HazardError: A new hazard, or the robot drives on into an old one; the wheels stand.
+            LinkTimeoutError: The base is silent; it was told to stop.
+            LinkError: The port is gone.
+        """
+        before = self._hazards
+        fresh = self._receive(now)
+        self._guard.beat(self._moving)
+        if fresh:
+            self._watch(before, now)
+        self._listen(now)
+        self._rest(now)
+
+    def close(self) -> None:
+        """Stop the wheels and leave the base in mode Passive; the port stays open."""
+        with suppress(LinkError):
+            self._transport.write(FAREWELL)
+        self._sent = (0, 0)
+        self._guard.beat(False)
+
+    @property
+    def _moving(self) -> bool:
+        return self._sent != (0, 0)
+
+    def _ask(self, packets: tuple[Packet, ...]) -> Source:
+        self._packets = packets
+        self._heard = max(self._heard, self._clock.now() - SILENCE / 2)
+        return open_source(self._transport, self.contact, packets, self._summed)
+
+    def _receive(self, now: float) -> bool:
+        """Take in what has arrived; tell whether there were readings."""
+        if now - self._serviced > AWAY:
+            self._transport.discard_input()
+            self._heard = now
+        self._serviced = now
+        readings = self._source.take(self._transport.read(0.0), now)
+        for stamp, values in zip(self._times.stamps(len(readings), now), readings, strict=True):
+            self._take(stamp, now, values)
+        return bool(readings)
+
+    def _take(self, stamp: float, now: float, values: Values) -> None:
+        """Take in one set of readings."""
+        if not plausible(values, self.contact):
+            return
+        if self._reckoning is None:
+            self._reckoning = _reckoning(self.spec, stamp, values)
+        doubtful = self._source.bad and Packet.ANGLE in values
+        if doubtful and isinstance(self._reckoning, CommandedReckoning):
+            self._reckoning.lost_reading()
+        odometry = self._reckoning.take(stamp, values)
+        if odometry is None:
+            return
+        self._heard, self._asks = now, 0
+        self._values = values
+        self._history.append(odometry)
+        if len(self._history) > 2 * HISTORY:
+            del self._history[:HISTORY]
+        self.mode = Mode(values[Packet.MODE] - self.contact.mode_offset)
+        self._hazards = hazards_of(values)
+        if isinstance(self._source, Stream):
+            self._summed = self._source.header_summed
+
+    # Driving.
+
+    def _prepare(self) -> None:
+        """Get ready to drive: out of Passive, and on a Create 1 away from packets 19 and 20."""
+        self._refuse()
+        if self._packets != watched(self.contact):
+            self._source = self._ask(watched(self.contact))
+        if self._safe():
+            return
+        for _ in range(3):
+            self._transport.write(oi.command(Op.SAFE))
+            deadline = self._clock.now() + MODE_SETTLE + 3 * self.spec.sample_period
+            self._clock.sleep(MODE_SETTLE)
+            while self._clock.now() < deadline:
+                self.service(self._clock.now())
+                if self._safe():
+                    return
+                self._clock.sleep(oi.PERIOD / 3)
+        causes = ", ".join(self._hazards.active()) or "unknown to the driver"
+        raise HazardError(
+            f"the base refuses to drive (cause: {causes}); free its wheels, try again"
+        )
+
+    def _refuse(self) -> None:
+        """Raise for what forbids to drive off."""
+        if self._values.get(Packet.CHARGING_SOURCES):
+            raise HazardError("the base is on its charger: unplug it or take it off the dock")
+        if self._hazards.battery < LOW_BATTERY:
+            raise HazardError(f"low battery: {self._hazards.battery:.0%} left; charge the base")
+
+    def _drive(self, right_mm: int, left_mm: int) -> None:
+        self._sent = (right_mm, left_mm)
+        self._sent_at = self._clock.now()
+        self._guard.beat(self._moving)
+        self._transport.write(oi.drive_direct(right_mm, left_mm))
+        if self._reckoning is not None:
+            linear, turn = (right_mm + left_mm) / 2000, (right_mm - left_mm) / 1000
+            self._reckoning.drive(self._sent_at, linear, turn / self.spec.wheel_base)
+
+    # Watching.
+
+    def _watch(self, before: Hazards, now: float) -> None:
+        """Stop for hazards, and repeat what the base did not understand."""
+        names = list(blocking(before, self._hazards, sum(self._sent)))
+        if self._moving and self._hazards.battery < LOW_BATTERY:
+            names.append(f"low battery ({self._hazards.battery:.0%})")
+        since = now - self._sent_at
+        if self._moving and not self._safe() and since > 3 * self.spec.sample_period:
+            names += why_not_safe(self._values, self._hazards)
+        if names:
+            self._drive(0, 0)
+            raise HazardError(f"stopped: {', '.join(dict.fromkeys(names))} at {now:.2f} s")
+        if self._told() != self._sent and since > ASK_AGAIN:
+            self._drive(*self._sent)
+
+    def _safe(self) -> bool:
+        """Tell whether the base would obey drive commands."""
+        return self.mode >= Mode.SAFE
+
+    def _told(self) -> tuple[int, int]:
+        """Return the wheel speeds (right, left) that the base says it was told [mm/s]."""
+        return self._values[Packet.REQUESTED_RIGHT], self._values[Packet.REQUESTED_LEFT]
+
+    def _listen(self, now: float) -> None:
+        """Stop and raise if the base is silent; at rest ask again first."""
+        silent = now - self._heard
+        if silent > (SILENCE if self._moving else SILENCE_AT_REST):
+            self._sent = (0, 0)
+            self._guard.beat(False)
+            self._transport.write(STOP)
+            raise LinkTimeoutError(
+                f"stopped: the base has been silent for {silent:.1f} s; check its cable and battery"
+            )
+        if not self._moving and silent > self._patience and now > self._asked_at:
+            self._ask_again(now)
+
+    def _ask_again(self, now: float) -> None:
+        """Make a base speak that stands and is silent: it may have missed or misread anything."""
+        self._asks += 1
+        pad = HALF_ANYTHING
+        if self._asks > ASKS_AT_ONE_SPEED:
+            pad = HALF_DRIVE
+            speed = BAUDS[(BAUDS.index(self.contact.baud) + 1) % len(BAUDS)]
+            self.contact = replace(self.contact, baud=speed)
+            self._transport.set_baud(speed)
+        self._transport.write(pad + oi.command(Op.START))
+        self._source = self._ask(self._packets)
+        self._asked_at = now + ASK_AGAIN + len(pad) * 10 / self.contact.baud
+
+    def _rest(self, now: float) -> None:
+        """On a Create 1 that stands, read how far it went."""
+        reckoning = self._reckoning
+        if (
+            isinstance(reckoning, CommandedReckoning)
+            and reckoning.unread
+            and not self._moving
+            and now - self._sent_at > REST
+            and self._packets == watched(self.contact)
+        ):
+            self._source = self._ask(at_rest(self.contact))
+
+
+def _wheel_speeds(spec: BaseSpec, linear: float, angular: float) -> tuple[int, int]:
+    """Return the (right, left) speeds [mm/s] for a command, slowed down on the same path."""
+    if not (math.isfinite(linear) and math.isfinite(angular)):
+        raise ConfigError(f"velocity must be finite, got {linear:g} m/s and {angular:g} rad/s")
+    right = 1000 * (linear + angular * spec.wheel_base / 2)
+    left = 1000 * (linear - angular * spec.wheel_base / 2)
+    scale = min(1.0, 1000 * spec.max_wheel_speed / max(abs(left), abs(right), 1.0))
+    return round(right * scale), round(left * scale)
+
+
+def _reckoning(spec: BaseSpec, stamp: float, values: Values) -> Reckoning:
+    if Packet.LEFT_COUNTS in values:
+        return EncoderReckoning(spec, stamp, values)
+    return CommandedReckoning(spec, stamp)
+
+
+def _spec(model: oi.Model, streams: bool) -> BaseSpec:
+    diameter = model.wheel_diameter_mm / 1000
+    # Packet 19 of a Create 1 counts whole millimetres.
+    whole_mm = math.pi * model.wheel_diameter_mm
+    return BaseSpec(
+        name=model.name,
+        radius=0.165,  # create_robot URDF; both generations
+        wheel_base=model.wheel_base_mm / 1000,
+        wheel_diameter=diameter,
+        counts_per_turn=whole_mm if model is CREATE1 else model.counts_per_turn,
+        max_wheel_speed=oi.MAX_WHEEL_SPEED_MM / 1000,
+        sample_period=oi.PERIOD if streams else POLL_PERIOD,
+    )
