@@ -55,6 +55,16 @@ class Splitter:
         del self._line[MAX_LINE:]
         return blocks
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no block has begun."""
+        return not (self._line or self._lines)
+
+    @property
+    def lines(self) -> Block:
+        """The whole lines of the block that is not complete yet."""
+        return tuple(self._lines)
+
     def reset(self) -> None:
         """Forget what has been fed and not returned."""
         self._line.clear()
@@ -87,6 +97,11 @@ class Scan:
 
     time_ms: int
     values: list[int]
+
+
+def is_data(line: bytes) -> bool:
+    """Return whether ``line`` is a full line of data; garbage is one in 10**40 cases."""
+    return len(line) == BLOCK + 1 and is_sixbit(line) and line[-1] == checksum(line[:-1])
 
 
 def find_echo(block: Block, echo: str) -> Block:

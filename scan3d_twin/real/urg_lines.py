@@ -1,0 +1,33 @@
+"""From steps and millimetres to the lines of the hardware interface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scan3d_twin.core.types import VALID, IntArray, LidarSpec, ScanLine, read_only
+from scan3d_twin.protocols import urg04lx
+from scan3d_twin.protocols.urg04lx import ScanMode, step_angle, step_time
+
+
+def line_spec(mode: ScanMode, cluster: int) -> LidarSpec:
+    """Return the geometry of the lines; the middle of a cluster stands for it."""
+    steps = mode.steps
+    groups = [steps[i : i + cluster] for i in range(0, len(steps), cluster)]
+    return LidarSpec(
+        elevations=read_only([(step_angle(g[0]) + step_angle(g[-1])) / 2 for g in groups]),
+        beam_times=read_only([(step_time(g[0]) + step_time(g[-1])) / 2 for g in groups]),
+        line_period=mode.line_period,
+        min_range=urg04lx.MIN_RANGE_MM / 1000,
+        max_range=urg04lx.MAX_RANGE_MM / 1000,
+    )
+
+
+def to_line(stamp: float, values: IntArray) -> ScanLine:
+    """Return the readings [mm] as distances and codes.
+
+    A reading beyond the data sheet's range is none, as in the two-character encoding.
+    """
+    near, far = values < urg04lx.MIN_RANGE_MM, values > urg04lx.MAX_RANGE_MM
+    ranges = np.where(near | far, np.nan, values / 1000)
+    codes = np.where(near, values, np.where(far, urg04lx.NO_RETURN, VALID))
+    return ScanLine(stamp, read_only(ranges), read_only(codes, np.int64))

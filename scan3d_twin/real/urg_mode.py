@@ -1,0 +1,71 @@
+"""Which scans fit which bit rate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from scan3d_twin.core.errors import ConfigError, LinkError
+from scan3d_twin.protocols import scip, urg04lx
+from scan3d_twin.protocols.scip import ScanCommand, ScanRequest
+from scan3d_twin.protocols.scip_replies import scan_length
+from scan3d_twin.protocols.urg04lx import ScanMode
+from scan3d_twin.real.urg_link import BITS_PER_BYTE
+
+_COMMANDS: tuple[ScanCommand, ...] = ("MD", "MS")
+"""Three characters a step first; two go up to 4095 mm, which is the data sheet's range."""
+
+
+def scan_requests(mode: ScanMode, cluster: int = 1) -> tuple[ScanRequest, ...]:
+    """Return the streams that deliver ``mode``, the best first.
+
+    Raises:
+        ConfigError: There is no such stream.
+    """
+    low, high = urg04lx.FIRST_STEP, urg04lx.LAST_STEP
+    if not low <= mode.first_step <= mode.last_step <= high:
+        raise ConfigError(
+            f"lidar steps must be within {low} to {high}, got {mode.first_step} to {mode.last_step}"
+        )
+    if not (1 <= cluster <= 99 and 1 <= mode.turns_per_line <= 10):
+        raise ConfigError(
+            f"cluster must be 1 to 99 and turns per line 1 to 10, got {cluster} and "
+            f"{mode.turns_per_line}"
+        )
+    skip = mode.turns_per_line - 1
+    return tuple(
+        ScanRequest(command, mode.first_step, mode.last_step, cluster, skip)
+        for command in _COMMANDS
+    )
+
+
+def duration(request: ScanRequest, baud: int) -> float:
+    """Return how long a scan is on its way at ``baud`` bit/s [s]."""
+    return scan_length(request) * BITS_PER_BYTE / baud
+
+
+def period(request: ScanRequest) -> float:
+    """Return the time between two scans of the stream [s]."""
+    return (request.skip + 1) * urg04lx.REVOLUTION
+
+
+def choices(
+    requests: Iterable[ScanRequest], current: int, bauds: Iterable[int] = scip.BAUDS
+) -> Iterator[tuple[ScanRequest, int]]:
+    """Yield what fits, the best first: the ``current`` bit rate before the slowest other one."""
+    order = [current, *sorted(set(bauds) - {current})]
+    for request in requests:
+        for baud in order:
+            if duration(request, baud) <= period(request):
+                yield request, baud
+
+
+def too_slow(request: ScanRequest, baud: int) -> LinkError:
+    """Return the error that says with numbers why ``request`` does not fit."""
+    needed, there = duration(request, baud), period(request)
+    most = int(request.n_values * there / needed)
+    fits = next(b for b in scip.BAUDS if duration(request, b) <= there)
+    return LinkError(
+        f"{request.n_values} steps take {1e3 * needed:.0f} ms at {baud} baud, but a line lasts "
+        f"{1e3 * there:.0f} ms, and this port or lidar goes no faster: use {fits} baud, USB, about "
+        f"{most} steps, or every {-int(-needed // urg04lx.REVOLUTION)}. turn"
+    )
