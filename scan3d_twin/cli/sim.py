@@ -12,7 +12,14 @@ from cyclopts import Parameter
 from scan3d_twin.cli.dotted import ENVIRONMENT, dotted_options, stated
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.presets import preset
-from scan3d_twin.recording.settings import Options, Settings, merge, read_settings, settings
+from scan3d_twin.recording.settings import (
+    Options,
+    Settings,
+    merge,
+    read_settings,
+    settings,
+    world_options,
+)
 
 if TYPE_CHECKING:
     from scan3d_twin.sim.scene import Scene
@@ -38,7 +45,9 @@ class SimOptions:
     tour: Annotated[Literal["front", "full"] | None, _env("TOUR")] = None
     """Scan the front only, or all round (default: the scene's)."""
     robot: Annotated[str | None, _env("ROBOT")] = None
-    """Robot profile: create2 (default create2)."""
+    """Robot profile: create1 or create2 (default create2)."""
+    world: Annotated[str | None, _env("WORLD")] = None
+    """Named errors of robot, lidar and floor: ideal, typical or harsh (default typical)."""
     lidar_link: Annotated[str | None, _env("LIDAR_LINK")] = None
     """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
     (682 steps, 5 Hz) (default usb)."""
@@ -92,11 +101,12 @@ def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
 
     file = {} if options.config is None else read_settings(options.config)
     given = merge([file, sections, _flat(options, sections)])
-    name = settings([given]).run.preset
-    effective = settings([preset(name), given])
+    run = settings([given]).run
+    named = [world_options(run.world), preset(run.preset)]
+    effective = settings([*named, given])
     make_planner(effective.config.planner)
     scene = load_scene(effective.run.scene, effective.run.mesh_scale)
-    return settings([_of_scene(scene), preset(name), given]), scene
+    return settings([_of_scene(scene), *named, given]), scene
 
 
 def _of_scene(scene: Scene) -> Options:
@@ -111,7 +121,7 @@ def _flat(options: SimOptions, sections: Options) -> Options:
     for name, value in _given(options):
         if name == "scene":
             run[name] = _absolute(value)
-        elif name in ("seed", "preset", "target", "mesh_scale"):
+        elif name in ("seed", "preset", "world", "target", "mesh_scale"):
             run[name] = value
         elif name in ("tour", "planner", "max_views", "robot", "lidar_link"):
             top[name] = value

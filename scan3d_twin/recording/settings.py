@@ -18,9 +18,9 @@ import tomli_w
 
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.errors import ConfigError, FileError, UnknownNameError
 from scan3d_twin.core.presets import DEFAULT_PRESET
-from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
 
 Options = Mapping[str, Any]
 T = TypeVar("T")
@@ -36,6 +36,8 @@ class Run:
     """The run's one seed."""
     preset: str = DEFAULT_PRESET
     """Named set of options."""
+    world: str = DEFAULT_WORLD
+    """Named set of the twin's errors: ideal, typical or harsh."""
     target: str = ""
     """Name of a body of the scene, or x,y [m] in the odometry frame; empty: what stands out."""
     mesh_scale: float = 1.0
@@ -48,6 +50,8 @@ class Run:
             raise ConfigError(f"run.seed must be >= 0, got {self.seed}")
         if not self.mesh_scale > 0:
             raise ConfigError(f"run.mesh_scale must be > 0, got {self.mesh_scale:g}")
+        if self.world not in WORLDS:
+            raise UnknownNameError("world", self.world, WORLDS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +93,12 @@ def settings(sources: Iterable[Options]) -> Settings:
         config=_build(Config, _part(options, Config), ""),
         twin=_build(TwinConfig, _part(options, TwinConfig), ""),
     )
+
+
+def world_options(name: str) -> Options:
+    """Return the options that the twin's named world stands for."""
+    lidar, errors = WORLDS[name]
+    return {"lidar": _plain(lidar), "errors": _plain(errors)}
 
 
 def read_settings(path: Path) -> Options:

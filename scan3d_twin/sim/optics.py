@@ -95,10 +95,9 @@ class Materials:
 
 def _rgba(model: Any, geom: int) -> FloatArray:
     material = model.geom_matid[geom]
-    own: FloatArray = model.geom_rgba[geom]
-    if material >= 0 and np.allclose(own, UNSET_RGBA):
-        own = model.mat_rgba[material]
-    return own
+    if material >= 0 and np.allclose(model.geom_rgba[geom], UNSET_RGBA):
+        return np.array(model.mat_rgba[material])
+    return np.array(model.geom_rgba[geom])
 
 
 def _retro_gains(model: Any) -> dict[int, float]:

@@ -11,6 +11,8 @@ import numpy as np
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import FloatArray, Pose2, read_only
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
+from scan3d_twin.sim.floor import lay_floor, uneven_floor
+from scan3d_twin.sim.profiles import PROFILES
 from scan3d_twin.sim.resources import resource_dir
 from scan3d_twin.sim.scene import Scene
 
@@ -36,6 +38,7 @@ class RobotErrors:
         friction: Sliding friction of the tyres.
         cogging: Amplitude of the cogging torque [N m].
         cogging_phase: Phase of the left and right wheel's cogging (2,) [rad].
+        floor: Heights of an uneven floor on a square grid (n, n) [m]; None is an even one.
     """
 
     wheel_radius: FloatArray
@@ -43,6 +46,7 @@ class RobotErrors:
     friction: float
     cogging: float
     cogging_phase: FloatArray
+    floor: FloatArray | None = None
 
     @staticmethod
     def draw(config: RobotErrorConfig, rng: np.random.Generator) -> RobotErrors:
@@ -53,12 +57,23 @@ class RobotErrors:
             friction=float(rng.uniform(config.friction_min, config.friction_max)),
             cogging=config.cogging,
             cogging_phase=read_only(rng.uniform(0.0, 2 * np.pi, 2)),
+            floor=uneven_floor(config, rng) if config.uneven > 0 else None,
         )
 
 
 def robot_spec(robot: RobotName) -> Any:
-    """Return the robot's own ``MjSpec``, as on its data sheet."""
-    return mujoco.MjSpec.from_file(str(resource_dir("assets") / "mjcf" / f"{robot}.xml"))
+    """Return the robot's own ``MjSpec``, as on its data sheet.
+
+    The two generations differ in their wheels; the file has those of the Create 2.
+    """
+    spec = mujoco.MjSpec.from_file(str(resource_dir("assets") / "mjcf" / "create2.xml"))
+    profile = PROFILES[robot]
+    radius, half = profile.wheel_diameter / 2, profile.wheel_base / 2
+    for side, sign in (("left", 1), ("right", -1)):
+        tyre = spec.geom(f"{side}_tyre")
+        tyre.size = [radius, tyre.size[1], radius]
+        spec.body(f"{side}_mount").pos = [0, sign * half, radius]
+    return spec
 
 
 def build_model(scene: Scene, robot: RobotName, errors: RobotErrors) -> Any:
@@ -75,6 +90,8 @@ def build_model(scene: Scene, robot: RobotName, errors: RobotErrors) -> Any:
     child = robot_spec(robot)
     _apply_errors(child, errors)
     spec.attach(child, prefix=PREFIX, frame=frame)
+    if errors.floor is not None:
+        lay_floor(spec, errors.floor)
     _set_options(spec.option)
     try:
         return spec.compile()

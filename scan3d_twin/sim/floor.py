@@ -1,0 +1,53 @@
+"""An uneven floor: what the wheels roll on where the scene has a plane.
+
+The lidar goes on seeing the plane, a millimetre off, far below its own noise.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from scan3d_twin.core.types import FloatArray
+from scan3d_twin.sim.config import RobotErrorConfig
+
+REACH = 6.0
+"""Half the side of the uneven square about the scene's origin [m]; beyond it the floor is even."""
+CELLS_PER_LENGTH = 4
+"""Cells of the grid per ``uneven_length``; a coarser grid would have kinks."""
+
+
+def uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArray:
+    """Return heights (n, n) [m] of zero mean that change over ``uneven_length``."""
+    n = round(2 * REACH / config.uneven_length * CELLS_PER_LENGTH)
+    smooth = gaussian_filter(rng.standard_normal((n, n)), CELLS_PER_LENGTH / 2, mode="nearest")
+    heights: FloatArray = (smooth - smooth.mean()) / smooth.std() * config.uneven
+    return heights
+
+
+def lay_floor(spec: Any, heights: FloatArray) -> None:
+    """Let the robot roll on ``heights`` (n, n) [m] instead of the scene's planes."""
+    planes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    if not planes:
+        return  # a floor made of boxes has its own edges
+    for plane in planes:
+        plane.conaffinity = 0  # the robot touches what has a conaffinity
+    low, high = float(heights.min()), float(heights.max())
+    field = spec.add_hfield(
+        name="uneven_floor",
+        size=[REACH, REACH, high - low, 0.1],
+        nrow=heights.shape[0],
+        ncol=heights.shape[1],
+    )
+    field.userdata = ((heights - low) / (high - low)).ravel()
+    spec.worldbody.add_geom(
+        name="uneven_floor",
+        type=mujoco.mjtGeom.mjGEOM_HFIELD,
+        hfieldname="uneven_floor",
+        pos=[0, 0, low],
+        rgba=[0, 0, 0, 0],  # rays pass through what is wholly transparent
+        group=3,
+    )
