@@ -24,7 +24,9 @@ VALID = -1
 
 
 def wrap(angle: float) -> float:
-    """Return ``angle`` [rad] wrapped to [-pi, pi)."""
+    """Return ``angle`` [rad] wrapped to [-pi, pi); an angle in it is returned as it is."""
+    if -math.pi <= angle < math.pi:
+        return angle
     return (angle + math.pi) % math.tau - math.pi
 
 
