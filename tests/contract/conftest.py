@@ -7,6 +7,7 @@ import pytest
 
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.wired import open_wired
 
 Opener = Callable[[str], AbstractContextManager[Robot]]
 
@@ -17,7 +18,13 @@ def _sim(scene: str) -> Iterator[Robot]:
         yield robot
 
 
-BACKENDS: dict[str, Opener] = {"sim": _sim}
+@contextmanager
+def _wired(scene: str) -> Iterator[Robot]:
+    with open_wired(scene, seed=7) as (robot, _):
+        yield robot
+
+
+BACKENDS: dict[str, Opener] = {"sim": _sim, "wired": _wired}
 
 
 @pytest.fixture(params=BACKENDS)

@@ -1,0 +1,113 @@
+"""Opening the real robot: two serial ports behind the hardware interface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from typing import Protocol
+
+from scan3d_twin.core.errors import LinkTimeoutError
+from scan3d_twin.core.hal import Clock, Robot
+from scan3d_twin.protocols.urg04lx import ScanMode
+from scan3d_twin.real.clock import RealClock
+from scan3d_twin.real.create import Guard, open_create
+from scan3d_twin.real.guard import ProcessGuard
+from scan3d_twin.real.transport import SerialTransport, Transport
+from scan3d_twin.real.urg import UrgLidar
+
+SLICE = 0.005
+"""The ports are looked at this often while the robot's clock sleeps [s]."""
+
+
+class Driver(Protocol):
+    """Something that must be looked after while time passes."""
+
+    def service(self, now: float) -> None:
+        """Take in what has arrived by ``now`` [s]; raises what the robot must know at once."""
+        ...
+
+
+class ServicedClock:
+    """The robot's clock: while it sleeps, it services the drivers, without threads."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._drivers: list[Driver] = []
+
+    def attach(self, *drivers: Driver) -> None:
+        """Service ``drivers`` from now on, in this order."""
+        self._drivers += drivers
+
+    def now(self) -> float:
+        """See ``Clock.now``."""
+        return self._clock.now()
+
+    def sleep(self, seconds: float) -> None:
+        """See ``Clock.sleep``."""
+        deadline = self._clock.now() + seconds
+        while True:
+            for driver in self._drivers:
+                driver.service(self._clock.now())
+            left = deadline - self._clock.now()
+            if left <= 1e-9:
+                return
+            self._clock.sleep(min(SLICE, left))
+
+
+@contextmanager
+def open_over(
+    base_link: Transport,
+    open_lidar_link: Callable[[], Transport],
+    clock: Clock,
+    mode: ScanMode,
+    guard: Guard | None = None,
+) -> Iterator[Robot]:
+    """Open the drivers on two lines; on every way out the wheels are stopped first.
+
+    Args:
+        base_link: To the base; stays open.
+        open_lidar_link: Opens the line to the lidar; called again after it was unplugged.
+        clock: Passes the time without servicing anything.
+        mode: Which lines the lidar is to send.
+        guard: Stops the wheels if this process cannot.
+
+    Raises:
+        LinkError: A device does not answer, or cannot do what is asked.
+    """
+    serviced = ServicedClock(clock)
+    with ExitStack() as stack:
+        # The base comes last, so that it is the first to be closed.
+        lidar = stack.enter_context(closing(UrgLidar(open_lidar_link, serviced, mode)))
+        serviced.attach(lidar)
+        base = stack.enter_context(closing(open_create(base_link, serviced, guard)))
+        serviced.attach(base)
+        _forget_lines(lidar)
+        yield Robot(base, lidar, serviced)
+
+
+def _forget_lines(lidar: UrgLidar) -> None:
+    """Drop the lines that came in while the base was looked for."""
+    with suppress(LinkTimeoutError):
+        while True:
+            lidar.read_line(0.0)
+
+
+@contextmanager
+def open_real(base_port: str, lidar_port: str, mode: ScanMode) -> Iterator[Robot]:
+    """Open the robot on two serial ports; it does not move, and is stopped on every way out.
+
+    Args:
+        base_port: Of the Create, such as ``/dev/ttyUSB0``.
+        lidar_port: Of the URG-04LX, such as ``/dev/ttyACM0``.
+        mode: Which lines the lidar is to send.
+
+    Raises:
+        LinkError: A port cannot be opened, or no such device is on it; says what to do.
+    """
+    clock = RealClock()
+    with ExitStack() as stack:
+        link = stack.enter_context(closing(SerialTransport(base_port)))
+        guard = stack.enter_context(closing(ProcessGuard(link.fileno(), clock)))
+        yield stack.enter_context(
+            open_over(link, lambda: SerialTransport(lidar_port), clock, mode, guard)
+        )

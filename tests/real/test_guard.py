@@ -1,0 +1,131 @@
+"""A process that drives is killed or hangs: the wheels of the emulated base must stop."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+from kinematic import JumpingClock, KinematicBase
+
+from scan3d_twin.core.errors import HazardError
+from scan3d_twin.emulator.create import CreateEmulator
+from scan3d_twin.emulator.line import Line
+from scan3d_twin.emulator.pty import PtyPort
+from scan3d_twin.emulator.serve import serve
+from scan3d_twin.protocols.oi_packets import Mode
+from scan3d_twin.real.clock import RealClock
+from scan3d_twin.real.guard import ProcessGuard
+
+PROGRAM = Path(__file__).with_name("driving.py")
+
+
+class Road:
+    """An emulated base on a pseudo-terminal, in real time."""
+
+    def __init__(self):
+        self.base = KinematicBase()
+        self.device = CreateEmulator(self.base)
+        self._clock = JumpingClock(self.base)
+        self.port = PtyPort(Line(self.device))
+        self.close = self.port.close
+
+    def serve(self, until, timeout=20.0):
+        """Serve the port until something holds; return how long that took."""
+        started = time.monotonic()
+
+        def ended():
+            assert time.monotonic() - started < timeout
+            return until()
+
+        serve([self.port], self._clock, ended)
+        return time.monotonic() - started
+
+
+@pytest.fixture
+def road():
+    with closing(Road()) as opened:
+        yield opened
+
+
+@contextmanager
+def driving(road, what):
+    """Start the program and wait until it is ready."""
+    command = [sys.executable, str(PROGRAM), road.port.path, what]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        try:
+            road.serve(lambda: select.select([process.stdout], [], [], 0)[0])
+            assert process.stdout.readline() == b"ready\n"
+            yield process
+        finally:
+            process.kill()
+
+
+def moves(road):
+    return road.base.speed != (0.0, 0.0)
+
+
+def test_kill_9_stops_the_wheels_within_half_a_second(road):
+    with driving(road, "drive") as process:
+        road.serve(lambda: moves(road))
+        assert moves(road)
+        process.send_signal(signal.SIGKILL)
+        assert road.serve(lambda: not moves(road)) < 0.5
+        road.serve(lambda: road.device.mode is Mode.PASSIVE, timeout=1.0)
+
+
+def test_a_stopped_process_stops_the_wheels_within_half_a_second(road):
+    with driving(road, "drive") as process:
+        road.serve(lambda: moves(road))
+        process.send_signal(signal.SIGSTOP)
+        assert 0.2 < road.serve(lambda: not moves(road)) < 0.5
+        assert road.device.mode is Mode.PASSIVE
+
+
+def test_a_loop_that_hangs_stops_the_wheels(road):
+    with driving(road, "hang"):
+        road.serve(lambda: moves(road))
+        assert 0.6 < road.serve(lambda: not moves(road)) < 1.2
+
+
+def test_a_loop_that_goes_on_is_left_alone(road):
+    with driving(road, "drive"):
+        road.serve(lambda: moves(road))
+        start = road.base.odometry().stamp
+        road.serve(lambda: road.base.odometry().stamp > start + 1.5 or not moves(road))
+        assert moves(road)
+
+
+def test_killed_at_rest_the_base_is_left_in_passive(road):
+    with driving(road, "rest") as process:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        start = road.base.odometry().stamp
+        road.serve(lambda: road.base.odometry().stamp > start + 0.3)
+        assert road.device.mode is Mode.PASSIVE
+        assert not moves(road)
+
+
+def test_in_order_everything_ends(road):
+    with driving(road, "leave") as process:
+        road.serve(lambda: process.poll() is not None)
+        assert process.stdout.read() == b"closed\n"
+        assert process.returncode == 0
+        assert not moves(road)
+        assert road.device.mode is Mode.PASSIVE
+
+
+def test_without_a_guard_it_does_not_drive():
+    reader, writer = os.pipe()
+    guard = ProcessGuard(writer, RealClock())
+    guard._process.kill()
+    guard._process.wait()
+    with pytest.raises(HazardError, match="guard process has ended"):
+        guard.beat(True)
+    guard.close()
+    os.close(reader)
+    os.close(writer)
