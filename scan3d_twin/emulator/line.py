@@ -13,8 +13,9 @@ import numpy as np
 from scan3d_twin.core.errors import HazardError, LinkError
 from scan3d_twin.core.hal import Clock
 
-BUFFER = 4096
-"""Bytes the client's port keeps until they are read; more are lost. Linux, N_TTY_BUF_SIZE."""
+BUFFER = 65536
+"""Bytes the client's port keeps until they are read; more are lost. Assumption: Linux keeps up to
+640 KiB behind its 4 KiB, adapters much less."""
 BITS_PER_BYTE = 10
 """8N1: start bit, eight data bits, stop bit."""
 POLL = 0.002

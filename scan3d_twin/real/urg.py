@@ -16,7 +16,7 @@ from scan3d_twin.core.errors import LinkError, LinkTimeoutError, ProtocolError
 from scan3d_twin.core.hal import Clock
 from scan3d_twin.core.types import ScanLine
 from scan3d_twin.protocols.scip import Request, ScanRequest
-from scan3d_twin.protocols.scip_replies import DONE, STREAMED, decode_reply, decode_scan, find_echo
+from scan3d_twin.protocols.scip_replies import DONE, STREAMED, decode_scan, find_echo
 from scan3d_twin.protocols.urg04lx import LINKS, ScanMode
 from scan3d_twin.real.transport import Transport
 from scan3d_twin.real.urg_clock import SensorClock
@@ -108,9 +108,9 @@ class UrgLidar:
             ConfigError: There is no such mode.
             LinkError: No sensor, or it cannot deliver ``mode``; says why.
         """
+        self._requests = scan_requests(mode, cluster)
         self.spec = line_spec(mode, cluster)
         self.stats = UrgStats()
-        self._requests = scan_requests(mode, cluster)
         self._open_transport = open_transport
         self._clock = clock
         self._unread: deque[ScanLine] = deque(maxlen=UNREAD_LINES)
@@ -226,8 +226,7 @@ class UrgLidar:
         yield from find(link, deadline, self._bauds)
         found = link.baud
         info = yield from identify(link, self._info)
-        deadline = self._clock.now() + FIND_TIMEOUT
-        self.request = yield from speed_up(link, self._requests, deadline)
+        self.request = yield from speed_up(link, self._requests)
         self._sensor_clock = SensorClock(self._sensor_clock.latency)
         if self._info is None:
             yield from synchronise(link, self._sensor_clock)
@@ -242,7 +241,7 @@ class UrgLidar:
     def _take(self, arrived: Arrived) -> None:
         """Keep the scan in a block that has arrived; count it as bad if it is."""
         try:
-            reply = decode_reply(find_echo(arrived.block, self.request.request().echo))
+            reply, began = arrived.reply(self.request.request().echo)
             if reply.status != STREAMED:
                 if reply.status not in (DONE, "0B"):
                     _log.warning("the lidar reports status %s", reply.status)
@@ -251,7 +250,7 @@ class UrgLidar:
             values = np.array(scan.values)
             if values.max() > int(self.info.parameters["DMAX"]):
                 raise ProtocolError(f"{values.max()} mm is more than the lidar can see")
-            stamp = self._sensor_clock.stamp(scan.time_ms, arrived.at)
+            stamp = self._sensor_clock.stamp(scan.time_ms, began)
         except ProtocolError as error:
             self.stats.bad += 1
             _log.debug("scan dropped: %s", error)
@@ -267,8 +266,8 @@ class UrgLidar:
         if link is None or self._info is None:
             return
         self._finish(link, Request("QT"))
-        if self._info.baud != link.baud:
-            usual = self._info.baud if self._info.baud in USUAL_BAUDS else 115200
+        usual = self._info.baud if self._info.baud in USUAL_BAUDS else 115200
+        if usual != link.baud:
             self._finish(link, Request("SS", f"{usual:06d}"))
 
     def _finish(self, link: UrgLink, request: Request) -> None:

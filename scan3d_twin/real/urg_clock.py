@@ -20,8 +20,9 @@ LEARNING = 20.0
 """For so long after the time mode its offset and the scans' arrival tell the latency [s]."""
 LATENCIES = (0.03, 0.25)
 """Latency that can be believed [s]; the scan itself takes 71 ms, the capture has 101 ms."""
-EARLY, LATE = 0.03, 2.0
-"""How far a scan may be ahead of what is expected, and behind it (stalls) [s]."""
+EARLY, STEADY, LATE = 0.03, 0.5, 2.0
+"""How far a scan may be ahead of what is expected, and behind it: at the usual pace, and after a
+stall [s]."""
 PATIENCE = 3
 """After so many stamps in a row that cannot be, the sensor's timer must have been reset."""
 
@@ -65,7 +66,8 @@ class SensorClock:
             ProtocolError: That cannot be, seen from the scans before.
         """
         seconds = self._unwrapped(time_ms)
-        if self._last_ms is not None and not self._plausible(seconds, arrival):
+        known = self._anchor is not None or len(self._points) > 0
+        if known and not self._plausible(seconds, arrival):
             self._refused += 1
             if self._refused < PATIENCE:
                 raise ProtocolError(f"time {time_ms} ms does not fit the scans before")
@@ -76,7 +78,7 @@ class SensorClock:
         while self._points[0][0] < seconds - WINDOW:
             self._points.popleft()
         offset, skew = self._fit()
-        self._learn(seconds, offset, skew)
+        offset = self._checked(seconds, offset, skew)
         return seconds + offset + skew * seconds - self.latency
 
     def _restart(self) -> None:
@@ -95,16 +97,21 @@ class SensorClock:
         self._last_ms, self._seconds, self._refused = time_ms, seconds, 0
 
     def _plausible(self, seconds: float, arrival: float) -> bool:
-        if self._points:
-            offset, skew = self._fit()
-            expected = seconds + offset + skew * seconds
-            advances = seconds > self._points[-1][0]
+        """Return whether a scan may come so early, or so late."""
+        # The skew is not known at first, or after a long silence.
+        slack = EARLY + MAX_SKEW * abs(seconds - self._seconds)
+        if self._anchor is not None and seconds < self._anchor[0] + LEARNING:
+            delay = arrival - seconds - self._anchor[1] - LATENCIES[0]
         else:
-            assert self._anchor is not None
-            expected, advances = seconds + self._anchor[1] + self.latency, True
-        # The skew is not known yet at first, or after a long silence.
-        slack = MAX_SKEW * abs(seconds - self._seconds)
-        return advances and -EARLY - slack < arrival - expected < LATE + slack
+            offset, skew = self._fit()
+            delay = arrival - seconds - offset - skew * seconds
+        if not self._points:
+            return -slack < delay < LATE
+        before, late = self._points[-1]
+        passed = seconds - before
+        # After a stall all come at once; who is late at the usual pace has another timer.
+        steady = abs(arrival - late - before - passed) < 0.5 * passed
+        return passed > 0 and -slack < delay < (STEADY if steady else LATE)
 
     def _fit(self) -> tuple[float, float]:
         """Return (offset [s], skew) of the line under the points."""
@@ -123,12 +130,16 @@ class SensorClock:
             skew = math.copysign(MAX_SKEW, skew)
         return min(y - skew * x for x, y in points), skew
 
-    def _learn(self, seconds: float, offset: float, skew: float) -> None:
-        """Compare the scans with what the time mode said."""
-        if self._anchor is not None and seconds < self._anchor[0] + LEARNING:
-            latency = offset + skew * self._anchor[0] - self._anchor[1]
-            if LATENCIES[0] < latency < LATENCIES[1]:
-                self.latency = latency
+    def _checked(self, seconds: float, offset: float, skew: float) -> float:
+        """Learn the latency from what the time mode said, and return the offset it allows."""
+        if self._anchor is None or seconds > self._anchor[0] + LEARNING:
+            return offset
+        latency = offset + skew * self._anchor[0] - self._anchor[1]
+        # Scans that came later than that were held up, all of them so far.
+        excess = max(0.0, latency - LATENCIES[1])
+        if latency >= LATENCIES[0]:
+            self.latency = latency - excess
+        return offset - excess
 
 
 def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:

@@ -39,6 +39,8 @@ ORDER = (115200, 19200, 57600, 38400, 250000, 500000, 750000)
 """Bit rates by likelihood; 19200 and 115200 are usual."""
 SETTLE = 0.02
 """The sensor changes its bit rate after the reply [s]; assumption."""
+FALLBACK = 1.2
+"""How long to look for a sensor that is not heard at its new bit rate [s]."""
 TIMES = 4
 """Readings of the timer; the earliest reply counts."""
 
@@ -172,36 +174,51 @@ def identify(link: UrgLink, known: UrgInfo | None = None) -> Steps[UrgInfo]:
     return UrgInfo(link.baud, version, parameters, state)
 
 
-def speed_up(link: UrgLink, requests: Sequence[ScanRequest], deadline: float) -> Steps[ScanRequest]:
+def speed_up(link: UrgLink, requests: Sequence[ScanRequest]) -> Steps[ScanRequest]:
     """Choose a bit rate that both sides manage, and return the stream that fits it.
 
     Raises:
         LinkError: None fits; says what would.
     """
-    found = link.baud
     failed: set[int] = set()
-    for request, baud in choices(requests, found):
+    for request, baud in choices(requests, link.baud):
         if baud in failed:
             continue
-        if baud == link.baud or (yield from _changed(link, baud, deadline)):
+        if baud == link.baud or (yield from _changed(link, baud)):
             return request
         failed.add(baud)
     raise too_slow(requests[-1], link.baud)
 
 
-def _changed(link: UrgLink, baud: int, deadline: float) -> Steps[bool]:
-    """Change the bit rate to ``baud`` and return whether that works; else it is as before."""
+def _changed(link: UrgLink, baud: int) -> Steps[bool]:
+    """Change the bit rate to ``baud`` and return whether both sides can; else it is as before.
+
+    Raises:
+        LinkError: Both said they can, but then do not understand each other.
+    """
     before = link.baud
+    # First the port alone: a sensor that went where the port cannot follow is lost until power-up.
+    try:
+        link.set_baud(baud)
+    except LinkError:
+        return False
+    finally:
+        link.set_baud(before)
     status, _ = yield from link.ask(Request("SS", f"{baud:06d}"), status_of)
     if status not in ("00", "03"):
         return False
     yield from link.wait(SETTLE)
-    with suppress(LinkError):
-        link.set_baud(baud)
+    link.set_baud(baud)
+    with suppress(LinkTimeoutError):
         yield from link.ask(_QUIT, status_of, attempts=2)
         return True
-    _log.warning("%d baud does not work, going back to %d", baud, before)
-    yield from find(link, deadline, (before, *ORDER))
+    try:
+        yield from find(link, link.clock.now() + FALLBACK, (before, *ORDER))
+    except LinkError:
+        raise LinkError(
+            f"the lidar went to {baud} baud as asked, but this port does not understand it there: "
+            "power the lidar off and on, and choose a slower link or USB"
+        ) from None
     return False
 
 

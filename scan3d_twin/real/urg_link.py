@@ -30,10 +30,27 @@ BITS_PER_BYTE = 10
 
 @dataclass(frozen=True, slots=True)
 class Arrived:
-    """A block and when its first byte began to arrive [s]."""
+    """A block that has arrived.
+
+    Attributes:
+        block: Its lines.
+        began: When its first byte came [s].
+        ended: When its last byte came [s].
+    """
 
     block: Block
-    at: float
+    began: float
+    ended: float
+
+    def reply(self, echo: str) -> tuple[Reply, float]:
+        """Return the reply to ``echo`` in it, and when that began to arrive [s].
+
+        Raises:
+            ProtocolError: There is none.
+        """
+        block = find_echo(self.block, echo)
+        # What came before the echo belongs to something else: then only the end is known.
+        return decode_reply(block), self.began if len(block) == len(self.block) else self.ended
 
 
 class UrgLink:
@@ -65,7 +82,7 @@ class UrgLink:
         if self._splitter.is_empty:
             self._began = now
         for block in self._splitter.feed(data):
-            self._blocks.append(Arrived(block, self._began))
+            self._blocks.append(Arrived(block, self._began, now))
             self._began = now
 
     def take(self) -> Iterator[Arrived]:
@@ -118,8 +135,8 @@ class UrgLink:
             while self.clock.now() < deadline:
                 for arrived in self.take():
                     try:
-                        reply = decode_reply(find_echo(arrived.block, request.echo))
-                        return decode(reply), arrived.at
+                        reply, began = arrived.reply(request.echo)
+                        return decode(reply), began
                     except ProtocolError:
                         continue
                 yield

@@ -1,0 +1,62 @@
+"""Which scans fit which bit rate; the numbers are those of the bytes on the wire, 8N1."""
+
+import pytest
+
+from scan3d_twin.protocols.scip import ScanRequest
+from scan3d_twin.protocols.urg04lx import LINKS, ScanMode
+from scan3d_twin.real import urg_mode
+
+
+@pytest.mark.parametrize(
+    ("request_", "baud", "milliseconds"),
+    [
+        (ScanRequest("MD", 44, 725), 19200, 1113),
+        (ScanRequest("MD", 44, 725), 57600, 371),
+        (ScanRequest("MD", 44, 725), 115200, 186),
+        (ScanRequest("MD", 44, 725), 250000, 85),
+        (ScanRequest("MD", 44, 725), 500000, 43),
+        (ScanRequest("MD", 44, 725), 750000, 28),
+        (ScanRequest("MS", 44, 725), 115200, 125),
+        (ScanRequest("MD", 44, 725, 2), 115200, 94),
+    ],
+)
+def test_how_long_a_scan_takes(request_, baud, milliseconds):
+    assert 1e3 * urg_mode.duration(request_, baud) == pytest.approx(milliseconds, abs=0.6)
+
+
+@pytest.mark.parametrize(
+    ("link", "current", "command", "baud"),
+    [
+        ("usb", 115200, "MD", 250000),
+        ("usb", 500000, "MD", 500000),
+        ("115200", 115200, "MD", 115200),
+        ("115200", 19200, "MD", 115200),
+        ("115200-full", 19200, "MD", 115200),
+        ("115200-full", 57600, "MD", 115200),
+    ],
+)
+def test_the_first_choice(link, current, command, baud):
+    requests = urg_mode.scan_requests(LINKS[link])
+    request, chosen = next(urg_mode.choices(requests, current))
+    assert (request.command, chosen) == (command, baud)
+
+
+@pytest.mark.parametrize(("steps", "command"), [(357, "MD"), (364, "MS"), (536, "MS"), (547, None)])
+def test_how_many_steps_fit_115200_baud_at_10_hz(steps, command):
+    requests = urg_mode.scan_requests(ScanMode(44, 43 + steps, 1))
+    fit = [r.command for r, baud in urg_mode.choices(requests, 115200) if baud == 115200]
+    assert fit[:1] == [command][: command is not None]
+
+
+def test_every_second_turn_is_asked_for():
+    assert (
+        urg_mode.scan_requests(LINKS["115200-full"])[0].request().encode() == b"MD0044072501100\n"
+    )
+
+
+def test_the_refusal_names_what_would_do():
+    text = str(urg_mode.too_slow(ScanRequest("MS", 44, 725), 115200))
+    assert "682 steps take 125 ms at 115200 baud" in text
+    assert "250000 baud" in text
+    assert "547 steps" in text
+    assert "every 2. turn" in text
