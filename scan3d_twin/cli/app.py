@@ -33,6 +33,11 @@ app = App(
 app.command("scan3d_twin.cli.sim:sim", name="sim", help="Digitise a scene with the twin.")
 app.command("scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.")
 app.command("scan3d_twin.cli.listing:planners", name="planners", help="List the planners.")
+app.command(
+    "scan3d_twin.cli.emulate:emulate",
+    name="emulate",
+    help="Serve the twin's base and lidar on serial ports.",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,7 +63,7 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def _command(tokens: Sequence[str]) -> str:
-    return f"{tokens[0]} " if tokens and tokens[0] in ("sim", "scenes", "planners") else ""
+    return f"{tokens[0]} " if tokens and tokens[0] in set(app) - {*app.help_flags} else ""
 
 
 def _fail(message: str, code: int) -> int:
