@@ -18,7 +18,7 @@ from scan3d_twin.core.gaps import fill_gaps
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.motion import follow
 from scan3d_twin.core.planning import Planner
-from scan3d_twin.core.registration import cut_lines, overlapping_lines, register
+from scan3d_twin.core.registration.icp import cut_lines, overlapping_lines, register
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.sweep import look_around, sweep
 from scan3d_twin.core.target import all_points, extract_target, find_target
@@ -205,7 +205,9 @@ def _register(view: View, previous: View, config: Config) -> RegistrationResult:
     init = previous.T_world_scan.inverse() @ view.T_world_scan
     target, source = (_in_scope(v, config.registration.scope) for v in (previous, view))
     source = overlapping_lines(target, source, init)
-    ends = ends_in_view(previous.image, previous.sweep, previous.target, config.target)
+    ends = config.registration.scope == "target" and ends_in_view(
+        previous.image, previous.sweep, previous.target, config.target
+    )
     return register(
         target.points,
         source.points,

@@ -14,6 +14,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.model import fuse, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
@@ -122,7 +123,13 @@ class Evaluation:
 
 
 def evaluate(session: Session, truth: Truth) -> Evaluation:
-    """Compare ``session``, which has at least one view with target points, with the truth."""
+    """Compare ``session`` with the truth.
+
+    Raises:
+        ScanError: No view shows anything of the target.
+    """
+    if not any(len(view.target) for view in session.views):
+        raise ScanError("no view shows anything of the target: there is no model to evaluate")
     T_map_world = true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
     model = T_map_world.apply(fuse(session)[0])
     surface, normals, spacing = _samples(truth)
