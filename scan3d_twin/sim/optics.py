@@ -86,7 +86,8 @@ class Materials:
         cos2 = cos * cos
         slope = cos2 * (alpha2 - 1.0)
         lobe = (slope + 1.0) * (cos + np.sqrt(alpha2 - slope))
-        power = cos * (self.diffuse.take(geoms) + self.specular.take(geoms) / (lobe * lobe))
+        mirrored = self.specular.take(geoms) / (lobe * lobe)
+        power: FloatArray = cos * (self.diffuse.take(geoms) + mirrored)
         if self.retro is not None:
             power += self.retro.take(geoms)
         power /= distances * distances
