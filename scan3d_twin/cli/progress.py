@@ -21,6 +21,8 @@ SEEN_DISTANCE = 0.10
 SECTORS = 36
 """Directions round the target, for a tour all round."""
 
+_OUTLINE = {"front": "front", "full": "contour"}
+
 
 class Progress(Protocol):
     """Where the steps of a run are told."""
@@ -105,7 +107,7 @@ def view_words(session: Session) -> str:
     index, view = len(session.views) - 1, session.views[-1]
     words = (
         f"view {index}: {view.observation.image.n_lines} lines, {len(view.target)} points, "
-        f"{scanned_share(session):.0%} of the {session.config.tour} scanned"
+        f"{scanned_share(session):.0%} of the {_OUTLINE[session.config.tour]} scanned"
     )
     lost = view.registration is not None and not view.registration.converged
     return words + (", NOT registered: placed by odometry" if lost else "")
