@@ -98,13 +98,15 @@ class SensorClock:
 
     def _plausible(self, seconds: float, arrival: float) -> bool:
         """Return whether a scan may come so early, or so late."""
-        # The skew is not known at first, or after a long silence.
-        slack = EARLY + MAX_SKEW * abs(seconds - self._seconds)
         if self._anchor is not None and seconds < self._anchor[0] + LEARNING:
-            delay = arrival - seconds - self._anchor[1] - LATENCIES[0]
+            since, offset = self._anchor
+            delay = arrival - seconds - offset - LATENCIES[0]
         else:
+            since = self._seconds
             offset, skew = self._fit()
             delay = arrival - seconds - offset - skew * seconds
+        # The skew is not known at first, or after a long silence.
+        slack = EARLY + MAX_SKEW * abs(seconds - since)
         if not self._points:
             return -slack < delay < LATE
         before, late = self._points[-1]
