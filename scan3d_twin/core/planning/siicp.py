@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Criterion, PlanningConfig
 from scan3d_twin.core.planning.situation import Situation, blocked, finish, in_world
-from scan3d_twin.core.registration import cut_lines, register
+from scan3d_twin.core.registration.icp import cut_lines, register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import (
     Candidate,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from synthetic import THREE_BOXES, observe
 
 from scan3d_twin.core.config import Config, RegistrationConfig
-from scan3d_twin.core.registration import cut_lines, fit_planar, overlapping_lines, register
+from scan3d_twin.core.registration.icp import cut_lines, fit_planar, overlapping_lines, register
 from scan3d_twin.core.target import all_points
 from scan3d_twin.core.types import FloatArray, Pose2, Scan3D, rms
 

@@ -1,0 +1,58 @@
+"""Registration of two sweeps; target first, as everywhere.
+
+``register`` works on the grids the sweeps were taken on: plane surfels (``surfels``), projective
+association and whitened residuals (``point_to_plane``), maximum a posteriori steps with a test for
+degeneracy (``gauss_newton``), several starts judged by free space (``multistart``). ``icp`` is the
+paper's plain point-to-point ICP, kept for the faithful preset.
+"""
+
+from __future__ import annotations
+
+from scan3d_twin.core.registration.gauss_newton import Criteria, Dof
+from scan3d_twin.core.registration.multistart import register_grids
+from scan3d_twin.core.registration.pose_prior import PosePrior
+from scan3d_twin.core.registration.scan_noise import ScanNoise
+from scan3d_twin.core.registration.surfel_grid import SurfelGrid, prepare
+from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, RegistrationResult
+
+__all__ = ["Criteria", "PosePrior", "ScanNoise", "SurfelGrid", "prepare", "register"]
+
+
+def register(
+    target: RangeImage | SurfelGrid,
+    source: RangeImage | SurfelGrid,
+    *,
+    init_T_target_source: Pose2 | FloatArray | None = None,
+    prior: PosePrior | None = None,
+    dof: Dof = "planar",
+    criteria: Criteria | None = None,
+    starts: int = 1,
+) -> RegistrationResult:
+    """Lay the sweep ``source`` on the sweep ``target``.
+
+    Args:
+        target: A sweep, or what ``prepare`` made of it (for several registrations).
+        source: Likewise.
+        init_T_target_source: First guess; the prior's mean, or identity without one.
+        prior: What is known beforehand; it decides where the scans do not.
+        dof: ``planar`` estimates x, y and theta, ``se3`` all six.
+        criteria: Widest gate, and when to stop.
+        starts: Starts spread over the prior; several find the right one of several basins.
+
+    Returns:
+        Pose, covariance, what stayed undetermined and how ambiguous the basins are.
+
+    Raises:
+        ConfigError: A pose, an option or an image's shape is wrong.
+        RegistrationError: A scan shows too little surface, or the two do not overlap.
+    """
+    init = init_T_target_source
+    return register_grids(
+        target if isinstance(target, SurfelGrid) else prepare(target),
+        source if isinstance(source, SurfelGrid) else prepare(source),
+        init_T_target_source=init.matrix() if isinstance(init, Pose2) else init,
+        prior=prior,
+        dof=dof,
+        criteria=criteria,
+        starts=starts,
+    )

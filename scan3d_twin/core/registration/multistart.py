@@ -1,0 +1,199 @@
+"""Search of several basins: starts spread over the prior, judged by what they contradict.
+
+A periodic surface fits as well one period off. Each basin's contradiction with free space tells
+them apart; where it does not, the gap between the best two says so, and the one nearest to the
+prior is taken.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtri
+
+from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.registration.free_space import contradiction
+from scan3d_twin.core.registration.gauss_newton import (
+    Criteria,
+    Dof,
+    Problem,
+    Solution,
+    State,
+    align,
+    report,
+)
+from scan3d_twin.core.registration.pose_prior import PosePrior, displaced
+from scan3d_twin.core.registration.surfel_grid import SurfelGrid
+from scan3d_twin.core.types import FloatArray, RegistrationResult
+
+ROUGH_ITERATIONS = (2, 3)
+"""Steps of each start before those that met are made one, in two rounds."""
+THINNING = 2
+"""Factor of the stride for these steps."""
+SAME_BASIN = 0.010
+"""Poses that displace the source by less than this from each other are one basin [m]."""
+NO_OVERLAP = "no overlap: none of {} starts found pairs of surfels; is the prior right?"
+MOST_BASINS = 6
+"""Basins, least contradictory first, that are worth aligning to the end."""
+AMBIGUOUS = 0.01
+"""A smaller gap in contradiction tells nothing: half of it is what two noisy scans show."""
+
+
+@dataclass(frozen=True)
+class Basin:
+    """A pose that the iteration ends at.
+
+    Attributes:
+        state: The pose.
+        solution: The equations there.
+        iterations: Run to get there.
+        settled: Whether it converged.
+        contradiction: With free space, 0..1.
+    """
+
+    state: State
+    solution: Solution
+    iterations: int
+    settled: bool
+    contradiction: float
+
+
+def register_grids(
+    target: SurfelGrid,
+    source: SurfelGrid,
+    *,
+    init_T_target_source: FloatArray | None = None,
+    prior: PosePrior | None = None,
+    dof: Dof = "planar",
+    criteria: Criteria | None = None,
+    starts: int = 1,
+) -> RegistrationResult:
+    """Lay the sweep ``source`` on the sweep ``target``.
+
+    Args:
+        target: Prepared by ``surfel_grid.prepare``.
+        source: Likewise.
+        init_T_target_source: First guess (4, 4); the prior's mean, or identity without one.
+        prior: What is known beforehand; it decides where the scans do not.
+        dof: Estimate x, y and theta, or all six.
+        criteria: When to stop.
+        starts: Starts spread over the prior; several find the right one of several basins.
+
+    Raises:
+        ConfigError: A pose is not finite, or an option is wrong.
+        RegistrationError: The scans do not overlap.
+    """
+    problem = Problem(target, source, prior, dof, criteria or Criteria())
+    init = _first_guess(init_T_target_source, prior)
+    basin, gap = search(problem, init, starts)
+    return report(problem, basin.state, basin.solution, basin.iterations, basin.settled, gap)
+
+
+def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
+    if init is None:
+        return np.eye(4) if prior is None else prior.T
+    if init.shape != (4, 4) or not np.all(np.isfinite(init)):
+        raise ConfigError("init_T_target_source must be a finite (4, 4) transform")
+    return init
+
+
+def search(problem: Problem, init: FloatArray, starts: int) -> tuple[Basin, float]:
+    """Return the best basin and its gap to the next, 0..1; 1 where there is no other.
+
+    Raises:
+        ConfigError: Several starts without a prior to spread them over.
+        RegistrationError: The scans overlap at none of the starts.
+    """
+    if starts < 1:
+        raise ConfigError(f"starts must be >= 1, got {starts}")
+    if starts == 1:
+        return _settle(problem, init, judge=False), 1.0
+    poses = spread_starts(problem, init, starts)
+    for iterations in ROUGH_ITERATIONS:
+        poses = _distinct(problem, _rough(problem, poses, iterations))
+    if not poses:
+        raise RegistrationError(NO_OVERLAP.format(starts))
+    ranked = sorted(poses, key=lambda pose: _contradiction(problem, pose))[:MOST_BASINS]
+    basins = []
+    for pose in ranked:
+        with suppress(RegistrationError):
+            basins.append(_settle(problem, pose, judge=True))
+    if not basins:
+        raise RegistrationError(NO_OVERLAP.format(starts))
+    return _choose(problem, basins)
+
+
+def spread_starts(problem: Problem, init: FloatArray, starts: int) -> list[FloatArray]:
+    """Return ``init`` and poses (4, 4) spread over the prior by a low-discrepancy sequence.
+
+    The additive sequence of the generalised golden ratio g, g^(k+1) = g + 1, fills the cube evenly
+    for any number of points; quantiles of the normal distribution make it one.
+    """
+    if problem.prior is None:
+        raise ConfigError("several starts need a prior to be spread over")
+    dims = list(problem.dims)
+    g = 1.5
+    for _ in range(60):
+        g = (1.0 + g) ** (1.0 / (len(dims) + 1))
+    steps = g ** -np.arange(1.0, len(dims) + 1)
+    cube = (0.5 + np.arange(1, starts)[:, None] * steps) % 1.0
+    half = np.linalg.cholesky(problem.prior.covariance[np.ix_(dims, dims)])
+    offsets = np.zeros((starts - 1, 6))
+    offsets[:, dims] = ndtri(cube) @ half.T
+    return [init, *(displaced(problem.prior.T, offset) for offset in offsets)]
+
+
+def _rough(problem: Problem, starts: list[FloatArray], iterations: int) -> list[FloatArray]:
+    """Return where a few steps on few surfels lead from those starts at which the scans overlap."""
+    few = replace(problem.criteria, max_iterations=iterations)
+    coarse = replace(problem, criteria=few, thinning=THINNING)
+    ends = []
+    for start in starts:
+        with suppress(RegistrationError):
+            ends.append(align(coarse, start)[0].T)
+    return ends
+
+
+def _distinct(problem: Problem, poses: list[FloatArray]) -> list[FloatArray]:
+    kept: list[FloatArray] = []
+    for pose in poses:
+        if all(_apart(problem, pose, other) > SAME_BASIN for other in kept):
+            kept.append(pose)
+    return kept
+
+
+def _apart(problem: Problem, a: FloatArray, b: FloatArray) -> float:
+    """Return by how much two poses displace the source from each other [m]."""
+    turn = np.linalg.norm(a[:3, :3] - b[:3, :3]) / np.sqrt(2.0)
+    return float(np.hypot(np.linalg.norm(a[:3, 3] - b[:3, 3]), problem.reach * turn))
+
+
+def _contradiction(problem: Problem, pose: FloatArray) -> float:
+    return contradiction(problem.target, problem.source, pose, 2 * problem.stride)
+
+
+def _settle(problem: Problem, pose: FloatArray, *, judge: bool) -> Basin:
+    state, solution, iterations, settled = align(problem, pose)
+    score = _contradiction(problem, state.T) if judge else 0.0
+    return Basin(state, solution, iterations, settled, score)
+
+
+def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
+    """Return the least contradictory basin; among equals the one nearest to the prior."""
+    distinct: list[Basin] = []
+    for basin in sorted(basins, key=lambda basin: basin.contradiction):
+        if all(_apart(problem, basin.state.T, b.state.T) > SAME_BASIN for b in distinct):
+            distinct.append(basin)
+    if len(distinct) == 1:
+        return distinct[0], 1.0
+    gap = distinct[1].contradiction - distinct[0].contradiction
+    equal = [b for b in distinct if b.contradiction - distinct[0].contradiction < AMBIGUOUS]
+    return min(equal, key=lambda basin: _unlikelihood(problem, basin.state.T)), gap
+
+
+def _unlikelihood(problem: Problem, pose: FloatArray) -> float:
+    """Return the squared Mahalanobis distance of a pose from the prior's mean."""
+    deviation = problem.deviation(pose)
+    return float(deviation @ problem.L0 @ deviation)

@@ -1,0 +1,143 @@
+"""How noisy a sweep is: what its own readings tell about range noise and yaw jitter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.types import BoolArray, FloatArray, RangeImage
+
+LAG = 2
+"""Beams between the three readings of a second difference; next ones may share light."""
+MIN_READINGS = 200
+"""Fewer second differences than this estimate nothing."""
+MOST_READINGS = 4000
+"""More are thinned out: the estimate is good to 2 % then."""
+MAD = 1.4826
+"""Standard deviation per median absolute deviation of a normal distribution."""
+MIN_LINES = 10
+"""Fewer triples of lines tell nothing of the jitter."""
+LIKELY_JITTER = np.radians(0.1)
+"""Yaw jitter of a line for which the estimate is best [rad]; a Create's wheels shake by so much."""
+OUTLIER = 4.0
+"""A square that is this many times the likely one counts no more: a corner, not jitter."""
+APART, FLAT = 3, 0.97
+"""Lines to either side, and the least cosine of the normals there, of a flat surface (14 deg)."""
+SIGNIFICANT = 3.0
+"""Jitter is believed when it is so many times the error of its square."""
+LEAST_SIGMA = 0.0005
+"""Readings are never believed to be better than this [m]: half of the usual 1 mm resolution."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanNoise:
+    """Standard deviations of the errors of one sweep.
+
+    Attributes:
+        range_sigma: Of a reading at distance 0 [m]; URG-04LX: 4 mm.
+        range_sigma_per_metre: Its growth with distance [m/m]; URG-04LX: 0.9 mm/m.
+        yaw_sigma: Of a line's yaw about the smooth turn, common to the line's beams [rad].
+        yaw_scale_sigma: Of the relative error of all yaws, common to all sweeps of a robot; a wheel
+            base known to 1 % gives 0.01.
+    """
+
+    range_sigma: float = 0.004
+    range_sigma_per_metre: float = 0.0009
+    yaw_sigma: float = 0.0
+    yaw_scale_sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not (value >= 0 and np.isfinite(value)):
+                raise ConfigError(f"{name} must be >= 0 and finite, got {value:g}")
+        if self.range_sigma + self.range_sigma_per_metre == 0:
+            raise ConfigError("range_sigma must be > 0 m: readings without noise have no weight")
+
+    def sigma(self, ranges: FloatArray) -> FloatArray:
+        """Return the standard deviation [m] of readings at ``ranges`` [m]."""
+        return self.range_sigma + self.range_sigma_per_metre * ranges
+
+
+def estimate_range_noise(image: RangeImage, valid: BoolArray) -> tuple[float, float] | None:
+    """Return ``range_sigma`` and ``range_sigma_per_metre`` of a sweep; None if it is too small.
+
+    Along a line the inverse range of a plane is linear but for terms of second order in the beam
+    angle, so that its second difference is noise: the median of |d2 q| r^2 / sqrt(6) over each
+    quarter of the readings by range, and a straight line through the four.
+    """
+    middle = image.ranges[:, LAG:-LAG]
+    whole = valid[:, LAG:-LAG] & valid[:, 2 * LAG :] & valid[:, : -2 * LAG]
+    flat = np.flatnonzero(whole)
+    if len(flat) < MIN_READINGS:
+        return None
+    flat = flat[:: max(1, len(flat) // MOST_READINGS)]
+    line, beam = np.divmod(flat, middle.shape[1])
+    r = middle[line, beam]
+    before, after = image.ranges[line, beam], image.ranges[line, beam + 2 * LAG]
+    deviation = np.abs(1 / before - 2 / r + 1 / after) * r * r * (MAD / np.sqrt(6.0))
+    quarters = np.array_split(np.argsort(r), 4)
+    x = np.array([r[part].mean() for part in quarters])
+    y = np.array([np.median(deviation[part]) for part in quarters])
+    spread = float(np.sum((x - x.mean()) ** 2))
+    slope = float(np.sum((x - x.mean()) * y)) / spread if spread > 1e-3 else 0.0
+    slope = max(0.0, min(slope, float(y.mean() / x.mean())))
+    return max(LEAST_SIGMA, float(y.mean() - slope * x.mean())), slope
+
+
+def line_residuals(
+    ranges: FloatArray, yaws: FloatArray, lever: FloatArray, table: FloatArray
+) -> FloatArray:
+    """Return sum w l e and sum w l^2 of each line (n_lines, 2) over its surfels.
+
+    e is the reading's distance from its surfel along the normal n, l = n . (e_z x P) what a yaw
+    error of the line makes of it per radian, w the inverse variance by range noise. Only surfels
+    count that are ``FLAT`` across lines: where the surface bends, its planes are off by themselves.
+
+    Args:
+        ranges: (n_lines, n_beams) [m].
+        yaws: (n_lines, n_beams) [rad].
+        lever: Place of the lidar in ``base`` (3,) [m].
+        table: Surfels (n_lines, n_beams, 8).
+    """
+    normals, flat = table[..., 3:6], table[..., 6] > 0
+    alike = np.sum(normals[APART:] * normals[:-APART], axis=2) > FLAT
+    flat[:APART], flat[-APART:] = False, False
+    flat[APART:] &= alike
+    flat[:-APART] &= alike
+    line, beam = np.nonzero(flat)
+    rows, yaw = table[line, beam], yaws[line, beam]
+    c, s = np.cos(yaw), np.sin(yaw)
+    ray = rows[:, :3].copy()
+    ray[:, 0] -= c * lever[0] - s * lever[1]
+    ray[:, 1] -= s * lever[0] + c * lever[1]
+    ray[:, 2] -= lever[2]
+    share = ranges[line, beam] / np.sqrt(np.sum(ray * ray, axis=1)) - 1.0
+    e = share * np.sum(ray * rows[:, 3:6], axis=1)
+    swing = rows[:, 4] * rows[:, 0] - rows[:, 3] * rows[:, 1]
+    weighted = swing / rows[:, 6]
+    return np.stack([np.bincount(line, weighted * v, len(ranges)) for v in (e, swing)], axis=1)
+
+
+def yaw_jitter(sums: FloatArray) -> float:
+    """Return the standard deviation [rad] of the lines' yaws from ``line_residuals``; 0 if none.
+
+    The error d of a line by itself is sum w l e / sum w l^2, of variance 1 / sum w l^2. Of three
+    neighbours d1 - 2 d2 + d3 has 6 sigma^2 more than follows from that.
+    """
+    known = sums[:, 1] > 0
+    three = np.flatnonzero(known[:-2] & known[1:-1] & known[2:])
+    if len(three) < MIN_LINES:
+        return 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own, d = 1.0 / sums[:, 1], sums[:, 0] / sums[:, 1]
+    square = (d[three] - 2 * d[three + 1] + d[three + 2]) ** 2 / 6
+    expected = (own[three] + 4 * own[three + 1] + own[three + 2]) / 6
+    likely = expected + LIKELY_JITTER**2
+    tells = 1.0 / likely**2
+    excess = float(np.sum(tells * (np.minimum(square, OUTLIER * likely) - expected)))
+    excess /= float(np.sum(tells))
+    error = float(np.sqrt(4.0 * np.sum((tells * expected) ** 2)) / np.sum(tells))
+    return float(np.sqrt(excess)) if excess > SIGNIFICANT * error else 0.0

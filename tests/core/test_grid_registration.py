@@ -1,0 +1,258 @@
+"""Registration of surfel grids against poses that are known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import synthetic
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.registration import compiled as compiled_module
+from scan3d_twin.core.registration.gauss_newton import Problem, State, align, solve
+from scan3d_twin.core.registration.multistart import register_grids
+from scan3d_twin.core.registration.point_to_plane import Gate, linearise
+from scan3d_twin.core.registration.pose_prior import (
+    PLANAR,
+    PosePrior,
+    displaced,
+    exp_so3,
+    log_so3,
+    spread,
+)
+from scan3d_twin.core.registration.scan_noise import ScanNoise
+from scan3d_twin.core.registration.surfel_grid import SurfelGrid, prepare
+from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
+
+WALL = (synthetic.Box((1.0, -5.0, 0.0), (1.5, 5.0, 2.0)),)
+FIRST, SECOND = Pose2(0.0, 0.15, -0.05), Pose2(0.02, -0.15, 0.10)
+MOVE = FIRST.inverse() @ SECOND
+SIGMA = 0.005
+
+
+def take(
+    pose: Pose2, boxes: tuple[synthetic.Box, ...], seed: int, room: bool = False
+) -> RangeImage:
+    rng = np.random.default_rng(seed)
+    return synthetic.observe(pose, boxes, room=room, sigma=SIGMA, rng=rng).image
+
+
+def no_floor(image: RangeImage) -> SurfelGrid:
+    with np.errstate(invalid="ignore"):
+        keep = (image.points[..., 2] > 0.03) & (image.ranges < 4.0)
+    return prepare(image, keep=keep, noise=ScanNoise(SIGMA))
+
+
+@cache
+def featureful() -> tuple[SurfelGrid, SurfelGrid]:
+    return (
+        no_floor(take(FIRST, synthetic.THREE_BOXES, 1)),
+        no_floor(take(SECOND, synthetic.THREE_BOXES, 2)),
+    )
+
+
+@cache
+def bare_wall() -> tuple[SurfelGrid, SurfelGrid]:
+    return no_floor(take(Pose2(0.0, 0.15), WALL, 1)), no_floor(take(Pose2(0.0, -0.15), WALL, 2))
+
+
+def error(source: SurfelGrid, T: FloatArray, truth: Pose2 = MOVE) -> float:
+    points = source.sample(4).rows[:, :3]
+    moved = points @ T[:3, :3].T + T[:3, 3]
+    return float(np.sqrt(np.mean(np.sum((moved - truth.apply(points)) ** 2, axis=1))))
+
+
+def prior_at(pose: Pose2, xy: float = 0.02, yaw: float = 0.035) -> PosePrior:
+    return PosePrior.planar(pose, xy, yaw)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    x=st.floats(-0.03, 0.03), y=st.floats(-0.03, 0.03), yaw=st.floats(-0.05, 0.05)
+)  # fmt: skip
+def test_recovers_any_small_motion_of_a_featureful_scan(x: float, y: float, yaw: float) -> None:
+    target, source = featureful()
+    guess = Pose2(MOVE.x + x, MOVE.y + y, MOVE.yaw + yaw)
+    result = register_grids(target, source, prior=prior_at(guess))
+    assert result.converged
+    assert error(source, result.T_target_source) < 0.0015
+    assert result.predicted_rmse < 0.0015
+    assert len(result.degenerate_directions) == 0
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    x=st.floats(-0.03, 0.03), y=st.floats(-0.03, 0.03), yaw=st.floats(-0.05, 0.05)
+)  # fmt: skip
+def test_on_a_wall_it_is_never_worse_than_odometry(x: float, y: float, yaw: float) -> None:
+    target, source = bare_wall()
+    guess = Pose2(x, -0.30 + y, yaw)
+    result = register_grids(target, source, prior=prior_at(guess), starts=4)
+    truth = Pose2(0.0, -0.30)
+    assert error(source, result.T_target_source, truth) <= 1.05 * abs(y) + 0.002
+    assert len(result.degenerate_directions) == 1
+    assert abs(result.degenerate_directions[0][1]) > 0.99
+    assert result.predicted_rmse == pytest.approx(0.02, rel=0.1)
+
+
+def test_the_gradient_is_the_derivative_of_the_cost() -> None:
+    target, source = featureful()
+    gate = Gate(0.05, 1e6)  # as good as no robust kernel
+    T = displaced(MOVE.matrix(), np.array([0.002, -0.001, 0.001, 0.001, -0.002, 0.002]))
+
+    def cost(step: FloatArray) -> float:
+        """Sum of squares over the pairs of ``T``: the association is left as it is there."""
+        return _frozen_cost(target, source, displaced(T, step), T)
+
+    gradient = linearise(target, source, 4, T, 0.0, gate).gradient[:6]
+    h = 1e-6
+    steps = np.eye(6) * h
+    numeric = np.array([(cost(s) - cost(-s)) / (2 * h) for s in steps])
+    assert gradient == pytest.approx(numeric, rel=0.03, abs=0.03 * np.abs(numeric).max())
+
+
+def _frozen_cost(target: SurfelGrid, source: SurfelGrid, T: FloatArray, at: FloatArray) -> float:
+    rows, table = source.sample(4).rows, target.table.reshape(-1, 8)
+    frozen = rows[:, :3] @ at[:3, :3].T + at[:3, 3]
+    index = target.projection.lookup(frozen, table[:, 6])
+    q, n_t = table[index, :3], table[index, 3:6]
+    n_s = rows[:, 3:6] @ at[:3, :3].T
+    n = n_s + n_t
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    moved = rows[:, :3] @ T[:3, :3].T + T[:3, 3]
+    good = (index >= 0) & (table[index, 6] > 0) & (np.sum(n_s * n_t, axis=1) > 0.7)
+    good &= np.abs(np.sum(n * (frozen - q), axis=1)) < 0.05
+    good &= np.sum((frozen - q) ** 2, axis=1) < 0.15**2
+    e = np.sum(n * (moved - q), axis=1)[good]
+    w = 16.0 / (rows[good, 6] + table[index[good], 6])
+    return float(0.5 * np.sum(w * e * e))
+
+
+def test_the_covariance_is_that_of_many_registrations() -> None:
+    errors, predicted = [], []
+    for seed in range(12):
+        target = no_floor(take(FIRST, synthetic.THREE_BOXES, 100 + seed))
+        source = no_floor(take(SECOND, synthetic.THREE_BOXES, 200 + seed))
+        result = register_grids(target, source, prior=prior_at(MOVE))
+        errors.append(error(source, result.T_target_source))
+        predicted.append(result.predicted_rmse)
+    assert 0.6 < float(np.median(predicted)) / math.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def test_six_degrees_of_freedom_with_a_prior() -> None:
+    target, source = featureful()
+    T = displaced(MOVE.matrix(), np.array([0.01, -0.02, 0.0, 0.0, 0.0, 0.02]))
+    prior = PosePrior(read_only(T), prior_at(MOVE).covariance)
+    result = register_grids(target, source, prior=prior, dof="se3")
+    assert error(source, result.T_target_source) < 0.002
+    assert abs(result.T_target_source[2, 3]) < 0.002
+    assert result.information.shape == (6, 6)
+
+
+def test_arrays_and_compiled_loops_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    target, source = (
+        replace(grid, noise=replace(grid.noise, yaw_sigma=0.001, yaw_scale_sigma=0.01))
+        for grid in featureful()
+    )
+    T = displaced(MOVE.matrix(), np.array([0.004, -0.003, 0.0, 0.0, 0.0, 0.01]))
+    fast = linearise(target, source, 2, T, 0.003, Gate(0.05, 2.0))
+    best = register_grids(target, source, prior=prior_at(MOVE), starts=4)
+    monkeypatch.setattr(compiled_module, "load_kernels", lambda: None)
+    slow = linearise(target, source, 2, T, 0.003, Gate(0.05, 2.0))
+    for name in ("information", "lost", "gradient", "faked", "pairs", "square"):
+        a, b = np.asarray(getattr(fast, name)), np.asarray(getattr(slow, name))
+        assert a == pytest.approx(b, rel=1e-6, abs=1e-6 * np.abs(b).max()), name
+    again = register_grids(target, source, prior=prior_at(MOVE), starts=4)
+    assert again.T_target_source == pytest.approx(best.T_target_source, abs=1e-6)
+    assert again.ambiguity_gap == pytest.approx(best.ambiguity_gap, abs=1e-6)
+
+
+def test_a_wrong_wheel_base_is_found_from_two_sweeps() -> None:
+    """Yaws 2 % too large bend both scans; the room knows better."""
+    wrong = 0.02
+    images = [
+        take(pose, synthetic.THREE_BOXES, k, room=True) for k, pose in enumerate((FIRST, SECOND))
+    ]
+    grids = []
+    for image in images:
+        keep = (image.points[..., 2] > 0.03) & (image.ranges < 4.0)
+        bent = replace(image, yaws=read_only(image.yaws * (1 + wrong)))
+        noise = ScanNoise(SIGMA, yaw_scale_sigma=0.02)
+        grids.append(prepare(bent, keep=keep, noise=noise))
+    problem = Problem(grids[0], grids[1], prior_at(MOVE))
+    state = align(problem, MOVE.matrix())[0]
+    assert state.scale == pytest.approx(-wrong, abs=0.006)
+
+
+def test_yaw_jitter_widens_the_covariance() -> None:
+    target, source = featureful()
+    shaken = (replace(g, noise=replace(g.noise, yaw_sigma=0.003)) for g in (target, source))
+    calm = register_grids(target, source, prior=prior_at(MOVE))
+    rough = register_grids(*shaken, prior=prior_at(MOVE))
+    assert rough.predicted_rmse > 1.3 * calm.predicted_rmse
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_no_overlap_is_an_error_whichever_scan_is_the_target(swap: bool) -> None:
+    pair = featureful()
+    target, source = pair[::-1] if swap else pair
+    with pytest.raises(RegistrationError, match="no overlap"):
+        register_grids(target, source, init_T_target_source=Pose2(0, 9, 2.0).matrix())
+    with pytest.raises(RegistrationError, match="no overlap"):
+        register_grids(target, source, prior=prior_at(Pose2(0, 9, 2.0)), starts=4)
+
+
+def test_bad_options_are_refused() -> None:
+    target, source = featureful()
+    with pytest.raises(ConfigError, match="finite"):
+        register_grids(target, source, init_T_target_source=np.full((4, 4), np.nan))
+    with pytest.raises(ConfigError, match="prior"):
+        register_grids(target, source, starts=8)
+    with pytest.raises(ConfigError, match="starts"):
+        register_grids(target, source, starts=0)
+    with pytest.raises(ConfigError, match="dof"):
+        register_grids(target, source, dof="all")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="positive definite"):
+        PosePrior(np.eye(4), np.zeros((6, 6)))
+    with pytest.raises(ConfigError, match="pose"):
+        PosePrior(np.full((4, 4), np.nan), np.eye(6))
+
+
+def test_without_prior_the_unknown_direction_keeps_the_guess() -> None:
+    target, source = bare_wall()
+    guess = Pose2(0.01, -0.27, 0.01)
+    result = register_grids(target, source, init_T_target_source=guess.matrix())
+    assert result.T_target_source[1, 3] == pytest.approx(guess.y, abs=0.004)
+    assert abs(result.T_target_source[0, 3]) < 0.002
+    assert len(result.degenerate_directions) == 1
+
+
+def test_rotation_vectors_go_there_and_back() -> None:
+    for vector in np.random.default_rng(0).normal(size=(20, 3)) * 0.5:
+        assert log_so3(exp_so3(vector)) == pytest.approx(vector, abs=1e-9)
+    assert log_so3(np.eye(3)) == pytest.approx(np.zeros(3))
+
+
+def test_spread_is_the_mean_displacement() -> None:
+    rng = np.random.default_rng(0)
+    half = rng.normal(size=(6, 6)) * 0.01
+    points = rng.normal(size=(200, 3))
+    draws = rng.standard_normal((4000, 6)) @ half.T
+    moved = draws[:, None, :3] + np.cross(draws[:, None, 3:], points[None])
+    numeric = np.sqrt(np.mean(np.sum(moved**2, axis=2)))
+    assert spread(points, half @ half.T) == pytest.approx(numeric, rel=0.03)
+
+
+def test_a_step_at_the_solution_is_nothing() -> None:
+    target, source = featureful()
+    problem = Problem(target, source, prior_at(MOVE))
+    state, _, _, settled = align(problem, MOVE.matrix())
+    assert settled
+    step = solve(problem, State(state.T), problem.stride, Gate(0.03, 1.5)).step
+    assert np.abs(step[list(PLANAR)]).max() < 1e-4

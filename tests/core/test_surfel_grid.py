@@ -1,0 +1,152 @@
+"""Surfels against surfaces known in closed form; the compiled loops against the arrays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+
+from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.registration import compiled as compiled_module
+from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
+from scan3d_twin.core.registration.surfel_grid import prepare
+from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, N, X
+from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
+
+WALL = (synthetic.Box((1.0, -3.0, 0.0), (1.5, 3.0, 2.0)),)
+
+
+@pytest.fixture
+def arrays_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled_module, "load_kernels", lambda: None)
+
+
+def wall(sigma: float, seed: int = 0) -> RangeImage:
+    rng = np.random.default_rng(seed)
+    return synthetic.observe(Pose2(), WALL, room=False, sigma=sigma, rng=rng).image
+
+
+def upright(image: RangeImage) -> np.ndarray:
+    """Return which readings show the wall and not the floor."""
+    return np.asarray(image.points[..., 2] > 0.05)
+
+
+def test_surfels_of_a_noise_free_wall_lie_on_it() -> None:
+    image = wall(0.0)
+    grid = prepare(image, keep=upright(image), noise=ScanNoise(0.004))
+    rows = grid.table[grid.table[..., VARIANCE] > 0]
+    deep = rows[(rows[:, 2] > 0.1) & (rows[:, 2] < 1.9)]
+    assert np.abs(deep[:, 0] - 1.0).max() < 1e-9
+    assert np.abs(deep[:, N] - [-1.0, 0.0, 0.0]).max() < 1e-7
+
+
+def test_normals_have_no_bias_and_the_stated_variance() -> None:
+    """A plane fitted to the points would lean towards the rays by several degrees here."""
+    image = wall(0.010)
+    grid = prepare(image, keep=upright(image), noise=ScanNoise(0.010))
+    lines = slice(10, 35)  # incidence 12 to 25 deg
+    rows = grid.table[lines][grid.table[lines][..., VARIANCE] > 0]
+    rows = rows[(rows[:, 2] > 0.2) & (rows[:, 2] < 1.0)]
+    lean = rows[:, 4]
+    assert abs(lean.mean()) < 0.012
+    assert lean.std() == pytest.approx(np.sqrt(rows[:, NORMAL_VARIANCE].mean()), rel=0.3)
+
+
+def test_smoothing_leaves_a_fraction_of_the_noise() -> None:
+    image = wall(0.010)
+    rows = prepare(image, keep=upright(image), noise=ScanNoise(0.010)).table
+    rows = rows[rows[..., VARIANCE] > 0]
+    assert np.std(rows[:, 0]) < 0.004
+
+
+@pytest.mark.parametrize("sigma", [0.003, 0.010])
+def test_range_noise_is_estimated_from_the_scan(sigma: float) -> None:
+    image = wall(sigma)
+    found = estimate_range_noise(image, np.isfinite(image.ranges))
+    assert found is not None
+    assert found[0] + found[1] == pytest.approx(sigma, rel=0.15)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.002])
+def test_yaw_jitter_is_estimated_where_surfaces_are_seen_flat_enough(jitter: float) -> None:
+    rng = np.random.default_rng(3)
+    image = synthetic.observe(
+        Pose2(0.0, 0.0, -0.9), WALL, room=False, sigma=0.003, rng=rng, width=0.6
+    ).image
+    errors = jitter * rng.standard_normal(image.n_lines)
+    shaken = replace(image, yaws=read_only(image.yaws + errors[:, None]))
+    found = prepare(shaken).noise.yaw_sigma
+    assert found == pytest.approx(jitter, abs=0.0007)
+
+
+def test_arrays_and_compiled_loops_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    image = synthetic.observe(Pose2(), sigma=0.005, rng=np.random.default_rng(1)).image
+    fast = prepare(image)
+    monkeypatch.setattr(compiled_module, "load_kernels", lambda: None)
+    slow = prepare(image)
+    assert fast.noise.yaw_sigma == pytest.approx(slow.noise.yaw_sigma, abs=1e-9)
+    differs = (fast.table[..., VARIANCE] > 0) != (slow.table[..., VARIANCE] > 0)
+    assert differs.mean() < 1e-4
+    both = (fast.table[..., VARIANCE] > 0) & (slow.table[..., VARIANCE] > 0)
+    assert np.abs(fast.table[both][:, X] - slow.table[both][:, X]).max() < 1e-5
+
+
+def test_points_project_back_to_the_reading_they_came_from() -> None:
+    image = synthetic.observe(Pose2(), width=2.0).image
+    tilted = np.array(image.T_base_lidar)
+    a = 0.05
+    tilted[:3, :3] = [[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]
+    tilted[:3, :3] = tilted[:3, :3] @ [
+        [1, 0, 0],
+        [0, np.cos(a), -np.sin(a)],
+        [0, np.sin(a), np.cos(a)],
+    ]
+    tilted[1, 3] = 0.02
+    for mount in (image.T_base_lidar, tilted):
+        mounted = replace(image, T_base_lidar=read_only(mount))
+        grid = prepare(mounted)
+        seen = np.isfinite(mounted.ranges).reshape(-1)
+        points = mounted.points.reshape(-1, 3)
+        far = seen & (np.hypot(points[:, 0], points[:, 1]) > 0.3)
+        ahead = np.abs(np.tile(mounted.spec.elevations, mounted.n_lines)) < 1.4
+        index = np.flatnonzero(far & ahead)
+        found = grid.projection.lookup(points[index], np.ones(len(points)))
+        assert np.mean(found == index) > 0.99
+
+
+def test_bad_images_are_refused() -> None:
+    image = wall(0.004)
+    nothing = replace(
+        image,
+        ranges=read_only(np.full_like(image.ranges, np.nan)),
+        codes=read_only(np.zeros_like(image.codes), np.int64),
+    )
+    with pytest.raises(RegistrationError, match="too little surface"):
+        prepare(nothing)
+    with pytest.raises(RegistrationError, match="too small"):
+        prepare(replace(image, stamps=image.stamps[:3], yaws=image.yaws[:3],
+                        ranges=image.ranges[:3], codes=image.codes[:3]))  # fmt: skip
+    with pytest.raises(ConfigError, match="ranges has shape"):
+        prepare(replace(image, ranges=image.ranges[:, :100]))
+    with pytest.raises(ConfigError, match="finite"):
+        prepare(replace(image, yaws=read_only(image.yaws * np.nan)))
+    with pytest.raises(ConfigError, match="keep has shape"):
+        prepare(image, keep=np.ones((2, 2), dtype=bool))
+    with pytest.raises(ConfigError, match="range_sigma"):
+        ScanNoise(range_sigma=float("nan"))
+
+
+def test_filled_gaps_are_no_readings() -> None:
+    image = wall(0.004)
+    codes = np.array(image.codes)
+    codes[:, 300:340] = 0
+    table = prepare(replace(image, codes=read_only(codes, np.int64))).table
+    assert not table[:, 300:340, VARIANCE].any()
+    assert VALID not in codes[:, 300:340]
+
+
+def test_the_array_path_needs_no_compiler(arrays_only: None) -> None:
+    assert prepare(wall(0.004)).count > 1000
