@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -50,16 +50,14 @@ def emulate(*, options: Annotated[EmulateOptions, Parameter(name="*")] = Emulate
     """
     from scan3d_twin.emulator.serve import serve
 
-    with ports(options) as (clock, base, lidar):
+    # Ctrl-C is how this is meant to end.
+    with suppress(KeyboardInterrupt), ports(options) as (clock, base, lidar):
         if options.json:
             line = json_module.dumps({"base_port": base.path, "lidar_port": lidar.path})
         else:
             line = f"twin real --port {base.path} --lidar-port {lidar.path}"
         print(line, flush=True)
-        try:
-            serve([base, lidar], clock)
-        except KeyboardInterrupt:
-            return
+        serve([base, lidar], clock)
 
 
 @contextmanager

@@ -188,7 +188,7 @@ def _why_not_open(port: str, error: Exception) -> str:
     if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
         others = ", ".join(holders(port)) or "another process"
         return f"{port} is in use by {others}: end it first"
-    if number in (errno.ENOTTY, errno.EINVAL) or isinstance(error, termios.error):
+    if "configure port" in str(error) or isinstance(error, termios.error):
         return f"{port} is no serial port: give a device such as /dev/ttyUSB0"
     return f"cannot open {port}: {error}"
 

@@ -1,0 +1,84 @@
+"""Programs nobody here wrote read the emulated lidar.
+
+MRPT's rawlog-grabber is Debian's package mrpt-apps.
+"""
+
+import shutil
+import subprocess
+import time
+
+import numpy as np
+import pytest
+from virtual import KnownLidar, VirtualClock
+
+from scan3d_twin.emulator.line import Line
+from scan3d_twin.emulator.pty import PtyPort
+from scan3d_twin.emulator.serve import serve
+from scan3d_twin.emulator.urg import UrgEmulator
+from scan3d_twin.emulator.urg_profile import UrgProfile
+
+SETTINGS = """
+[global]
+rawlog_prefix = {folder}/log
+GRABBER_PERIOD_MS = 50
+[lidar]
+driver = CHokuyoURG
+process_rate = 30
+COM_port_LIN = {port}
+COM_baudRate = 115200
+pose_x = 0
+pose_y = 0
+pose_z = 0
+pose_yaw = 0
+pose_pitch = 0
+pose_roll = 0
+"""
+SCANS = 4
+ENOUGH = (SCANS + 2) * 2137
+"""Bytes: so many scans and what is said before them."""
+DEADLINE = 20.0
+
+
+@pytest.mark.skipif(
+    not (shutil.which("rawlog-grabber") and shutil.which("rawlog-edit")),
+    reason="needs rawlog-grabber and rawlog-edit (apt install mrpt-apps)",
+)
+@pytest.mark.parametrize(
+    "profile", [UrgProfile(), UrgProfile(usb=False, baud=19200, scip1=True)], ids=["usb", "serial"]
+)
+def test_mrpt_reads_every_range(tmp_path, profile):
+    clock = VirtualClock()
+    line = Line(UrgEmulator(KnownLidar(clock), profile))
+    port = PtyPort(line)
+    (tmp_path / "grab.ini").write_text(SETTINGS.format(folder=tmp_path, port=port.path))
+    deadline = time.monotonic() + DEADLINE
+    with (
+        (tmp_path / "out.txt").open("w") as out,
+        subprocess.Popen(
+            ["rawlog-grabber", str(tmp_path / "grab.ini")], stdin=subprocess.PIPE, stdout=out
+        ) as grabber,
+    ):
+        serve([port], clock, lambda: line.passed > ENOUGH or time.monotonic() > deadline)
+        grabber.stdin.write(b"\x1b")
+        grabber.stdin.flush()
+        serve([port], clock, lambda: grabber.poll() is not None or time.monotonic() > deadline)
+        grabber.kill()
+    port.close()
+    (rawlog,) = tmp_path.glob("*.rawlog")
+    subprocess.run(
+        ["rawlog-edit", "--export-2d-scans-txt", "-i", rawlog.name],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+    )
+    (table,) = tmp_path.glob("*Hokuyo.txt")
+    rows = np.atleast_2d(np.loadtxt(table, comments="%"))
+    # Time, then a range and a flag for each step.
+    ranges = rows[:, 1:683]
+    assert ranges.shape == (len(rows), 682)
+    assert len(rows) >= SCANS
+    truths = np.array([KnownLidar.values(turn) for turn in range(int(10 * clock.now()) + 1)])
+    for row in ranges:
+        heard = np.round(1000 * row)
+        matches = [((heard == truth) | (truth < 20)).sum() for truth in truths]
+        assert max(matches) == 682
