@@ -11,6 +11,7 @@ from scan3d_twin.emulator.create import CreateEmulator
 from scan3d_twin.emulator.line import Wire
 from scan3d_twin.emulator.urg import UrgEmulator
 from scan3d_twin.emulator.urg_profile import UrgProfile
+from scan3d_twin.protocols import oi
 from scan3d_twin.protocols.urg04lx import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.sim.config import TwinConfig
@@ -51,7 +52,8 @@ def open_wired(
     with open_sim(scene, seed, config) as (twin, truth):
         clock = Unhindered(twin.clock)
         profile = UrgProfile(usb=config.lidar_link == "usb")
-        base, lidar = CreateEmulator(twin.base), UrgEmulator(twin.lidar, profile)
+        firmware = oi.MODELS[twin.base.spec.name]
+        base, lidar = CreateEmulator(twin.base, firmware), UrgEmulator(twin.lidar, profile)
         mode = LINKS[config.lidar_link]
         with open_over(Wire(base, clock), lambda: Wire(lidar, clock), clock, mode) as robot:
             yield robot, truth

@@ -122,8 +122,8 @@ def _model(transport: Transport, clock: Clock) -> Model:
     transport.discard_input()
     transport.write(oi.query(COUNTS))
     deadline, answer = clock.now() + POLL_TIMEOUT, b""
-    while clock.now() < deadline and len(answer) < 4:
-        answer += transport.read(deadline - clock.now())
+    while (left := deadline - clock.now()) > 1e-6 and len(answer) < 4:
+        answer += transport.read(left)
     return CREATE2 if len(answer) == 4 else CREATE1
 
 

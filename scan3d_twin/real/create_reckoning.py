@@ -139,7 +139,7 @@ class CommandedReckoning:
     def take(self, stamp: float, values: Values) -> Odometry:
         """See ``Reckoning.take``."""
         self._advance(stamp)
-        if Packet.ANGLE in values and self.unread:
+        if Packet.ANGLE in values:
             if self._read_once:
                 self._correct(stamp, values[Packet.DISTANCE], values[Packet.ANGLE])
             self._way = self._turn = 0.0
@@ -165,12 +165,14 @@ class CommandedReckoning:
         self._reckoning.advance(stamp, way, turn)
 
     def _correct(self, stamp: float, distance_mm: int, angle_deg: int) -> None:
+        """Move by what a reading adds to the commands; at rest that is who pushed the robot."""
+        if not (self._way or self._turn or distance_mm or angle_deg):
+            return
         way = 1e-3 * _nearest(1e3 * self._way, distance_mm) - self._way
         turn = math.radians(_nearest(math.degrees(self._turn), angle_deg)) - self._turn
         log.debug("corrected by %.1f mm and %.2f deg", 1e3 * way, math.degrees(turn))
         self._reckoning.advance(stamp, way, turn)
-        if self._way or self._turn:
-            self._variance += math.radians(1.0) ** 2 / 12
+        self._variance += math.radians(1.0) ** 2 / 12
 
     def _odometry(self, stamp: float) -> Odometry:
         plain = self._reckoning.advance(stamp, 0.0, 0.0)

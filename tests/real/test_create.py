@@ -458,3 +458,14 @@ def test_the_packets_asked_for_fit_the_line(rig):
     slow = Rig(before=at(19200)).open()
     assert slow.driver.spec.sample_period == 0.03
     assert any(d[0] == Op.QUERY_LIST for _, d in slow.written)
+
+
+def test_a_create_1_that_is_turned_by_hand_notices(rig):
+    rig = Rig(CREATE1).open()
+    rig.wait(0.5)
+    rig.base.speed = (0.0, math.radians(400.0))
+    rig.wait(0.15)
+    rig.base.speed = (0.0, 0.0)
+    rig.wait(0.1)
+    assert rig.pose.yaw == pytest.approx(turned(rig.base), abs=math.radians(12.0))
+    assert abs(rig.pose.yaw) > 0.7
