@@ -110,9 +110,8 @@ class SimBase:
         self._samples += 1
         self.next_step = self._due(self._samples + 1)
         time, qpos, radius = self._world.time, self._world.data.qpos, self.spec.wheel_diameter / 2
-        left, right = (
-            float(qpos[wheel]) - zero for wheel, zero in zip(self._wheels, self._zero, strict=True)
-        )
+        left = qpos.item(self._wheels[0]) - self._zero[0]
+        right = qpos.item(self._wheels[1]) - self._zero[1]
         sent = (self._driven[0] * radius, self._driven[1] * radius)
         self._pending.append(Sample(time, (left, right), sent))
         if len(self._pending) >= HISTORY:

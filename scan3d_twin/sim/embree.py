@@ -8,11 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+from scan3d_twin.core.types import FloatArray, IntArray
 from scan3d_twin.sim.tessellation import KNOWN, geom_triangles
 
 _GEOM = mujoco.mjtGeom
-_ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID, _GEOM.mjGEOM_CAPSULE)
+_ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID)
 _STRAIGHT = (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
 
 
@@ -36,7 +36,7 @@ def visible(model: Any, geom: int) -> bool:
 class Triangles:
     """The visible geoms of a static model as triangles in Embree; single precision.
 
-    Arrays by triangle and by geom have one more entry, for a miss.
+    Arrays by triangle have one more entry, for a miss.
     """
 
     def __init__(self, model: Any) -> None:
@@ -46,18 +46,22 @@ class Triangles:
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         attitudes = np.array(data.geom_xmat).reshape(-1, 3, 3)
-        parts, owners = [], []
+        parts, owners, shapes = [], [], []
         for geom in range(model.ngeom):
             if visible(model, geom):
                 local = geom_triangles(model, geom)
                 parts.append(local @ attitudes[geom].T + data.geom_xpos[geom])
                 owners.append(np.full(len(local), geom))
+                shapes.append(_shapes(model, geom, local))
         triangles = np.concatenate(parts)
         self.geoms: IntArray = np.append(np.concatenate(owners), -1)
         self.normals = np.vstack([_normals(triangles), np.zeros((1, 3))])
-        self._shapes = Curved(model, np.array(data.geom_xpos), attitudes)
-        self._bent = self._shapes.bent(self.geoms, self.normals)
-        self._any_bent = bool(self._bent.any())
+        # Four shapes per geom: flat, side, lower and upper end; flat ones are not refined.
+        self._shapes = np.append(np.concatenate(shapes), 0)
+        self._shapes[:-1] += 4 * self.geoms[:-1]
+        self._curved = np.append(np.concatenate(shapes) > 0, False)
+        self._any_curved = bool(self._curved.any())
+        self._maps, self._offsets = _quadrics(model, np.array(data.geom_xpos), attitudes)
         self._scene = EmbreeScene(robust=True)
         self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
 
@@ -75,58 +79,68 @@ class Triangles:
         distances = found["tfar"].astype(np.float64)
         distances[index < 0] = np.inf
         normals, geoms = self.normals.take(index, axis=0), self.geoms.take(index)
-        if self._any_bent:
-            bent = np.flatnonzero(self._bent.take(index))
-            distances[bent], normals[bent] = self._shapes.refine(
-                origins[bent], directions[bent], distances[bent], geoms[bent]
-            )
+        if self._any_curved:
+            curved = np.flatnonzero(self._curved.take(index))
+            if len(curved):
+                distances[curved], normals[curved] = self._refined(
+                    self._shapes.take(index[curved]),
+                    origins[curved],
+                    directions[curved],
+                    distances[curved],
+                )
         return distances, normals, geoms
 
-
-class Curved:
-    """The curved surfaces of a model: spheres, ellipsoids, cylinders, capsules."""
-
-    def __init__(self, model: Any, places: FloatArray, attitudes: FloatArray) -> None:
-        self._kinds = np.append(model.geom_type, -1)
-        self._sizes = np.array(model.geom_size)
-        self._places, self._attitudes = places, attitudes
-        for geom, kind in enumerate(model.geom_type):
-            if kind == _GEOM.mjGEOM_SPHERE:
-                self._sizes[geom] = self._sizes[geom, 0]
-
-    def bent(self, geoms: IntArray, normals: FloatArray) -> BoolArray:
-        """Return which triangles (m,) with ``normals`` (m, 3) stand for a curved surface."""
-        up = np.einsum("ni,ni->n", self._attitudes[geoms][:, :, 2], normals)
-        side = (self._kinds[geoms] == _GEOM.mjGEOM_CYLINDER) & (np.abs(up) < 0.5)
-        result: BoolArray = np.isin(self._kinds[geoms], [int(kind) for kind in _ROUND]) | side
-        return result
-
-    def refine(
-        self, origins: FloatArray, directions: FloatArray, distances: FloatArray, geoms: IntArray
+    def _refined(
+        self, shapes: IntArray, origins: FloatArray, directions: FloatArray, distances: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return exact distances (n,) and normals (n, 3) of rays that hit near ``distances``.
 
-        All surfaces are |(p - centre) / scale| = 1, with an infinite scale along a cylinder.
+        A curved surface is |M p - m| = 1.
         """
-        attitudes = self._attitudes[geoms]
-        origin = np.einsum("nji,nj->ni", attitudes, origins - self._places[geoms])
-        along = np.einsum("nji,nj->ni", attitudes, directions)
-        scale = self._sizes[geoms]
-        straight = np.isin(self._kinds[geoms], [int(kind) for kind in _STRAIGHT])
-        end = np.where(self._kinds[geoms] == _GEOM.mjGEOM_CAPSULE, scale[:, 1], np.inf)
-        height = origin[:, 2] + distances * along[:, 2]
-        capped = straight & (np.abs(height) > end)
-        origin[capped, 2] -= np.copysign(end, height)[capped]
-        scale[straight] = scale[straight, :1]
-        scale[straight & ~capped, 2] = np.inf
-        u, v = origin / scale, along / scale
+        maps = self._maps.take(shapes, axis=0)
+        u = np.einsum("nij,nj->ni", maps, origins) - self._offsets.take(shapes, axis=0)
+        v = np.einsum("nij,nj->ni", maps, directions)
         a, b, c = (np.einsum("ni,ni->n", p, q) for p, q in ((v, v), (u, v), (u, u)))
         root = np.sqrt(np.maximum(b * b - a * (c - 1.0), 0.0))
-        near, far = (-b - root) / a, (-b + root) / a
+        near, far = (-b - root) / a, (root - b) / a
         exact = np.where(np.abs(near - distances) <= np.abs(far - distances), near, far)
-        normals = (u + exact[:, None] * v) / scale
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return exact, np.einsum("nij,nj->ni", attitudes, normals)
+        normals = np.einsum("nij,ni->nj", maps, u + exact[:, None] * v)
+        normals /= np.sqrt(np.einsum("ni,ni->n", normals, normals))[:, None]
+        return exact, normals
+
+
+def _shapes(model: Any, geom: int, triangles: FloatArray) -> IntArray:
+    """Return what a geom's ``triangles`` (m, 3, 3) are parts of: 0 flat, 1 side, 2 and 3 ends."""
+    kind, half = int(model.geom_type[geom]), model.geom_size[geom, 1]
+    height = triangles[:, :, 2].mean(axis=1)
+    if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
+        return np.ones(len(triangles), np.int64)
+    if kind == _GEOM.mjGEOM_CYLINDER:
+        return np.where(np.abs(height) < half * (1 - 1e-9), 1, 0)
+    if kind == _GEOM.mjGEOM_CAPSULE:
+        return np.where(height < -half, 2, np.where(height > half, 3, 1))
+    return np.zeros(len(triangles), np.int64)
+
+
+def _quadrics(
+    model: Any, places: FloatArray, attitudes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return M (4 n_geoms, 3, 3) [1/m] and m (4 n_geoms, 3) of the shapes of all geoms."""
+    maps, offsets = np.zeros((model.ngeom, 4, 3, 3)), np.zeros((model.ngeom, 4, 3))
+    for geom, kind in enumerate(model.geom_type.tolist()):
+        radius, half = model.geom_size[geom, :2]
+        if kind not in _ROUND and kind not in _STRAIGHT:
+            continue
+        side, ends = np.full(3, radius), 0.0
+        if kind == _GEOM.mjGEOM_ELLIPSOID:
+            side = np.array(model.geom_size[geom])
+        elif kind in _STRAIGHT:
+            side, ends = np.array([radius, radius, np.inf]), half
+        for shape, (size, along) in enumerate(((side, 0.0), (radius, -ends), (radius, ends)), 1):
+            maps[geom, shape] = (attitudes[geom] / size).T
+            centre = places[geom] + along * attitudes[geom][:, 2]
+            offsets[geom, shape] = maps[geom, shape] @ centre
+    return maps.reshape(-1, 3, 3), offsets.reshape(-1, 3)
 
 
 def _normals(triangles: FloatArray) -> FloatArray:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, Hazards
+from scan3d_twin.sim.embree import visible
 from scan3d_twin.sim.world import PREFIX, World
 
 BUMP_FORCE = 0.5
@@ -20,11 +23,15 @@ CLIFF_DISTANCE = 0.05
 """Distance below a cliff sensor that counts as a cliff [m]; assumption, the floor is at 22 mm."""
 WALL_DISTANCE = 0.10
 """Distance beside the wall sensor that counts as a wall [m]; assumption."""
-STALL_SPEED = 0.1
+STALL = 0.1
 """Share of the commanded speed below which a wheel stands; assumption."""
 STALL_TIME = 0.3
 """Time a wheel must stand although it is driven, before its overcurrent shows [s]; assumption."""
 
+CAPACITY = 2700
+"""Of the battery [mAh]; NiMH pack of the Create 2."""
+
+_FLAGS = tuple(field.name for field in fields(Hazards) if field.name != "battery")
 _SIDES = ("left", "right")
 _CLIFFS = ("cliff_left", "cliff_front_left", "cliff_front_right", "cliff_right")
 _DOWN, _GEOM = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
@@ -38,46 +45,47 @@ class Feelers:
         self._period = period
         self._battery_life = battery_life
         model, data = world.model, world.data
-        self._ints = [model.sensor(f"{PREFIX}bump_{side}").adr[0] for side in _SIDES]
-        self._drops = [model.joint(f"{PREFIX}{side}_drop").qposadr[0] for side in _SIDES]
-        self._wheels = [model.joint(f"{PREFIX}{side}_wheel").dofadr[0] for side in _SIDES]
+        first = int(model.sensor(f"{PREFIX}bump_left").adr[0])
+        self._forces = data.sensordata[first : first + 2]  # left and right
+        self._drops = [int(model.joint(f"{PREFIX}{side}_drop").qposadr[0]) for side in _SIDES]
+        self._wheels = [int(model.joint(f"{PREFIX}{side}_wheel").dofadr[0]) for side in _SIDES]
         self._cliffs = [data.site(PREFIX + name).xpos for name in _CLIFFS]
         self._wall = data.site(PREFIX + "wall")
         self._place = data.body(PREFIX + "base").xpos
         self._body = model.body(PREFIX + "base").id
+        self._plane = _even_floor(model)
         self._pressed_at: list[FloatArray | None] = [None, None]
         self._stalled = [0.0, 0.0]
+        self._calm = Hazards()
 
     def hazards(self, driven: tuple[float, float]) -> Hazards:
         """Return the hazards now; ``driven`` is the wheels' commanded speed [rad/s]."""
         qpos = self._world.data.qpos
-        cliffs = [not 0 <= self._distance(at, _DOWN) <= CLIFF_DISTANCE for at in self._cliffs]
-        return Hazards(
-            self._bumped(0),
-            self._bumped(1),
-            cliffs[0],
-            cliffs[1],
-            cliffs[2],
-            cliffs[3],
-            bool(qpos[self._drops[0]] < WHEEL_DROP),
-            bool(qpos[self._drops[1]] < WHEEL_DROP),
-            self._stalls(0, driven[0]),
-            self._stalls(1, driven[1]),
-            self.battery,
-        )
+        bumps = [self._bumped(side, force) for side, force in enumerate(self._forces.tolist())]
+        cliffs = [self._over_cliff(site) for site in self._cliffs]
+        drops = [qpos.item(drop) < WHEEL_DROP for drop in self._drops]
+        stalls = [self._stalls(side, speed) for side, speed in enumerate(driven)]
+        flags = (*bumps, *cliffs, *drops, *stalls)
+        battery = self.battery
+        if any(flags):
+            return Hazards(**dict(zip(_FLAGS, flags, strict=True)), battery=battery)
+        if battery != self._calm.battery:
+            self._calm = Hazards(battery=battery)
+        return self._calm
 
     @property
     def battery(self) -> float:
-        """State of charge, 0..1."""
-        return max(0.0, 1.0 - self._world.time / self._battery_life)
+        """State of charge, 0..1, in whole mAh as packet 25 states it."""
+        left = 1.0 - self._world.time / self._battery_life
+        return max(0.0, math.ceil(left * CAPACITY) / CAPACITY)
 
     def wall(self) -> bool:
         """Return whether the wall sensor, which looks right, sees a wall."""
         beam = np.array(self._wall.xmat.reshape(3, 3)[:, 2])
         return 0 <= self._distance(self._wall.xpos, beam) <= WALL_DISTANCE
 
-    def _bumped(self, side: int) -> bool:
-        if self._world.data.sensordata[self._ints[side]] > BUMP_FORCE:
+    def _bumped(self, side: int, force: float) -> bool:
+        if force > BUMP_FORCE:
             self._pressed_at[side] = np.array(self._place)
         pressed_at = self._pressed_at[side]
         if pressed_at is None:
@@ -86,11 +94,18 @@ class Feelers:
 
     def _stalls(self, side: int, driven: float) -> bool:
         """Return whether a wheel has stood still although it is driven."""
-        standing = driven and abs(self._world.data.qvel[self._wheels[side]]) < STALL_SPEED * abs(
-            driven
-        )
-        self._stalled[side] = self._stalled[side] + self._period if standing else 0.0
+        if driven and abs(self._world.data.qvel.item(self._wheels[side])) < STALL * abs(driven):
+            self._stalled[side] += self._period
+        else:
+            self._stalled[side] = 0.0
         return self._stalled[side] > STALL_TIME
+
+    def _over_cliff(self, site: FloatArray) -> bool:
+        """Return whether a cliff sensor at ``site`` (3,) sees no floor near by."""
+        x, y, z = site.tolist()
+        if 0 < z <= CLIFF_DISTANCE and max(abs(x), abs(y)) < self._plane:
+            return False
+        return not 0 <= self._distance(site, _DOWN) <= CLIFF_DISTANCE
 
     def _distance(self, point: FloatArray, direction: FloatArray) -> float:
         """Return the distance from ``point`` (3,) to the scene [m]; -1 where there is none.
@@ -99,3 +114,18 @@ class Feelers:
         """
         model, data = self._world.model, self._world.data
         return float(mujoco.mj_ray(model, data, point, direction, None, 1, self._body, _GEOM, None))
+
+
+def _even_floor(model: Any) -> float:
+    """Return how far about the origin a plane at z = 0 reaches [m]; 0 where there is none.
+
+    Above it a cliff sensor that is low enough needs no ray.
+    """
+    reach = 0.0
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
+        level = model.geom_bodyid[geom] == 0 and model.geom_pos[geom, 2] == 0
+        centred = not model.geom_pos[geom, :2].any() and model.geom_quat[geom, 0] == 1
+        if level and centred and visible(model, int(geom)):
+            sides = model.geom_size[geom, :2]
+            reach = max(reach, float(np.where(sides > 0, sides, np.inf).min()))
+    return reach

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.odometry import DeadReckoning
@@ -15,8 +14,7 @@ AT_REST = 0.3
 """Standstill after which a Create 1's packets are read [s]; the driver reads between motions."""
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """What one sensor packet of 15 ms holds.
 
     Attributes:

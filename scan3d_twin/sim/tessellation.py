@@ -10,7 +10,7 @@ import numpy as np
 
 from scan3d_twin.core.types import FloatArray
 
-TOLERANCE = 1e-5
+TOLERANCE = 1e-4
 """How far a chord may lie below the surface [m]."""
 PLANE_REACH = 100.0
 """Half the side of the square that stands for an endless plane [m]; the lidar sees 4 m."""
@@ -39,8 +39,9 @@ def geom_triangles(model: Any, geom: int) -> FloatArray:
         case mujoco.mjtGeom.mjGEOM_SPHERE:
             return _revolved(_arc(size[0], -90, 90), size[0])
         case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            largest = float(size.max())
-            stretched: FloatArray = _revolved(_arc(largest, -90, 90), largest) * (size / largest)
+            largest, widest = float(size.max()), float(size[:2].max())
+            profile = _arc(largest, -90, 90) / largest
+            stretched: FloatArray = _revolved(profile, widest) * size
             return stretched
         case mujoco.mjtGeom.mjGEOM_CYLINDER:
             r, half = size[:2]

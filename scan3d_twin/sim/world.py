@@ -164,12 +164,16 @@ class World:
             self._row,
             mujoco.mj_step,
         )
-        for k in range(self.steps, self.steps + steps):
-            step(model, data)
-            recent[k & LAST] = row
-            if k & LAST == LAST:
-                self._keep(k + 1)
-        self.steps += steps
+        while steps > 0:
+            first = self.steps & LAST
+            count = min(steps, RECENT - first)
+            for k in range(first, first + count):
+                step(model, data)
+                recent[k] = row
+            self.steps += count
+            steps -= count
+            if first + count == RECENT:
+                self._keep(self.steps)
 
     def _keep(self, end: int) -> None:
         """Move the base's poses of the steps before ``end`` to the long trace."""
