@@ -19,7 +19,8 @@ HAS_HS = (3, 2, 0)
 """First firmware with HS (sensitivity); the specification."""
 HAS_DB = (3, 3, 0)
 """First firmware with DB (malfunctions); the specification."""
-_UNSUPPORTED = (b"ME", b"GE", b"HD", b"HE", b"ND", b"NE", b"%ST", b"RB")
+_MULTIECHO = (b"ME", b"GE", b"HD", b"HE", b"ND", b"NE")
+"""Requests of later lidars for several echoes and for intensities."""
 
 
 Latest = Callable[[float], ScanLine | None]
@@ -73,7 +74,7 @@ class Firmware:
         """Return the reply to a ``line``; ``seen`` are the commands already answered this tick."""
         if self.scip1:
             return self._answer_scip1(line, now)
-        if self.profile.mute_on_unsupported and line.startswith(_UNSUPPORTED):
+        if self.profile.mute_on_multiecho and line.startswith(_MULTIECHO):
             self.mute = True
             return b""
         echo = line.decode("latin-1")

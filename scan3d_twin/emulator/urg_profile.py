@@ -23,7 +23,8 @@ class UrgProfile:
         skew: How much too fast its clock runs (0.004 in the capture).
         knows_38400: Whether SS accepts 38400.
         faulty_version: VV has a stray line and a wrong sum on ``SERI``.
-        mute_on_unsupported: Requests for multiple echoes and the like silence it until power-up.
+        mute_on_multiecho: Requests for several echoes silence it until it is powered up again, as
+            users of urg_c report; otherwise they are unknown requests.
     """
 
     usb: bool = True
@@ -36,7 +37,7 @@ class UrgProfile:
     skew: float = 0.0
     knows_38400: bool = True
     faulty_version: bool = False
-    mute_on_unsupported: bool = True
+    mute_on_multiecho: bool = False
 
 
 @dataclass

@@ -263,9 +263,10 @@ def test_what_does_not_fit_the_line_is_dropped_as_whole_scans(baud, request_, he
     assert (desk.device.dropped > 0) == (hertz < 10)
 
 
-@pytest.mark.parametrize("request_", [b"ME0044072501000\n", b"%ST\n", b"HD0044072501\n"])
-def test_what_it_does_not_know_of_later_lidars_silences_it(request_):
-    desk = Desk()
+@pytest.mark.parametrize("request_", [b"ME0044072501000\n", b"HD0044072501\n"])
+def test_what_later_lidars_know_may_silence_it(request_):
+    assert Desk().ask(request_) == request_ + b"0Ee\n\n"
+    desk = Desk(UrgProfile(mute_on_multiecho=True))
     assert desk.ask(request_) == b""
     assert desk.ask(b"QT\n") == b""
     desk.device.power_up(desk.clock.now())
@@ -315,7 +316,7 @@ def test_the_switch_to_scip_2_0_puts_the_laser_out():
 
 
 def test_any_garbage_is_answered_in_blocks():
-    desk = Desk(UrgProfile(tick=0.0, mute_on_unsupported=False))
+    desk = Desk(UrgProfile(tick=0.0))
     rng = np.random.default_rng(1)
     splitter, blocks = Splitter(), []
     for _ in range(300):

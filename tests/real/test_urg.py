@@ -256,7 +256,7 @@ def test_a_faulty_version_is_tolerated_and_asked_for_once():
 
 
 def test_nothing_is_sent_that_silences_the_sensor():
-    bench = Bench(UrgProfile(usb=False, baud=750000, scip1=True))
+    bench = Bench(UrgProfile(usb=False, baud=750000, scip1=True, mute_on_multiecho=True))
     bench.connect()
     bench.lidar.close()
     known = {b"QT", b"PP", b"VV", b"II", b"TM", b"SS", b"MD", b"SC"}
