@@ -31,6 +31,7 @@ app = App(
     default_parameter=Parameter(negative=(), show_env_var=False),
 )
 app.command("scan3d_twin.cli.sim:sim", name="sim", help="Digitise a scene with the twin.")
+app.command("scan3d_twin.cli.real:real", name="real", help="Digitise with the real robot.")
 app.command("scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.")
 app.command("scan3d_twin.cli.listing:planners", name="planners", help="List the planners.")
 app.command(

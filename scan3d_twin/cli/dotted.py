@@ -5,25 +5,23 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, fields, is_dataclass, make_dataclass
 from typing import Annotated, Any, get_type_hints
 
 from cyclopts import Group, Parameter
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.recording.settings import key
-from scan3d_twin.sim.config import TwinConfig
 
 GROUP = Group("Configuration in SI units and radians; also from --config FILE")
 ENVIRONMENT = "TWIN_"
 
 
-def dotted_options() -> type:
-    """Return a dataclass with an optional field for each ``--section.name`` option."""
+def dotted_options(*configs: type) -> type:
+    """Return a dataclass with an optional field for each ``--section.name`` of ``configs``."""
     rows = [
         _option(section, field, hint, docs.get(field.name, ""))
-        for section, cls in _sections()
+        for section, cls in _sections(configs)
         for docs, hints in [(field_docs(cls), get_type_hints(cls))]
         for field in fields(cls)
         for hint in [hints[field.name]]
@@ -57,8 +55,8 @@ def field_docs(cls: type) -> dict[str, str]:
     return docs
 
 
-def _sections() -> Iterator[tuple[str, type]]:
-    for cls in (Config, TwinConfig):
+def _sections(configs: Iterable[type]) -> Iterator[tuple[str, type]]:
+    for cls in configs:
         for name, hint in get_type_hints(cls).items():
             if is_dataclass(hint):
                 assert isinstance(hint, type)

@@ -1,16 +1,20 @@
-"""A run of the twin from the settings to the saved files, whatever ends it."""
+"""A run of a robot from the settings to the saved files, whatever ends it."""
 
 from __future__ import annotations
 
 import resource
 import time
+from contextlib import AbstractContextManager
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Protocol, cast
 
 from scan3d_twin.cli.keeper import Keeper, TimedPlanner
 from scan3d_twin.cli.progress import Progress, make_progress
 from scan3d_twin.cli.save import save_run
 from scan3d_twin.cli.summary import summary
+from scan3d_twin.core import evaluate
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.hal import Robot
@@ -20,22 +24,41 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
 from scan3d_twin.recording.report import Effort, Journey, Report, failure, report_json
 from scan3d_twin.recording.settings import Settings
-from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scene import Scene
-from scan3d_twin.sim.truth import Truth
+from scan3d_twin.sim.config import RobotName
 
 
-def run_sim(settings: Settings, scene: Scene, out: Path | None, *, as_json: bool) -> None:
-    """Digitise ``scene``, save the results in ``out`` and print the report.
+class Truth(evaluate.Truth, Protocol):
+    """What the twin knows besides."""
+
+    def locate(self, name: str) -> tuple[float, float]:
+        """Return the place (x, y) in ``odom`` [m] of the target ``name``."""
+        ...
+
+
+Opening = AbstractContextManager[tuple[Robot, Truth | None]]
+"""Opens a robot, and the truth if anybody knows it."""
+
+
+def run(
+    settings: Settings, name: str, opening: Opening, out: Path | None, *, as_json: bool
+) -> None:
+    """Digitise with the robot of ``opening``, save the results in ``out`` and print the report.
+
+    Args:
+        settings: The effective ones.
+        name: Of the scene, for people.
+        opening: Closed, with the wheels stopped, before anything is computed or saved.
+        out: Folder for the results; None makes one under ``runs``.
+        as_json: Print the report as JSON.
 
     Raises:
         TwinError: The scan failed or was stopped; what was scanned by then is saved and printed.
         KeyboardInterrupt: Likewise.
     """
-    folder = claim_folder(_default_folder(scene.name) if out is None else out)
+    folder = claim_folder(_default_folder(name) if out is None else out)
     try:
         with make_progress() as progress:
-            report, ended = _digitize_and_save(settings, scene, folder, progress)
+            report, ended = _digitize_and_save(settings, name, opening, folder, progress)
     finally:
         release_folder(folder)
     print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
@@ -48,14 +71,16 @@ def run_sim(settings: Settings, scene: Scene, out: Path | None, *, as_json: bool
 
 
 def _digitize_and_save(
-    settings: Settings, scene: Scene, folder: Path, progress: Progress
+    settings: Settings, name: str, opening: Opening, folder: Path, progress: Progress
 ) -> tuple[Report, BaseException | None]:
     """Return the report, and what ended the run before its time or makes it a failure."""
     planner = TimedPlanner(make_planner(settings.config.planner))
-    keeper = Keeper(folder, settings, progress)
     started = time.perf_counter()
     ended: BaseException | None = None
-    with open_sim(scene, settings.run.seed, settings.twin) as (robot, truth):
+    with opening as (robot, truth):
+        name_of_base = cast(RobotName, robot.base.spec.name)
+        settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
+        keeper = Keeper(folder, settings, progress)
         target = _target(settings.run.target, truth)
         try:
             session = digitize(robot, planner, settings.config, settings.run.seed, keeper, target)
@@ -63,9 +88,10 @@ def _digitize_and_save(
             if keeper.session is None:
                 raise
             ended, session = error, keeper.session.ended(_words(error))
-        effort = Effort(time.perf_counter() - started, planner.seconds, _peak_memory())
-        progress.event("evaluating and saving")
-        report = save_run(folder, scene.name, settings, session, _journey(robot), effort, truth)
+        journey = _journey(robot)
+    effort = Effort(time.perf_counter() - started, planner.seconds, _peak_memory())
+    progress.event("evaluating and saving" if truth is not None else "saving")
+    report = save_run(folder, name, settings, session, journey, effort, truth)
     return report, ended or _failed(session)
 
 
@@ -74,16 +100,17 @@ def _failed(session: Session) -> ScanError | None:
     return ScanError(reason) if reason else None
 
 
-def _target(text: str, truth: Truth) -> tuple[float, float] | None:
+def _target(text: str, truth: Truth | None) -> tuple[float, float] | None:
     """Return the place in ``odom`` [m] that ``text`` states as x,y or by name; None if empty."""
     if not text:
         return None
-    if "," not in text:
+    if "," not in text and truth is not None:
         return truth.locate(text)
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise ConfigError(f"--target must be a name or x,y in metres, got {text!r}") from None
+        choice = "x,y in metres" if truth is None else "a name or x,y in metres"
+        raise ConfigError(f"--target must be {choice}, got {text!r}") from None
     return x, y
 
 

@@ -23,6 +23,8 @@ from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
 
 Options = Mapping[str, Any]
+REAL = "real"
+"""Stands for a scene's name where the real robot was; no scene is called so."""
 T = TypeVar("T")
 
 
@@ -119,7 +121,8 @@ def settings_toml(effective: Settings) -> str:
     """Return ``effective`` as a TOML file that ``read_settings`` reads back."""
     tables = {**_plain(effective.config), **_plain(effective.twin), "run": _plain(effective.run)}
     ordered = sorted(tables.items(), key=lambda item: isinstance(item[1], dict))
-    return "# Run again: twin sim --config THIS_FILE\n" + tomli_w.dumps(dict(ordered))
+    command = "real" if effective.run.scene == REAL else "sim"
+    return f"# Run again: twin {command} --config THIS_FILE\n" + tomli_w.dumps(dict(ordered))
 
 
 def _part(options: Options, cls: type) -> dict[str, Any]:

@@ -1,0 +1,119 @@
+"""``twin real``: digitise what stands in front of the real robot."""
+
+from __future__ import annotations
+
+import json as json_module
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from scan3d_twin.cli.dotted import dotted_options, stated
+from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import HazardError, ScanError
+from scan3d_twin.core.presets import preset
+from scan3d_twin.recording.settings import REAL, Options, Settings, settings
+
+if TYPE_CHECKING:
+    from scan3d_twin.core.hal import Robot
+
+    DottedOptions = Any
+else:
+    DottedOptions = dotted_options(Config)
+
+REHEARSED_LINES = 20
+"""Lines read by a dry run: 2 s at 10 Hz."""
+USABLE_SHARE = 0.1
+"""A lidar that sees less than this share of its beams is blind; a cover is on it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealOptions(ScanOptions, PortOptions):
+    """What only the real robot has a choice of; None is not stated."""
+
+    dry_run: bool = False
+    """Do everything but move: open both devices, read them, say whether the robot could start."""
+
+
+def real(
+    *,
+    options: Annotated[RealOptions, Parameter(name="*")] = RealOptions(),
+    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+) -> None:
+    """Digitise what stands in front of the real robot.
+
+    The robot turns once to look around, drives round the target, scans it, and writes model.ply,
+    report.json, top_view.svg, config.toml and views/NNN.npz. Ctrl-C stops it at once; finished
+    views are saved. Later ones win: defaults, preset, --config FILE, environment (TWIN_EPSILON,
+    ...), command line.
+
+    Raises:
+        TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
+    """
+    from scan3d_twin.cli.run import run
+
+    effective = resolve(options, {} if dotted is None else stated(dotted))
+    opening = open_robot(options, effective.twin.lidar_link)
+    if options.dry_run:
+        with opening as (robot, _):
+            rehearse(robot, as_json=options.json)
+        return
+    run(effective, REAL, opening, options.out, as_json=options.json)
+
+
+def resolve(options: RealOptions, sections: Options) -> Settings:
+    """Return the effective settings."""
+    from scan3d_twin.core.planning import make_planner
+
+    given = stated_options(options, sections)
+    name = settings([given]).run.preset
+    effective = settings([preset(name), given, {"run": {"scene": REAL}}])
+    make_planner(effective.config.planner)
+    return effective
+
+
+def open_robot(options: PortOptions, lidar_link: str) -> AbstractContextManager[tuple[Robot, None]]:
+    """Return what opens the robot on the ports that are given or found; nobody knows the truth."""
+    from scan3d_twin.protocols.urg04lx import LINKS
+    from scan3d_twin.real.ports import choose_ports
+    from scan3d_twin.real.robot import open_real
+
+    @contextmanager
+    def opened() -> Iterator[tuple[Robot, None]]:
+        base, lidar = choose_ports(options.port, options.lidar_port)
+        with open_real(base, lidar, LINKS[lidar_link]) as robot:
+            yield robot, None
+
+    return opened()
+
+
+def rehearse(robot: Robot, *, as_json: bool) -> None:
+    """Read both devices, say what they say, and do not move.
+
+    Raises:
+        HazardError: The robot could not drive off.
+        ScanError: The lidar sees nothing.
+    """
+    lines = [robot.lidar.read_line(1.0) for _ in range(REHEARSED_LINES)]
+    seen = sum(float((line.ranges > 0).mean()) for line in lines) / len(lines)
+    rate = (len(lines) - 1) / (lines[-1].stamp - lines[0].stamp)
+    hazards = robot.base.hazards()
+    found = {
+        "base": robot.base.spec.name,
+        "battery_percent": round(100 * hazards.battery),
+        "hazards": list(hazards.active()),
+        "lidar_hz": round(rate, 2),
+        "lidar_beams": robot.lidar.spec.n_beams,
+        "lidar_seen_percent": round(100 * seen),
+    }
+    if as_json:
+        print(json_module.dumps(found, indent=2))
+    else:
+        print("\n".join(f"{name.replace('_', ' ')}: {value}" for name, value in found.items()))
+    if hazards.active():
+        raise HazardError(f"the robot could not drive off: {', '.join(hazards.active())}")
+    if seen < USABLE_SHARE:
+        raise ScanError(f"the lidar sees {seen:.0%} of its beams: take its cover off, clean it")
