@@ -74,8 +74,7 @@ def _detected(power: FloatArray, normals: FloatArray, config: LidarModelConfig) 
 
 
 def _lonely(valid: BoolArray) -> BoolArray:
-    """Return where a valid reading has no valid neighbour in its line."""
-    lonely = valid.copy()
-    lonely[:, 1:] &= ~valid[:, :-1]
-    lonely[:, :-1] &= ~valid[:, 1:]
+    """Return where a valid reading has neighbours in its line and none is valid."""
+    lonely = np.zeros_like(valid)
+    lonely[:, 1:-1] = valid[:, 1:-1] & ~valid[:, :-2] & ~valid[:, 2:]
     return lonely

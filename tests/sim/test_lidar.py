@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from scan3d_twin.core.errors import LinkTimeoutError
+from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
 from scan3d_twin.core.types import VALID
 from scan3d_twin.sim.config import IDEAL_ROBOT, LidarModelConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
@@ -214,3 +214,77 @@ def test_the_time_of_the_first_line_is_drawn_from_the_seed():
             starts.add(robot.lidar.read_line(1.0).stamp)
     assert len(starts) == 5
     assert all(0 <= start < 0.1 for start in starts)
+
+
+@pytest.mark.parametrize("rays", [1, 5])
+@pytest.mark.parametrize("scene", ["three_boxes", "shiny_cylinder"])
+def test_a_sweep_at_once_equals_one_line_by_line(scene, rays):
+    def read(at_once):
+        config = TwinConfig(lidar=LidarModelConfig(sub_rays=rays, line_loss=0.1))
+        with open_sim(scene, 3, config) as (robot, _):
+            robot.base.set_velocity(0.0, math.radians(10))
+            if at_once:
+                return robot.lidar.read_sweep(21)
+            return [robot.lidar.read_line(1.0) for _ in range(21)]
+
+    for one, other in zip(read(True), read(False), strict=True):
+        assert one.stamp == other.stamp
+        assert np.array_equal(one.ranges, other.ranges, equal_nan=True)
+        assert np.array_equal(one.codes, other.codes)
+
+
+def test_a_sweep_at_once_is_as_long_as_the_poses_are_kept():
+    with (
+        open_sim("plain_wall", 0) as (robot, _),
+        pytest.raises(ConfigError, match=r"1 to 29\d lines, got 400"),
+    ):
+        robot.lidar.read_sweep(400)
+
+
+def test_revolutions_jitter_and_stamps_are_whole_milliseconds():
+    config = TwinConfig(lidar=LidarModelConfig(revolution=0.0))
+    with open_sim("plain_wall", 1, config) as (robot, _):
+        stamps = np.array([robot.lidar.read_line(1.0).stamp for _ in range(300)])
+    assert stamps * 1000 == pytest.approx(np.round(stamps * 1000), abs=1e-6)
+    # Jitter of .3 ms at both ends and rounding to 1 ms: sqrt(2 * (.3^2 + 1 / 12)).
+    assert 1000 * np.diff(stamps).std() == pytest.approx(0.59, abs=0.12)
+    assert np.diff(stamps).mean() == pytest.approx(0.1, abs=1e-4)
+
+
+def test_each_sensor_has_its_own_pace():
+    def period(seed):
+        with open_sim("plain_wall", seed) as (robot, _):
+            robot.clock.sleep(0.5)
+            first = robot.lidar.read_line(1.0).stamp
+            for _ in range(20):
+                last = robot.lidar.read_line(1.0).stamp
+        return (last - first) / 20
+
+    periods = np.array([period(seed) for seed in range(8)])
+    assert 0.0001 < periods.std() < 0.0006
+    assert periods.mean() == pytest.approx(0.1, abs=0.0004)
+
+
+@pytest.mark.parametrize("latency", [0.085, 0.101, 0.3])
+def test_a_line_arrives_after_its_latency(latency):
+    config = TwinConfig(lidar=LidarModelConfig(latency=latency, jitter=0.0, stamp_step=0.0))
+    with open_sim("plain_wall", 0, config) as (robot, _):
+        for _ in range(5):
+            line = robot.lidar.read_line(1.0)
+            assert 0 <= robot.clock.now() - line.stamp - latency < 0.0021
+
+
+def test_the_evidence_behind_a_line():
+    with open_sim("three_boxes", 0, TwinConfig.ideal()) as (robot, truth):
+        assert truth.evidence() is None
+        line = robot.lidar.read_line(1.0)
+        evidence = truth.evidence()
+        names = [truth._scene.model.geom(k).name if k >= 0 else "" for k in evidence.geoms]
+    valid = line.codes == VALID
+    assert line.ranges[valid] == pytest.approx(evidence.distances[valid], abs=0.0006)
+    assert {"floor", "target_middle", ""} <= set(names)
+    hit = evidence.geoms >= 0
+    assert np.linalg.norm(evidence.normals[hit], axis=1) == pytest.approx(1.0)
+    assert evidence.positions[0] == pytest.approx([-0.85, 0, 0.3], abs=0.001)
+    assert np.linalg.norm(evidence.directions, axis=1) == pytest.approx(1.0)
+    assert (evidence.intensity[valid] > 0).all()

@@ -96,14 +96,23 @@ def test_the_ripple_meets_the_pitch_mode_at_higher_speed(bare):
     assert shake(bare, 0.03, 20)[1] > 2 * shake(bare, 0.03, 5)[1]
 
 
-def test_random_commands_never_upset_the_physics():
+def test_random_commands_never_upset_the_physics(scene_of):
+    posts = "".join(
+        f'<geom type="box" size=".05 .05 .3" pos="{0.45 * c:.3f} {0.45 * s:.3f} .3"/>'
+        for c, s in (
+            (math.cos(math.radians(angle)), math.sin(math.radians(angle)))
+            for angle in range(0, 360, 45)
+        )
+    )
+    scene = scene_of(posts + '<geom name="target" size=".1" pos="3 0 .1"/>')
     rng = np.random.default_rng(5)
     tilts, hazards = [], 0
-    for seed in range(16):
-        with open_sim("three_boxes", seed) as (robot, _):
+    for seed in range(32):
+        with open_sim(scene, seed) as (robot, _):
             world = robot.base._world
-            for _ in range(40):
-                robot.base.set_velocity(rng.uniform(-0.3, 0.5), rng.uniform(-2, 2))
+            for _ in range(60):
+                left, right = rng.uniform(-0.5, 0.5, 2)
+                robot.base.set_velocity((left + right) / 2, (right - left) / 0.235)
                 try:
                     robot.clock.sleep(0.25)
                 except HazardError:
