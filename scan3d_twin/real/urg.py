@@ -14,10 +14,10 @@ import numpy as np
 
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError, ProtocolError
 from scan3d_twin.core.hal import Clock
-from scan3d_twin.core.types import ScanLine
+from scan3d_twin.core.types import LidarSpec, ScanLine
 from scan3d_twin.protocols.scip import Request, ScanRequest
 from scan3d_twin.protocols.scip_replies import DONE, STREAMED, decode_scan, find_echo
-from scan3d_twin.protocols.urg04lx import LINKS, ScanMode
+from scan3d_twin.protocols.urg04lx import ScanMode
 from scan3d_twin.real.transport import Transport
 from scan3d_twin.real.urg_clock import SensorClock
 from scan3d_twin.real.urg_connect import (
@@ -33,8 +33,9 @@ from scan3d_twin.real.urg_lines import line_spec, to_line
 from scan3d_twin.real.urg_link import Arrived, Steps, UrgLink
 from scan3d_twin.real.urg_mode import duration, period, scan_requests
 
-CONNECT_TIMEOUT = 6.0
-"""From opening the port to a running stream, whatever state the sensor was left in [s]."""
+CONNECT_TIMEOUT = 5.8
+"""From opening the port to a running stream, whatever state the sensor was left in [s]; it never
+takes over 6 s."""
 FIND_TIMEOUT = 3.5
 """Of that for finding it [s]; all bit rates take 1.05 s, and it may still be starting."""
 UNREAD_LINES = 16
@@ -81,11 +82,13 @@ class UrgLidar:
     the sensor was unplugged included. Call it at least every 50 ms, or wait in ``read_line``.
 
     Attributes:
+        spec: See ``Lidar.spec``.
         info: What the sensor says about itself.
         request: The stream that is running.
         stats: What happened on the line.
     """
 
+    spec: LidarSpec
     info: UrgInfo
     request: ScanRequest
 
@@ -93,7 +96,7 @@ class UrgLidar:
         self,
         open_transport: Callable[[], Transport],
         clock: Clock,
-        mode: ScanMode = LINKS["usb"],
+        mode: ScanMode | None = None,
         cluster: int = 1,
     ) -> None:
         """Connect and start the laser.
@@ -101,7 +104,7 @@ class UrgLidar:
         Args:
             open_transport: Opens the port; called again after the sensor was unplugged.
             clock: The robot's clock; its ``sleep`` may service this lidar.
-            mode: Which steps are wanted, and how often.
+            mode: Which steps are wanted, and how often; None is as many as come every turn.
             cluster: Steps merged into one reading, the shortest.
 
         Raises:
@@ -109,7 +112,6 @@ class UrgLidar:
             LinkError: No sensor, or it cannot deliver ``mode``; says why.
         """
         self._requests = scan_requests(mode, cluster)
-        self.spec = line_spec(mode, cluster)
         self.stats = UrgStats()
         self._open_transport = open_transport
         self._clock = clock
@@ -124,6 +126,7 @@ class UrgLidar:
         self._life = self._live()
         try:
             self._connect_first()
+            self.spec = line_spec(self.request)
         except BaseException:
             self.close()
             raise
@@ -163,10 +166,13 @@ class UrgLidar:
         while not self._connected:
             if self._clock.now() >= deadline:
                 raise LinkTimeoutError(
-                    f"the lidar was not ready within {CONNECT_TIMEOUT:g} s: power it off and on"
+                    f"the lidar was not ready within {CONNECT_TIMEOUT:g} s, power it off and on: "
+                    f"{self.stats.problem or 'it never fell silent'}"
                 )
             next(self._life)
-            if self._link is not None:
+            if self._link is None:
+                self._clock.sleep(POLL)
+            else:
                 self._link.pump(POLL)
 
     def _live(self) -> Steps[NoReturn]:
@@ -177,7 +183,7 @@ class UrgLidar:
             try:
                 yield from self._stream()
             except LinkError as error:
-                if not self._connected:
+                if not (self._connected or isinstance(error, LinkTimeoutError)):
                     raise
                 self._lose(error)
             wait = BACKOFF[0] if self._last_good > started else min(longest, 2 * wait)
@@ -231,6 +237,9 @@ class UrgLidar:
         if self._info is None:
             yield from synchronise(link, self._sensor_clock)
         self._info = self.info = info
+        # The lines of one robot all look the same, whatever the next port could carry.
+        same = (self.request.first, self.request.last)
+        self._requests = tuple(r for r in self._requests if (r.first, r.last) == same)
         # Look first where it was found, then where it was left.
         self._bauds = tuple(dict.fromkeys((link.baud, found, *ORDER)))
         yield from link.ask(self.request.request(), status_of)

@@ -6,17 +6,19 @@ import numpy as np
 
 from scan3d_twin.core.types import VALID, IntArray, LidarSpec, ScanLine, read_only
 from scan3d_twin.protocols import urg04lx
-from scan3d_twin.protocols.urg04lx import ScanMode, step_angle, step_time
+from scan3d_twin.protocols.scip import ScanRequest
+from scan3d_twin.protocols.urg04lx import step_angle, step_time
+from scan3d_twin.real.urg_mode import period
 
 
-def line_spec(mode: ScanMode, cluster: int) -> LidarSpec:
-    """Return the geometry of the lines; the middle of a cluster stands for it."""
-    steps = mode.steps
-    groups = [steps[i : i + cluster] for i in range(0, len(steps), cluster)]
+def line_spec(request: ScanRequest) -> LidarSpec:
+    """Return the geometry of the lines of a stream; the middle of a cluster stands for it."""
+    steps = range(request.first, request.last + 1)
+    groups = [steps[i : i + request.cluster] for i in range(0, len(steps), request.cluster)]
     return LidarSpec(
         elevations=read_only([(step_angle(g[0]) + step_angle(g[-1])) / 2 for g in groups]),
         beam_times=read_only([(step_time(g[0]) + step_time(g[-1])) / 2 for g in groups]),
-        line_period=mode.line_period,
+        line_period=period(request),
         min_range=urg04lx.MIN_RANGE_MM / 1000,
         max_range=urg04lx.MAX_RANGE_MM / 1000,
     )

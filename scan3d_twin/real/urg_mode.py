@@ -15,12 +15,20 @@ _COMMANDS: tuple[ScanCommand, ...] = ("MD", "MS")
 """Three characters a step first; two go up to 4095 mm, which is the data sheet's range."""
 
 
-def scan_requests(mode: ScanMode, cluster: int = 1) -> tuple[ScanRequest, ...]:
+def scan_requests(mode: ScanMode | None, cluster: int = 1) -> tuple[ScanRequest, ...]:
     """Return the streams that deliver ``mode``, the best first.
+
+    Without a mode every turn counts: all steps if a bit rate carries them, else as many around the
+    front as it does.
 
     Raises:
         ConfigError: There is no such stream.
     """
+    if mode is None:
+        full = ScanMode(urg04lx.FIRST_STEP, urg04lx.LAST_STEP, 1)
+        windows = [window(baud, cluster) for baud in (115200, 57600, 38400, 19200)]
+        modes = [full, *(window for window in windows if window != full)]
+        return tuple(request for mode in modes for request in scan_requests(mode, cluster))
     low, high = urg04lx.FIRST_STEP, urg04lx.LAST_STEP
     if not low <= mode.first_step <= mode.last_step <= high:
         raise ConfigError(
@@ -36,6 +44,17 @@ def scan_requests(mode: ScanMode, cluster: int = 1) -> tuple[ScanRequest, ...]:
         ScanRequest(command, mode.first_step, mode.last_step, cluster, skip)
         for command in _COMMANDS
     )
+
+
+def window(baud: int, cluster: int = 1) -> ScanMode:
+    """Return the widest window around the front that ``baud`` carries every turn."""
+    front = urg04lx.FRONT_STEP
+    for half in range(front - urg04lx.FIRST_STEP, 0, -1):
+        last = min(front + half, urg04lx.LAST_STEP)
+        request = ScanRequest("MD", front - half, last, cluster)
+        if duration(request, baud) <= period(request):
+            return ScanMode(front - half, last, 1)
+    raise ConfigError(f"{baud} baud carry no scan every turn")
 
 
 def duration(request: ScanRequest, baud: int) -> float:

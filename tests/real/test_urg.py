@@ -177,18 +177,37 @@ def test_a_cluster_reports_the_shortest_of_its_steps():
     assert np.array_equal(values_of(line), shortest)
 
 
-class Limited:
-    """A port that does 115200 baud at most; above that it refuses, or nothing arrives."""
+@pytest.mark.parametrize(("best", "steps"), [(750000, 682), (115200, 363), (57600, 177)])
+def test_without_a_mode_the_window_is_what_the_port_carries(best, steps):
+    bench = Bench(UrgProfile(usb=False, baud=19200))
+    bench.open_transport = lambda: Limited(Wire(bench.line, bench.clock), best=best)
+    lidar = bench.connect(None)
+    assert lidar.spec.n_beams == pytest.approx(steps, abs=3)
+    lines = read(lidar, 10)
+    bench.check(lines, lidar.request.first, lidar.request.last)
+    assert np.allclose(np.diff([line.stamp for line in lines]), REVOLUTION, atol=0.006)
 
-    def __init__(self, wire, refuse=True):
-        self.wire, self.refuse = wire, refuse
+
+@pytest.mark.parametrize("seed", range(8))
+def test_connects_over_a_bad_line(seed):
+    bench = Bench(UrgProfile(usb=False, baud=19200, scip1=True), Faults(5e-4, 5e-4, 5e-4), seed)
+    lidar = bench.connect("115200")
+    assert bench.clock.now() <= 6.0
+    bench.check(read(lidar, 2, timeout=4.0), 206, 562)
+
+
+class Limited:
+    """A port that does ``best`` baud at most; above that it refuses, or nothing arrives."""
+
+    def __init__(self, wire, refuse=True, best=115200):
+        self.wire, self.refuse, self.best = wire, refuse, best
         self.read, self.write, self.close = wire.read, wire.write, wire.close
         self.discard_input = wire.discard_input
 
     def set_baud(self, baud):
-        if baud > 115200 and self.refuse:
+        if baud > self.best and self.refuse:
             raise LinkError(f"cannot do {baud} baud")
-        self.wire.set_baud(baud if baud <= 115200 else 1200)
+        self.wire.set_baud(baud if baud <= self.best else 1200)
 
 
 def test_what_does_not_fit_is_refused_with_the_numbers():

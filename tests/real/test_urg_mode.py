@@ -60,3 +60,25 @@ def test_the_refusal_names_what_would_do():
     assert "250000 baud" in text
     assert "547 steps" in text
     assert "every 2. turn" in text
+
+
+@pytest.mark.parametrize(
+    ("baud", "steps"), [(250000, 682), (115200, 363), (57600, 177), (38400, 115), (19200, 53)]
+)
+def test_the_widest_window_a_bit_rate_carries(baud, steps):
+    mode = urg_mode.window(baud)
+    assert len(mode.steps) == pytest.approx(steps, abs=3)
+    assert mode.first_step + mode.last_step == 2 * 384 or steps == 682
+    request = ScanRequest("MD", mode.first_step, mode.last_step)
+    assert urg_mode.duration(request, baud) <= 0.1
+
+
+def test_without_a_mode_all_steps_are_wanted_first_and_then_the_widest_window():
+    requests = urg_mode.scan_requests(None)
+    assert [(r.command, r.first, r.last) for r in requests[:2]] == [
+        ("MD", 44, 725),
+        ("MS", 44, 725),
+    ]
+    widths = [request.n_values for request in requests]
+    assert widths == sorted(widths, reverse=True)
+    assert min(widths) > 50
