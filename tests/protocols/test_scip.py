@@ -129,6 +129,46 @@ def test_scan_requests_that_are_refused(line, status):
     assert caught.value.status == status
 
 
+def test_constants_of_the_specification():
+    assert scip.BAUDS == (19200, 38400, 57600, 115200, 250000, 500000, 750000)
+    # 16777215 ms are 4.66 hours.
+    assert (1 << scip.TIMER_BITS) - 1 == 16777215
+    assert set(scip.COMMANDS) == {
+        *("VV", "PP", "II", "BM", "QT", "RS", "TM", "SS", "CR", "HS", "DB", "GD", "GS", "MD", "MS")
+    }
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *[b"VV", b"PP", b"II", b"BM", b"QT", b"RS", b"TM0", b"SS019200", b"CR00", b"HS0", b"DB01"],
+        *[b"GD0044072501", b"GS0044072501", b"MD0044072501000", b"MS0044072501000"],
+    ],
+)
+def test_each_command_takes_its_parameters_no_more_and_no_fewer(line):
+    assert scip.parse_request(line).encode() == line + b"\n"
+    with pytest.raises(RequestError) as caught:
+        scip.parse_request(line + b"0")
+    assert caught.value.status == "0F"
+    if len(line) > 2:
+        with pytest.raises(RequestError) as caught:
+            scip.parse_request(line[:-1])
+        assert caught.value.status == "0C"
+
+
+def test_the_last_step_may_be_asked_for():
+    assert scip.parse_scan_request(scip.parse_request(b"GD0725072501"), 725).last == 725
+
+
+def test_requests_are_values():
+    scan = ScanRequest("GD", 44, 725)
+    assert scan.cluster == scip.OldScanRequest(44, 725).cluster == 1
+    assert scan == ScanRequest("GD", 44, 725)
+    assert (
+        len({scan, scan.request(), scip.OldScanRequest(44, 725), ScanRequest("GD", 44, 725)}) == 3
+    )
+
+
 SCANS = st.builds(
     lambda command, a, b, cluster, skip, count, tag: ScanRequest(
         command, min(a, b), max(a, b), cluster, *((skip, count) if command < "N" else (0, 0)), tag
@@ -177,6 +217,11 @@ def test_the_scan_request_of_scip_1_1():
     scan = scip.parse_old_scan_request(b"G04472501", 725)
     assert (scan.first, scan.last, scan.cluster) == (44, 725, 1)
     assert scan.echo == "G04472501"
+
+
+def test_one_step_may_be_asked_for_in_scip_1_1():
+    scan = scip.parse_old_scan_request(b"G72572599", 725)
+    assert (scan.first, scan.last, scan.cluster) == (725, 725, 99)
 
 
 @pytest.mark.parametrize(

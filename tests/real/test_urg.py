@@ -92,6 +92,13 @@ def test_connects_to_a_sensor_that_speaks_scip_1_1(baud, talk):
     bench.check(read(lidar, 3))
 
 
+@pytest.mark.parametrize("baud", [19200, 38400, 750000])
+def test_connects_where_a_wrong_bit_rate_is_silence(baud):
+    bench = Bench(UrgProfile(usb=False, baud=baud), Faults(silent=True))
+    bench.check(read(bench.connect(), 3))
+    assert bench.clock.now() <= 2.7
+
+
 @pytest.mark.parametrize("scip1", [False, True])
 def test_connects_over_usb_from_any_state(scip1):
     for state, talk in STATES.items():
