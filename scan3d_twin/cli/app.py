@@ -32,6 +32,10 @@ app = App(
 )
 app.command("scan3d_twin.cli.sim:sim", name="sim", help="Digitise a scene with the twin.")
 app.command("scan3d_twin.cli.real:real", name="real", help="Digitise with the real robot.")
+app.command("scan3d_twin.cli.scan:scan", name="scan", help="Take one 3D image from here.")
+app.command(
+    "scan3d_twin.cli.doctor:doctor", name="doctor", help="Look for what is wrong with the robot."
+)
 app.command("scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.")
 app.command("scan3d_twin.cli.listing:planners", name="planners", help="List the planners.")
 app.command(

@@ -123,6 +123,11 @@ class CreateBase:
         """Readings that were dropped since the packets were asked for last."""
         return self._source.bad
 
+    @property
+    def charging(self) -> bool:
+        """Whether a charger is plugged in, or the base stands on its dock."""
+        return bool(self._values.get(Packet.CHARGING_SOURCES))
+
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
         """See ``DriveBase.set_velocity``.
 
@@ -238,7 +243,7 @@ class CreateBase:
 
     def _refuse(self) -> None:
         """Raise for what forbids to drive off."""
-        if self._values.get(Packet.CHARGING_SOURCES):
+        if self.charging:
             raise HazardError("the base is on its charger: unplug it or take it off the dock")
         if self._hazards.battery < LOW_BATTERY:
             raise HazardError(f"low battery: {self._hazards.battery:.0%} left; charge the base")
