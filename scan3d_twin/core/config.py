@@ -15,6 +15,7 @@ from scan3d_twin.core.errors import ConfigError
 Tour = Literal["front", "full"]
 Scope = Literal["target", "sweep"]
 Border = Literal["drop", "keep"]
+Engine = Literal["icp", "grid"]
 Draws = Literal["common", "independent"]
 VirtualScan = Literal["smoothed", "copy"]
 Criterion = Literal["displacement", "eq3", "nn"]
@@ -41,6 +42,8 @@ class SweepConfig:
 
     width: float = math.radians(60.0)
     """Horizontal angle of a sweep, the paper's C [rad]; 60 deg see 1.15 m at the 1 m standoff."""
+    margin: float = 0.0
+    """Swept beyond the width on either side, for registration and the model alone [rad]."""
     yaw_rate: float = math.radians(5.0)
     """Speed of the turn [rad/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
     look_rate: float = math.radians(20.0)
@@ -53,6 +56,10 @@ class SweepConfig:
     def __post_init__(self) -> None:
         _positive("sweep", width=self.width, yaw_rate=self.yaw_rate, look_rate=self.look_rate)
         _check(self.width <= math.tau, f"sweep.width must be <= 2 pi rad, got {self.width:g}")
+        _check(
+            0.0 <= self.margin <= (math.tau - self.width) / 2,
+            f"sweep.margin must be >= 0 and sweep.width + 2 margin <= 2 pi, got {self.margin:g}",
+        )
         _check(self.settle >= 0, f"sweep.settle must be >= 0 s, got {self.settle:g}")
         _check(self.retries >= 0, f"sweep.retries must be >= 0, got {self.retries}")
 
@@ -100,6 +107,15 @@ class RegistrationConfig:
     """Which points are registered: the target's alone as in the paper, or the whole sweep's."""
     max_correspondence_distance: float = 0.10
     """Pairs farther apart than this are no correspondence [m]."""
+    engine: Engine = "icp"
+    """How: the paper's point-to-point ICP, or surfels on the grid of lines and beams."""
+    bias_sigma: float = 0.003
+    """Range error that neighbouring readings share, for the grid engine [m]; within the +-10 mm of
+    the URG-04LX's data sheet, and more than its noise in the mean of a surface."""
+    starts: int = 16
+    """Starts of the grid engine, spread over the odometry's error."""
+    yaw_scale_sigma: float = 0.01
+    """Relative error of all yaws for the grid engine: the wheel base is known to 1 %."""
     border: Border = "drop"
     """Pairs on the border of the target scan, where the surface goes on unseen: drop or keep."""
     max_iterations: int = 100
@@ -121,6 +137,15 @@ class RegistrationConfig:
             translation_epsilon=self.translation_epsilon,
             rotation_epsilon=self.rotation_epsilon,
             max_points=self.max_points,
+            starts=self.starts,
+        )
+        _check(
+            0.0 <= self.bias_sigma <= 0.1,
+            f"registration.bias_sigma must be in [0, 0.1] m, got {self.bias_sigma:g}",
+        )
+        _check(
+            0.0 <= self.yaw_scale_sigma <= 0.2,
+            f"registration.yaw_scale_sigma must be in [0, 0.2], got {self.yaw_scale_sigma:g}",
         )
         _share("registration", min_fitness=self.min_fitness)
 
@@ -145,12 +170,16 @@ class PlanningConfig:
     """Translation error per metre of the move, eq. (2); fitted by benchmarks/motion_error.py."""
     gamma: float = 0.026
     """Rotation error per radian of the turn, eq. (2) [rad/rad]; fitted there too."""
+    drift: float = 0.036
+    """Heading error per metre driven, not in the paper [rad/m]; 2.07 deg/m of the odometry."""
     sigma: float = 0.005
     """N_noise of eq. (2) in x, y and z [m]; URG-04LX: 4 to 5 mm up to 2 m."""
     virtual_scan: VirtualScan = "smoothed"
     """What Q'' is made from: the surface behind the noise of P, or P's very readings."""
     criterion: Criterion = "displacement"
     """Error E: eq. (3) on noise-free points, as printed, or the nearest-neighbour residual."""
+    calibration: float = 1.0
+    """Factor on the closed-form prediction, so that few errors exceed epsilon; see presets."""
     trials: int = 1
     """Random draws per overlap; the paper draws once."""
     draws: Draws = "common"
@@ -161,6 +190,7 @@ class PlanningConfig:
     """Distance from the surface at which a viewpoint is wanted [m]."""
 
     def __post_init__(self) -> None:
+        _positive("planning", calibration=self.calibration)
         _positive("planning", epsilon=self.epsilon, eta_step=self.eta_step, standoff=self.standoff)
         _share(
             "planning",
@@ -172,7 +202,7 @@ class PlanningConfig:
             0.0 < self.eta_min <= self.eta_max < 1.0,
             f"planning.eta_min..eta_max must lie in 0..1, got {self.eta_min:g}..{self.eta_max:g}",
         )
-        for name in ("lambda_", "gamma", "sigma"):
+        for name in ("lambda_", "gamma", "drift", "sigma"):
             _check(getattr(self, name) >= 0, f"planning.{name.rstrip('_')} must be >= 0")
         _check(self.trials >= 1, f"planning.trials must be >= 1, got {self.trials}")
 

@@ -6,7 +6,6 @@ real robot, replay and tests all run the same algorithm.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -17,8 +16,8 @@ from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.gaps import fill_gaps
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.motion import follow
+from scan3d_twin.core.placing import place_view
 from scan3d_twin.core.planning import Planner
-from scan3d_twin.core.registration.icp import cut_lines, overlapping_lines, register
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.sweep import look_around, sweep
 from scan3d_twin.core.target import all_points, extract_target, find_target
@@ -27,13 +26,9 @@ from scan3d_twin.core.types import (
     Observation,
     Plan,
     Pose2,
-    RegistrationResult,
-    Scan3D,
     ScanLine,
-    rms,
 )
 from scan3d_twin.core.viewpoints import (
-    ends_in_view,
     first_segment,
     look_contour,
     place,
@@ -166,7 +161,7 @@ def integrate(session: Session, observation: Observation) -> Session:
     target = extract_target(image, points, known, config.target)
     view = View(observation, image, target, points, prior, None)
     if session.views:
-        view = _place(view, session.views[-1], config)
+        view = place_view(view, session.views[-1], config)
     return session.with_view(view)
 
 
@@ -183,42 +178,6 @@ def _known_target(session: Session) -> FloatArray:
     """Return the top view (n, 2) in ``world`` of all that is known of the target."""
     seen = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
     return np.concatenate([session.hint, *seen])
-
-
-def _place(view: View, previous: View, config: Config) -> View:
-    """Return ``view`` registered on ``previous``; by odometry where ICP does not vouch for better.
-
-    A correction of the target by more than correspondences reach is no correction: ICP has slid.
-    """
-    result = _register(view, previous, config)
-    T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
-    points = view.target.points
-    correction = T_world_scan.apply(points) - view.T_world_scan.apply(points)
-    slid = rms(correction) > config.registration.max_correspondence_distance
-    result = replace(result, converged=result.converged and not slid)
-    placed = T_world_scan if result.converged else view.T_world_scan
-    return replace(view, T_world_scan=placed, registration=result)
-
-
-def _register(view: View, previous: View, config: Config) -> RegistrationResult:
-    """Register ``view`` on ``previous`` where, by odometry, they are expected to overlap."""
-    init = previous.T_world_scan.inverse() @ view.T_world_scan
-    target, source = (_in_scope(v, config.registration.scope) for v in (previous, view))
-    source = overlapping_lines(target, source, init)
-    ends = config.registration.scope == "target" and ends_in_view(
-        previous.image, previous.sweep, previous.target, config.target
-    )
-    return register(
-        target.points,
-        source.points,
-        init_T_target_source=init,
-        border=cut_lines(target, right=not ends),
-        config=config.registration,
-    )
-
-
-def _in_scope(view: View, scope: str) -> Scan3D:
-    return view.target if scope == "target" else view.sweep
 
 
 def _plan(robot: Robot, planner: Planner, session: Session, observer: Observer) -> Session:

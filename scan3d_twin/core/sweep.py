@@ -37,13 +37,13 @@ Lines = list[tuple[ScanLine, FloatArray]]
 def sweep(
     robot: Robot, yaw: float, config: Config, on_line: Callable[[ScanLine], None]
 ) -> Observation:
-    """Scan ``config.sweep.width`` around the heading ``yaw`` in ``odom`` [rad].
+    """Scan ``config.sweep.width`` and margins around the heading ``yaw`` in ``odom`` [rad].
 
     Raises:
         DataLossError: Lines are still missing after ``config.sweep.retries`` more passes.
         MotionTimeoutError, HazardError, LinkTimeoutError: From the robot.
     """
-    half, rate = config.sweep.width / 2, config.sweep.yaw_rate
+    half, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
     started = robot.clock.now()
     heading = wrap(robot.base.odometry().T_odom_base.yaw - yaw)
     ends = (half, -half) if heading >= 0 else (-half, half)

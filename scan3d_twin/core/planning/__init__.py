@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.planning.fisher import FisherPlanner
 from scan3d_twin.core.planning.siicp import SiicpPlanner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
@@ -24,7 +25,7 @@ class Planner(Protocol):
         ...
 
 
-_PLANNERS = {"siicp": SiicpPlanner}
+_PLANNERS: dict[str, type[Planner]] = {"fisher": FisherPlanner, "siicp": SiicpPlanner}
 
 
 def planner_names() -> tuple[str, ...]:

@@ -48,8 +48,8 @@ class SiicpPlanner:
             viewpoint = in_world(situation, placement.viewpoint)
             candidates.append(Candidate(viewpoint, eta, error, feasible=True))
             if error <= config.epsilon:
-                return _chosen(candidates[-1], candidates, fell_back=False)
-        return _default(situation, candidates, config)
+                return chosen(candidates[-1], candidates, fell_back=False)
+        return default_plan(situation, candidates, config)
 
 
 def overlaps(config: PlanningConfig) -> list[float]:
@@ -151,7 +151,8 @@ def motion_error(draw: FloatArray, viewpoint: Pose2, config: PlanningConfig) -> 
     )
 
 
-def _chosen(candidate: Candidate, candidates: list[Candidate], fell_back: bool) -> Plan:
+def chosen(candidate: Candidate, candidates: list[Candidate], fell_back: bool) -> Plan:
+    """Return the plan to go to ``candidate``."""
     reason = (
         f"no overlap meets epsilon: default {candidate.overlap:.0%}"
         if fell_back
@@ -167,7 +168,7 @@ def _chosen(candidate: Candidate, candidates: list[Candidate], fell_back: bool) 
     )
 
 
-def _default(situation: Situation, candidates: list[Candidate], config: PlanningConfig) -> Plan:
+def default_plan(situation: Situation, candidates: list[Candidate], config: PlanningConfig) -> Plan:
     """Return the plan for a featureless surface: the default overlap, whatever its error."""
     placement = situation.place(config.default_overlap)
     if placement.viewpoint is None:
@@ -177,4 +178,4 @@ def _default(situation: Situation, candidates: list[Candidate], config: Planning
     )
     viewpoint = in_world(situation, placement.viewpoint)
     default = Candidate(viewpoint, config.default_overlap, error, feasible=True)
-    return _chosen(default, candidates, fell_back=True)
+    return chosen(default, candidates, fell_back=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
+import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.costmap import Costmap, build_costmap
@@ -67,12 +68,21 @@ class Situation:
     @cached_property
     def P(self) -> Scan3D:
         """The paper's P: the target in the latest view, up to where it is seen too flat."""
-        return self.view.target.first_lines(well_seen(self._whole))
+        return self._seen.first_lines(well_seen(self._whole))
+
+    @cached_property
+    def _seen(self) -> Scan3D:
+        """The target in the latest view, without what the sweep's margins show of it."""
+        target, sweep = self.view.target, self.session.config.sweep
+        if sweep.margin == 0.0:
+            return target
+        yaws = self.view.image.yaws[:, self.view.image.spec.n_beams // 2]
+        return target.select((np.abs(yaws) <= sweep.width / 2)[target.lines])
 
     @cached_property
     def _whole(self) -> Contour:
         """The contour of all that is seen of the target in the latest view."""
-        return contour_of(self.view.target)
+        return contour_of(self._seen)
 
     @cached_property
     def contour(self) -> Contour:
@@ -83,9 +93,24 @@ class Situation:
     def ends(self) -> bool:
         """Whether the target ends with P, or turns around a corner there, on the travel side."""
         view = self.view
+        if self._goes_on:
+            return False
         if self.n_lines < len(self._whole.points):
             return bends_after(self._whole, self.n_lines)
         return ends_in_view(view.image, view.sweep, view.target, self.session.config.target)
+
+    @cached_property
+    def _goes_on(self) -> bool:
+        """Whether the sweep's margin shows more of the target's front on the travel side."""
+        beyond = len(self.view.target.occupied_lines) - len(self._seen.occupied_lines)
+        if self.session.config.tour != "front" or beyond < MIN_LINES:
+            return False
+        contour = contour_of(self.view.target)
+        last = int(self._seen.occupied_lines[-1])
+        first = int(np.searchsorted(self.view.target.occupied_lines, last))
+        if len(contour.points) - first < MIN_LINES:
+            return False
+        return abs(angle_between(self._front, contour.normal(first))) < FRONT_SIDE
 
     @cached_property
     def smoothed(self) -> RangeImage:
@@ -131,7 +156,7 @@ class Situation:
 
     def finished(self) -> str | None:
         """Return why the tour is finished, or None while there is more to scan."""
-        if len(self.view.target.occupied_lines) < MIN_LINES:
+        if len(self._seen.occupied_lines) < MIN_LINES:
             return "target lost: the latest view shows nothing of it"
         if len(self.session.views) >= self.session.config.max_views:
             return f"max_views: {len(self.session.views)} views taken"

@@ -9,12 +9,12 @@ with the viewpoint.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RangeImage
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage
 
 JUMP = 0.10
 """Least step in range at an edge [m]; several sigma, and more than a steep face within a line."""
@@ -52,6 +52,20 @@ class Edges:
 
     def __len__(self) -> int:
         return len(self.places)
+
+    def select(self, mask: BoolArray) -> Edges:
+        """Return the edges where ``mask`` (n,) is True."""
+        return Edges(
+            self.places[mask],
+            self.across[mask],
+            self.variances[mask],
+            self.sides[mask],
+            self.heights[mask],
+        )
+
+    def seen_from(self, T: Pose2) -> Edges:
+        """Return the edges in another frame, ``T`` maps into it, as well known as they are here."""
+        return replace(self, places=T.apply(self.places), across=T.rotate(self.across))
 
 
 def find_edges(image: RangeImage, table: FloatArray, valid: BoolArray, yaw_sigma: float) -> Edges:

@@ -188,7 +188,7 @@ def solve(problem: Problem, state: State, stride: int, gate: Gate) -> Solution:
             f"no overlap: only {equations.pairs} pairs of surfels within {gate.distance:g} m, "
             f"{MIN_PAIRS} are needed; give a better init_T_target_source"
         )
-    H, g, per_step = _without_scale(equations, problem.yaw_scale_information, state.scale)
+    H, g, per_step = without_scale(equations, problem.yaw_scale_information, state.scale)
     dims, block = problem.rows, problem.block
     H, g, faked = H[block], g[dims], equations.faked[block]
     seen = equations.information[block]
@@ -221,7 +221,7 @@ def _inverse(problem: Problem, information: FloatArray) -> FloatArray:
     return np.asarray(inverse, dtype=np.float64)
 
 
-def _without_scale(
+def without_scale(
     equations: Equations, prior: float, scale: float
 ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     """Eliminate the yaw scale by its Schur complement.

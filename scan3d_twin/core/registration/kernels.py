@@ -204,7 +204,7 @@ def normal_equations(  # type: ignore[no-untyped-def]
     rows, source_yaws, source_lines, T, limits,
 ):  # fmt: skip
     """See ``point_to_plane.normal_equations``."""
-    distance, robust, area, scale, jitter, target_jitter, density = limits
+    distance, robust, area, scale, jitter, target_jitter, density, share, tilt = limits
     c2, farthest = robust * robust, (MOST_ALONG_RAY * distance) ** 2
     H, lost, b, JJ = np.zeros((7, 7)), np.zeros((7, 7)), np.zeros(7), np.zeros((6, 6))
     first, second = np.zeros(3), np.zeros((3, 3))
@@ -240,7 +240,7 @@ def normal_equations(  # type: ignore[no-untyped-def]
             k = _lines_per_line(nx, ny, a, q, density)
             turn = ny * q[0] - nx * q[1]
             own = math.sqrt(jitter * swing * swing + target_jitter * k * turn * turn)
-        w = area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
+        w = share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
         J[0], J[1], J[2], J[6] = nx, ny, nz, g
         J[3], J[4], J[5] = a[1] * nz - a[2] * ny, a[2] * nx - a[0] * nz, swing
         if own > 0:
@@ -252,7 +252,7 @@ def normal_equations(  # type: ignore[no-untyped-def]
                 h[i] += w * own * J[i]
             h[7] += w * own * e
             h[8] += w * own * own
-        nu = w * (row[7] + q[7]) / 4
+        nu = w * ((row[7] + q[7]) / 4 + tilt)
         for i in range(7):
             b[i] += w * J[i] * e
             for k in range(i + 1):

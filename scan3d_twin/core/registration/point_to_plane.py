@@ -9,14 +9,18 @@ for small (dx, dy, dz, rx, ry, rz) of the source about its own origin (the viewp
 relative error k of the yaws psi of both sweeps. Weights are w = area / s^2 (c^2 / (c^2 + e^2 /
 s^2))^2 (Geman and McClure) with s^2 the noise of one reading of either scan along the normal.
 
+A range error that the n readings of a patch share adds as much as if only the share 1 / (1 + n
+b^2 / s^2) of them counted: it lowers w as a whole.
+
 Yaw jitter moves all surfels of a line together: those of a source line by l_s = n . (z x a) per
 radian, those of a target line by l_t = n . (z x q). Where k source lines cross the surface for each
 target line, k of them share its error, so to each source line belongs one unknown of unit variance
 that moves its residuals by c, c^2 = sigma_s^2 l_s^2 + k sigma_t^2 l_t^2. Marginalised, it takes
 h h^T / (1 + sum w c^2) from J^T W J, with h = sum w c J, and likewise from the gradient.
 
-Noise of the normals, of variance nu, fakes the information w nu (B B^T - J J^T), B = (I, [a]x), in
-directions that the surface leaves free (Hatleskog and Alexis, arXiv 2410.10784).
+Noise of the normals, of variance nu, and tilts by a range error that changes along the surface fake
+the information w nu (B B^T - J J^T), B = (I, [a]x), in directions that the surface leaves free
+(Hatleskog and Alexis, arXiv 2410.10784).
 """
 
 from __future__ import annotations
@@ -88,6 +92,8 @@ def linearise(
             source.noise.yaw_sigma**2,
             target.noise.yaw_sigma**2,
             target.line_spacing / source.line_spacing,
+            2.0 / (source.inflation + target.inflation),
+            (source.noise.tilt_variance + target.noise.tilt_variance) / 4,
         ]
     )
     yaws = target.image.yaws.reshape(-1)
@@ -128,9 +134,10 @@ def normal_equations(
         source_lines: Line of each (m,), ascending.
         T: ``T_target_source`` (3, 4).
         limits: Gate distance, c, area, yaw scale error, variances of the source's and the target's
-            yaw jitter, target line spacing in source line spacings (7,).
+            yaw jitter, target line spacing in source line spacings, share of
+            the readings that count in spite of a common bias, variance of the tilt by it (9,).
     """
-    distance, robust, area, scale, jitter, target_jitter, density = limits
+    distance, robust, area, scale, jitter, target_jitter, density, share, tilt = limits
     a, n_s = rows[:, X] @ T[:, :3].T, rows[:, N] @ T[:, :3].T
     moved = a + T[:, 3]
     index = Projection(lines, beams, offsets, mount).lookup(moved, table[:, VARIANCE])
@@ -151,14 +158,14 @@ def normal_equations(
     turn = n[:, 1] * q[:, 0] - n[:, 0] * q[:, 1]
     k = _lines_per_line(n, a, q, density)
     own = np.sqrt(jitter * swing**2 + target_jitter * k * turn**2) * np.sign(swing)
-    w = area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
+    w = share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
     J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
     information, gradient, lost = (J * w[:, None]).T @ J, J.T @ (w * e), np.zeros((7, 7))
     if jitter > 0 or target_jitter > 0:
         lost, taken = _lost(_per_line(w, own, J, e, source_lines[paired]), area)
         gradient -= taken
-    nu = (rows[paired, NORMAL_VARIANCE] + table[index[paired], NORMAL_VARIANCE]) / 4
-    return information, lost, gradient, _faked(w * nu, a, J[:, :6]), len(e), float(e @ e)
+    nu = (rows[paired, NORMAL_VARIANCE] + table[index[paired], NORMAL_VARIANCE]) / 4 + tilt
+    return information, lost, gradient, faked_information(w * nu, a, J[:, :6]), len(e), float(e @ e)
 
 
 def _lines_per_line(n: FloatArray, a: FloatArray, q: FloatArray, density: float) -> FloatArray:
@@ -192,7 +199,7 @@ def _lost(per_line: FloatArray, area: float) -> tuple[FloatArray, FloatArray]:
     return (h * share[:, None]).T @ h, h.T @ (share * r)
 
 
-def _faked(weights: FloatArray, a: FloatArray, J: FloatArray) -> FloatArray:
+def faked_information(weights: FloatArray, a: FloatArray, J: FloatArray) -> FloatArray:
     """Return sum w nu (B B^T - J J^T) (6, 6)."""
     result = np.zeros((6, 6))
     result[:3, :3] = np.eye(3) * weights.sum()

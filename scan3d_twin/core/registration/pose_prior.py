@@ -41,8 +41,14 @@ class PosePrior:
     @staticmethod
     def planar(pose: Pose2, sigma_xy: float, sigma_yaw: float) -> PosePrior:
         """Return the prior of a robot on a floor, with the same error in x and y."""
-        sigmas = [sigma_xy, sigma_xy, SIGMA_Z, SIGMA_TILT, SIGMA_TILT, sigma_yaw]
-        return PosePrior(read_only(pose.matrix()), read_only(np.diag(np.square(sigmas))))
+        return PosePrior.of_robot(pose, np.diag(np.square([sigma_xy, sigma_xy, sigma_yaw])))
+
+    @staticmethod
+    def of_robot(pose: Pose2, covariance: FloatArray) -> PosePrior:
+        """Return the prior of a robot on a floor with the covariance (3, 3) of x, y and yaw."""
+        full = np.diag(np.square([0.0, 0.0, SIGMA_Z, SIGMA_TILT, SIGMA_TILT, 0.0]))
+        full[np.ix_(PLANAR, PLANAR)] = covariance
+        return PosePrior(read_only(pose.matrix()), read_only(full))
 
     def information(self, dims: tuple[int, ...]) -> FloatArray:
         """Return the inverse of the covariance of ``dims`` alone."""

@@ -14,6 +14,7 @@ from scan3d_twin.core.registration.compiled import compiled
 from scan3d_twin.core.registration.edges import Edges, find_edges
 from scan3d_twin.core.registration.projection import Projection
 from scan3d_twin.core.registration.scan_noise import (
+    BIAS_PATCH,
     ScanNoise,
     estimate_range_noise,
     line_residuals,
@@ -63,6 +64,12 @@ class SurfelGrid:
     def line_spacing(self) -> float:
         """Typical angle between two lines [rad]."""
         return _line_spacing(self.image)
+
+    @cached_property
+    def inflation(self) -> float:
+        """Factor on the variance of a reading for what it shares with its neighbours."""
+        beam_spacing = float(np.median(np.abs(np.diff(self.image.spec.elevations))))
+        return self.noise.inflation(BIAS_PATCH**2 / (self.line_spacing * beam_spacing))
 
     @cached_property
     def middle_yaw(self) -> float:

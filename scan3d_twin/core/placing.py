@@ -1,0 +1,134 @@
+"""Where a new view lies: registered on the previous one, by either engine, or by odometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from scan3d_twin.core.config import Config, PlanningConfig
+from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.registration import PosePrior, SurfelGrid, icp, prepare, register
+from scan3d_twin.core.session import View
+from scan3d_twin.core.types import (
+    Pose2,
+    RegistrationResult,
+    Scan3D,
+    read_only,
+    rms,
+    wrap,
+)
+from scan3d_twin.core.viewpoints import ends_in_view
+
+STANDING_XY, STANDING_YAW = 0.003, math.radians(0.2)
+"""What a move of no length may still be off [m], [rad]: the wheels' play and the turning centre."""
+
+
+def place_view(view: View, previous: View, config: Config) -> View:
+    """Return ``view`` registered on ``previous``; by odometry where registration has failed."""
+    if config.registration.engine == "grid":
+        return _place_by_grid(view, previous, config)
+    return _place_by_icp(view, previous, config)
+
+
+def _place_by_grid(view: View, previous: View, config: Config) -> View:
+    """Register the readings in scope; odometry is the prior, so the result is never worse."""
+    prior = motion_prior(previous.T_world_scan.inverse() @ view.T_world_scan, config.planning)
+    try:
+        result = register(
+            surfels_of(previous, config),
+            surfels_of(view, config),
+            prior=prior,
+            starts=config.registration.starts,
+        )
+    except RegistrationError:
+        return replace(view, registration=_by_odometry(prior))
+    T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
+    return replace(view, T_world_scan=T_world_scan, registration=result)
+
+
+def surfels_of(view: View, config: Config) -> SurfelGrid:
+    """Return the surfels of a view's readings in ``registration.scope``."""
+    scope = _in_scope(view, config.registration.scope)
+    grid = prepare(view.observation.image, keep=scope)
+    noise = replace(
+        grid.noise,
+        yaw_scale_sigma=config.registration.yaw_scale_sigma,
+        bias_sigma=config.registration.bias_sigma,
+    )
+    return replace(grid, noise=noise)
+
+
+def motion_prior(move: Pose2, config: PlanningConfig) -> PosePrior:
+    """Return the prior of a move by turn, drive and turn, about the viewpoint it leads to.
+
+    With D the way and t1, t2 the turns before and after it: along the way lambda D; the heading is
+    off by gamma t1 at its start and drifts by delta D until its end, so that across the way it is
+    off by lambda D, D gamma t1 and delta D^2 / 2; the final heading errs by gamma (t1 + t2) and
+    delta D. All of them independent of each other.
+    """
+    D = math.hypot(move.x, move.y)
+    bearing = math.atan2(move.y, move.x) if D > 0.01 else 0.0
+    before, after = config.gamma * abs(bearing), config.gamma * abs(wrap(move.yaw - bearing))
+    drift, slip = config.drift * D, config.lambda_ * D
+    C = np.zeros((3, 3))
+    C[0, 0] = slip**2 + STANDING_XY**2
+    C[1, 1] = slip**2 + (D * before) ** 2 + (drift * D / 2) ** 2 + STANDING_XY**2
+    C[2, 2] = (before + after) ** 2 + drift**2 + STANDING_YAW**2
+    C[1, 2] = C[2, 1] = D * before * before + drift * drift * D / 2
+    along = Pose2(0.0, 0.0, bearing).matrix()[:3, :3]
+    return PosePrior.of_robot(move, along @ C @ along.T)
+
+
+def _by_odometry(prior: PosePrior) -> RegistrationResult:
+    """Return the result for views that do not overlap: the odometry and what it is worth."""
+    return RegistrationResult(
+        T_target_source=prior.T,
+        covariance=prior.covariance,
+        information=read_only(np.linalg.inv(prior.covariance)),
+        fitness=0.0,
+        inlier_rmse=math.nan,
+        predicted_rmse=math.nan,
+        num_inliers=0,
+        iterations=0,
+        converged=False,
+        degenerate_directions=read_only(np.zeros((0, 6))),
+        ambiguity_gap=1.0,
+    )
+
+
+def _place_by_icp(view: View, previous: View, config: Config) -> View:
+    """Register by the paper's ICP, if it vouches for a better pose than odometry.
+
+    A correction of the target by more than correspondences reach is no correction: ICP has slid.
+    """
+    result = _register_by_icp(view, previous, config)
+    T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
+    points = view.target.points
+    correction = T_world_scan.apply(points) - view.T_world_scan.apply(points)
+    slid = rms(correction) > config.registration.max_correspondence_distance
+    result = replace(result, converged=result.converged and not slid)
+    placed = T_world_scan if result.converged else view.T_world_scan
+    return replace(view, T_world_scan=placed, registration=result)
+
+
+def _register_by_icp(view: View, previous: View, config: Config) -> RegistrationResult:
+    """Register ``view`` on ``previous`` where, by odometry, they are expected to overlap."""
+    init = previous.T_world_scan.inverse() @ view.T_world_scan
+    target, source = (_in_scope(v, config.registration.scope) for v in (previous, view))
+    source = icp.overlapping_lines(target, source, init)
+    ends = config.registration.scope == "target" and ends_in_view(
+        previous.image, previous.sweep, previous.target, config.target
+    )
+    return icp.register(
+        target.points,
+        source.points,
+        init_T_target_source=init,
+        border=icp.cut_lines(target, right=not ends),
+        config=config.registration,
+    )
+
+
+def _in_scope(view: View, scope: str) -> Scan3D:
+    return view.target if scope == "target" else view.sweep
