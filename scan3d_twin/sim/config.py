@@ -16,6 +16,7 @@ from scan3d_twin.sim.lidar_config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelCon
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
 
+Reckoning = Literal["driver", "wheels"]
 RobotName = Literal["create1", "create2"]
 ROBOTS: tuple[RobotName, ...] = ("create1", "create2")
 
@@ -45,6 +46,9 @@ class RobotErrorConfig:
     """Length over which an uneven floor changes [m]; assumption, parquet and carpet edges."""
     battery_life: float = 7200.0
     """Time in which the battery is drained [s]; about 2 h, as in the paper."""
+    reckoning: Reckoning = "driver"
+    """create1: odometry as the driver reckons it (driver), by commands that packets 19 and 20
+    correct at rest, or by what the wheels turned (wheels), as an emulator of the base needs it."""
     truncates: bool = True
     """create1: packets 19 and 20 lose the fraction at each read (libcreate issue 22)."""
     angle_gain: float = 1.0

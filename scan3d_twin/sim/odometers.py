@@ -38,11 +38,12 @@ class Odometer(Protocol):
 
 def make_odometer(spec: BaseSpec, errors: RobotErrorConfig) -> Odometer:
     """Return the odometer of a base."""
-    return Commanded(spec, errors) if spec.name == "create1" else Encoders(spec)
+    by_command = spec.name == "create1" and errors.reckoning == "driver"
+    return Commanded(spec, errors) if by_command else Encoders(spec)
 
 
 class Encoders:
-    """Packets 43 and 44 of a Create 2: 508.8 counts per turn."""
+    """What the wheels turned: packets 43 and 44 of a Create 2, whole millimetres of a Create 1."""
 
     def __init__(self, spec: BaseSpec) -> None:
         self._per_radian = spec.counts_per_turn / math.tau

@@ -66,6 +66,13 @@ def test_a_create1_corrects_its_command_to_what_its_packets_allow(bare):
     assert reckoned == pytest.approx(22.5, abs=1.0)
 
 
+def test_a_create1_can_tell_what_its_wheels_turned(bare):
+    errors = RobotErrorConfig(reckoning="wheels", angle_gain=0.25)
+    with open_sim(bare, 0, TwinConfig(robot="create1", errors=errors)) as (robot, truth):
+        _, reckoned = turn(robot, truth)
+    assert reckoned == pytest.approx(90.0, abs=1.0)
+
+
 def test_an_uneven_floor_rocks_the_robot(bare):
     def rocking(uneven):
         config = TwinConfig(errors=RobotErrorConfig(uneven=uneven, cogging=0.0))
