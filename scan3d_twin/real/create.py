@@ -46,14 +46,16 @@ from scan3d_twin.real.transport import Transport
 
 log = logging.getLogger(__name__)
 
-SILENCE = 0.2
-"""A base that is silent for so long while it drives is lost [s]; 13 periods."""
+SILENCE = 0.3
+"""A base that is silent for so long while it drives is lost [s]; 20 periods."""
 SILENCE_AT_REST = 3.0
 """The same while it stands [s]; its stream is asked for again meanwhile."""
 ASK_AGAIN = 0.1
 """Time between two such requests, and between two repeated drive commands [s]."""
 ASKS_AT_ONE_SPEED = 10
 """Requests in vain before other speeds are tried: garbage may have changed the base's."""
+LISTENING = 0.03
+"""Longest time between two looks at the port that counts as listening [s]."""
 AWAY = 0.5
 """Bytes that waited longer than this for ``service`` are stale [s]."""
 REST = 0.2
@@ -187,9 +189,11 @@ class CreateBase:
 
     def _receive(self, now: float) -> bool:
         """Take in what has arrived; tell whether there were readings."""
-        if now - self._serviced > AWAY:
+        away = now - self._serviced
+        if away > AWAY:
             self._transport.discard_input()
-            self._heard = now
+        # Who does not listen hears nothing: only the time in which we listened counts.
+        self._heard = min(now, self._heard + max(0.0, away - LISTENING))
         self._serviced = now
         readings = self._source.take(self._transport.read(0.0), now)
         for stamp, values in zip(self._times.stamps(len(readings), now), readings, strict=True):

@@ -30,6 +30,8 @@ SPARE_COUNTS = 10
 """Allowed on top of that [counts]: jitter of the stamps; assumption."""
 RESTARTED = 5
 """So many wrong readings in a row, and the base has begun to count anew."""
+ACCELERATION = 1.8
+"""Of a wheel's rim [m/s2]; create_robot URDF."""
 COMMAND_ERROR = 0.05
 """Of a turn that was only commanded, not measured, standard deviation [rad/rad]; assumption."""
 
@@ -126,7 +128,8 @@ class CommandedReckoning:
     def __init__(self, spec: BaseSpec, stamp: float) -> None:
         self._reckoning = DeadReckoning(spec, 0, 0)
         self._stamp = stamp
-        self._speed = (0.0, 0.0)
+        self._speeds = self._told = (0.0, 0.0)
+        self._wheel_base = spec.wheel_base
         self._way = self._turn = 0.0
         self._variance = 0.0
         self._read_once = False
@@ -155,12 +158,19 @@ class CommandedReckoning:
     def drive(self, stamp: float, linear: float, angular: float) -> None:
         """See ``Reckoning.drive``."""
         self._advance(stamp)
-        self._speed = (linear, angular)
+        side = angular * self._wheel_base / 2
+        self._told = (linear - side, linear + side)
 
     def _advance(self, stamp: float) -> None:
+        """Follow the commands up to ``stamp`` [s], as fast as the wheels can."""
         passed = max(0.0, stamp - self._stamp)
         self._stamp = max(stamp, self._stamp)
-        way, turn = (speed * passed for speed in self._speed)
+        left, right = (
+            _ramped(speed, told, passed)
+            for speed, told in zip(self._speeds, self._told, strict=True)
+        )
+        self._speeds = (left[1], right[1])
+        way, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / self._wheel_base
         self._way, self._turn = self._way + way, self._turn + turn
         self._reckoning.advance(stamp, way, turn)
 
@@ -179,6 +189,19 @@ class CommandedReckoning:
         extra = self._variance + (COMMAND_ERROR * self._turn) ** 2
         covariance = plain.covariance + np.diag([0.0, 0.0, extra])
         return Odometry(stamp, plain.T_odom_base, read_only(covariance))
+
+
+def _ramped(speed: float, told: float, time: float) -> tuple[float, float]:
+    """Return how far [m] a wheel gets in ``time`` [s], and how fast [m/s] it is then.
+
+    Args:
+        speed: Before [m/s].
+        told: What it is on its way to [m/s].
+        time: [s].
+    """
+    ramp = min(time, abs(told - speed) / ACCELERATION)
+    after = told if ramp < time else speed + math.copysign(ACCELERATION * ramp, told - speed)
+    return (speed + after) / 2 * ramp + told * (time - ramp), after
 
 
 def _nearest(value: float, truncated: int) -> float:

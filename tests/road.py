@@ -1,0 +1,32 @@
+"""An emulated base for other processes to drive."""
+
+import time
+
+from kinematic import JumpingClock, KinematicBase
+
+from scan3d_twin.emulator.create import CreateEmulator
+from scan3d_twin.emulator.line import Line
+from scan3d_twin.emulator.pty import PtyPort
+from scan3d_twin.emulator.serve import serve
+
+
+class Road:
+    """An emulated base on a pseudo-terminal, in real time."""
+
+    def __init__(self):
+        self.base = KinematicBase()
+        self.device = CreateEmulator(self.base)
+        self._clock = JumpingClock(self.base)
+        self.port = PtyPort(Line(self.device))
+        self.close = self.port.close
+
+    def serve(self, until, timeout=20.0):
+        """Serve the port until something holds; return how long that took."""
+        started = time.monotonic()
+
+        def ended():
+            assert time.monotonic() - started < timeout
+            return until()
+
+        serve([self.port], self._clock, ended)
+        return time.monotonic() - started
