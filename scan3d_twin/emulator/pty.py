@@ -5,8 +5,8 @@ from __future__ import annotations
 import array
 import fcntl
 import os
-import select
 import tty
+from contextlib import suppress
 
 from scan3d_twin.core.errors import LinkError
 from scan3d_twin.emulator.line import Line
@@ -33,8 +33,6 @@ class PtyPort:
         self.path = os.ttyname(slave)
         os.close(slave)
         os.set_blocking(self._master, False)
-        self._poll = select.poll()
-        self._poll.register(self._master, select.POLLIN)
         self._connected = False
 
     @property
@@ -49,33 +47,31 @@ class PtyPort:
         data = self._read()
         # After the bytes: who changes the speed writes first and changes then.
         baud = self.baud
-        connected = not any(event & select.POLLHUP for _, event in self._poll.poll(0))
-        if connected and not self._connected:
-            self._open()
-        self._connected = connected
         self._line.send(data, now, baud)
         out = self._line.receive(now, baud)
-        if connected and out:
+        if self._connected and out:
             self._write(out)
 
     def close(self) -> None:
         """Take the port away; its client sees it unplugged."""
         os.close(self._master)
 
-    def _open(self) -> None:
-        try:
-            self._line.open()
-        except LinkError:
-            return
-
     def _read(self) -> bytes:
+        """Return what the client has sent, and notice whether there is one."""
         try:
-            return os.read(self._master, _CHUNK)
-        except OSError:  # nothing there, or no client
+            data = os.read(self._master, _CHUNK)
+        except BlockingIOError:
+            data = b""
+        except OSError:  # nobody has the other end open
+            self._connected = False
             return b""
+        if not self._connected:
+            self._connected = True
+            with suppress(LinkError):
+                self._line.open()
+        return data
 
     def _write(self, data: bytes) -> None:
-        try:
+        # A client that does not read, or has gone, loses them.
+        with suppress(OSError):
             os.write(self._master, data)
-        except OSError:  # the client does not read, or has gone
-            return

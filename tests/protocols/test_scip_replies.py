@@ -185,6 +185,46 @@ def test_reset_forgets_what_was_cut_off():
     assert splitter.feed(b"QT\n00P\n\n") == [(b"QT", b"00P")]
 
 
+def test_whether_a_block_has_begun_and_its_lines_so_far():
+    splitter = Splitter()
+    assert splitter.is_empty
+    splitter.feed(b"Q")
+    assert not splitter.is_empty
+    splitter.feed(b"T\n")
+    assert not splitter.is_empty
+    assert splitter.lines == (b"QT",)
+    splitter.feed(b"\n")
+    assert splitter.is_empty
+    assert splitter.lines == ()
+
+
+def test_a_full_line_of_data_is_told_from_garbage():
+    line = replies.encode_scan(Scan(0, [5432] * 22), 3)[1]
+    assert replies.is_data(line)
+    assert not replies.is_data(line[:-1])
+    assert not replies.is_data(line + b"0")
+    assert not replies.is_data(line[1:] + line[:1])
+    assert not replies.is_data(b"\x0c" + line[1:])
+    assert not replies.is_data(b"")
+
+
+@pytest.mark.parametrize(("steps", "rest"), [(43, 1), (64, 64), (22, 2)])
+def test_the_last_line_may_have_any_length(steps, rest):
+    request = ScanRequest("GD", 0, steps - 1)
+    scan = Scan(1, list(range(1000, 1000 + steps)))
+    lines = replies.encode_scan(scan, 3)
+    assert len(lines[-1]) == rest + 1
+    assert replies.decode_scan(Reply("", "00", tuple(lines)), request) == scan
+
+
+def test_an_echo_is_found_wherever_it_is():
+    assert replies.find_echo((b"QT",), "QT") == (b"QT",)
+    assert replies.find_echo((b"QT", b"x"), "QT") == (b"QT", b"x")
+    assert replies.find_echo((b"x", b"QT"), "QT") == (b"QT",)
+    assert replies.find_echo((b"x",), "QT") == ()
+    assert replies.find_echo((), "QT") == ()
+
+
 def test_the_reply_begins_at_the_last_echo():
     block = (b"rest", b"MD0044072501000", b"99b", b"MD0044072501000", b"99b", b"data")
     assert replies.find_echo(block, "MD0044072501000") == block[3:]
@@ -199,7 +239,8 @@ def test_good_lines_of_a_faulty_version():
 
 
 @pytest.mark.parametrize(
-    "line", [b"", b";", b"PROT:SCIP 2.0;M", b"PROT:SCIP 2.0N", b":x;b", b"A\x01:1;", b"AB;3"]
+    "line",
+    [b"", b";", b"PROT:SCIP 2.0;M", b"PROT:SCIP 2.0N", b":x;b", b"A\x01:1;]", b"AB;3", b"A:\xe9;T"],
 )
 def test_lines_of_text_that_are_bad(line):
     with pytest.raises(ProtocolError):
