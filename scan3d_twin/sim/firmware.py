@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
 from scan3d_twin.protocols import urg04lx
@@ -65,7 +67,9 @@ def read(
     return np.where(codes == VALID, millimetres / 1000, np.nan), codes
 
 
-def _detected(power: FloatArray, normals: FloatArray, config: LidarModelConfig) -> BoolArray:
+def _detected(
+    power: FloatArray, normals: npt.NDArray[np.floating[Any]], config: LidarModelConfig
+) -> BoolArray:
     """Return which returns of ``power`` are detected, given standard normal draws."""
     if config.threshold == 0:
         return power > 0

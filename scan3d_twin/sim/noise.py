@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.footprint import WAVE_NUMBERS
@@ -31,19 +33,21 @@ class Draws:
         chance: Uniform in 0..1, for repeats and glitches (m, n).
     """
 
-    seen: FloatArray
+    seen: npt.NDArray[np.floating[Any]]
     noise: FloatArray
     chance: FloatArray
 
     @staticmethod
     def of(rngs: list[np.random.Generator], beams: int, config: LidarModelConfig) -> Draws:
         """Draw for the lines of ``rngs``, one each."""
-        normals = np.empty((len(rngs), 2 * beams + 1))
+        seen = np.empty((len(rngs), beams), np.float32)  # half as dear, and only compared
+        noise = np.empty((len(rngs), beams + 1))
         chance = np.empty((len(rngs), beams))
         for k, rng in enumerate(rngs):
-            rng.standard_normal(out=normals[k])
+            rng.standard_normal(out=seen[k], dtype=np.float32)
+            rng.standard_normal(out=noise[k])
             rng.random(out=chance[k])
-        return Draws(normals[:, :beams], _correlated(normals[:, beams:], config), chance)
+        return Draws(seen, _correlated(noise, config), chance)
 
 
 def _correlated(white: FloatArray, config: LidarModelConfig) -> FloatArray:

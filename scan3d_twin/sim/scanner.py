@@ -19,7 +19,7 @@ from scan3d_twin.sim.noise import Draws
 from scan3d_twin.sim.optics import Materials
 from scan3d_twin.sim.world import robot_spec
 
-CHUNK = 8
+CHUNK = 12
 """Lines computed at once; more do not fit the processor's cache."""
 
 
