@@ -94,7 +94,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("modules", nargs="+", type=Path)
     parser.add_argument("--tests", nargs="+", required=True)
-    parser.add_argument("--sample", type=int, default=0, help="about this many, evenly spread; 0 is all")
+    parser.add_argument(
+        "--sample", type=int, default=0, help="about this many, evenly spread; 0 is all"
+    )
     options = parser.parse_args()
     found = [
         (module, *mutant)
