@@ -105,9 +105,9 @@ def accuracy(report: Report, runs: int) -> None:
             (0.010, 0.2),
         ):
             noise = Noise(sigma, math.radians(jitter))
-            datas = [pair(scene, noise, seed) for seed in range(runs)]
+            drawn = [pair(scene, noise, seed) for seed in range(runs)]
             errors: dict[str, list[float]] = {}
-            for data in datas:
+            for data in drawn:
                 for name in ("ours", *PEERS):
                     run = (lambda d=data: ours(d)) if name == "ours" else peer_run(name, data)
                     result = timed(run)
@@ -193,11 +193,11 @@ def speed(report: Report, times: dict[tuple[str, str], list[Timed]], runs: int) 
     )
     values, slow = [], []
     for scene in SPEED_SCENES:
-        datas = [pair(scene, Noise(0.010), seed) for seed in range(runs)]
-        one = median([timed(lambda d=d: ours(d)).cpu for d in datas])
-        values.append(median([timed(lambda d=d: ours(d, starts=32)).cpu for d in datas]) / one)
+        drawn = [pair(scene, Noise(0.010), seed) for seed in range(runs)]
+        one = median([timed(lambda d=d: ours(d)).cpu for d in drawn])
+        values.append(median([timed(lambda d=d: ours(d, starts=32)).cpu for d in drawn]) / one)
         with arrays_only():
-            own = median([timed(lambda d=d: ours(d)).wall for d in datas])
+            own = median([timed(lambda d=d: ours(d)).wall for d in drawn])
         slow.append(own / median([t.wall for t in times[scene, "open3d GICP"]]))
     report.add("starts_32_vs_1", max(values), "ratio", "one start", runs)
     report.add("numpy_vs_open3d_gicp", max(slow), "ratio", "open3d GICP, all threads, wall", runs)
