@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import time
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -127,8 +126,13 @@ def _words(error: BaseException) -> str:
 
 
 def _peak_memory() -> float:
-    """Return the most memory this process held [bytes]; Linux counts in kibibytes."""
-    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    """Return the most memory this process held [bytes].
+
+    ``getrusage`` would count what the parent held before it became this program.
+    """
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    (peak,) = (line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))
+    return 1024.0 * int(peak)
 
 
 def _default_folder(scene: str) -> Path:

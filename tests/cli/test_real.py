@@ -1,0 +1,159 @@
+"""The dress rehearsal: `twin real` over pseudo-terminals, in front of the emulated robot."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tomllib
+from contextlib import closing, contextmanager
+
+import jsonschema
+import pytest
+
+from scan3d_twin.real.transport import SerialTransport
+from scan3d_twin.recording.report import report_schema
+
+TWIN = [sys.executable, "-m", "scan3d_twin.cli"]
+PIPES = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+
+
+@pytest.fixture(scope="module")
+def ports():
+    """Options that name the ports of an emulated robot in front of three boxes."""
+    with subprocess.Popen([*TWIN, "emulate", "--json"], **PIPES) as process:
+        where = json.loads(process.stdout.readline())
+        yield ["--port", where["base_port"], "--lidar-port", where["lidar_port"]]
+        process.terminate()
+        process.communicate()
+
+
+def call(*arguments, timeout=60):
+    return subprocess.run(
+        [*TWIN, *map(str, arguments)], capture_output=True, text=True, timeout=timeout
+    )
+
+
+@contextmanager
+def started(*arguments):
+    with subprocess.Popen([*TWIN, *map(str, arguments)], **PIPES) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_dry_run_reads_everything_and_moves_nothing(ports):
+    result = call("real", *ports, "--dry-run", "--json")
+    assert result.returncode == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["base"] == "create2"
+    assert found["hazards"] == []
+    assert found["lidar_beams"] == 682
+    assert 5.0 < found["lidar_hz"] < 11.0
+    assert 0 < found["lidar_seen_percent"] <= 100
+
+
+RATES = ("base readings", "lidar rate")
+"""What a busy computer may slow down."""
+
+
+def test_the_doctor_finds_nothing_wrong(ports):
+    result = call("doctor", *ports, "--json")
+    findings = {each["what"]: each for each in json.loads(result.stdout)}
+    assert not [each for each in findings.values() if not each["ok"] and each["what"] not in RATES]
+    assert findings["base"]["found"].startswith("create2 at 115200 baud, mode Passive")
+    assert "URG-04LX" in findings["lidar"]["found"]
+    assert set(RATES) < set(findings)
+
+
+def test_the_doctor_names_cause_and_cure():
+    result = call("doctor", "--port", "/dev/nowhere", "--lidar-port", "/dev/null")
+    assert result.returncode == 3
+    assert "BAD  base port: /dev/nowhere does not exist\n     -> plug it in" in result.stdout
+    assert "/dev/null is no serial port" in result.stdout
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", [["real", "--dry-run"], ["scan"]])
+def test_without_a_robot_one_line_says_what_to_do(command):
+    result = call(*command, "--port", "/dev/nowhere", "--lidar-port", "/dev/nowhere")
+    assert result.returncode == 3
+    assert result.stdout == ""
+    assert result.stderr == (
+        "error: there is no port /dev/nowhere: plug the device in; `twin doctor` lists the ports\n"
+    )
+
+
+def test_only_one_process_may_hold_a_port(ports):
+    with closing(SerialTransport(ports[1])):
+        result = call("real", *ports, "--dry-run")
+    assert result.returncode == 3
+    assert f"is in use by {os.getpid()} (" in result.stderr
+
+
+def test_two_views_over_pseudo_terminals(ports, tmp_path):
+    """End to end; also how much memory it takes and what it imports."""
+    program = (
+        "import sys; from scan3d_twin.cli import main; code = main(sys.argv[1:]);"
+        "print(sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr);"
+        "sys.exit(code)"
+    )
+    # A narrow sweep and a quick look around keep the robot's own time short.
+    quick = ["--sweep.width", "0.8", "--sweep.yaw_rate", "0.3", "--sweep.look_rate", "1.2"]
+    quick += ["--motion.turn_rate", "1.5", "--motion.speed", "0.4"]
+    more = ["--max-views", "2", "--epsilon", "100", "--json", "--out", tmp_path / "run"]
+    command = [sys.executable, "-c", program, "real", *ports, *quick, *map(str, more)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=110)
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    jsonschema.validate(report, report_schema())
+    assert (report["scene"], report["robot"], report["views"]) == ("real", "create2", 2)
+    assert report["coverage_20mm"] is None
+    assert report["registration"][0]["converged"]
+    assert report["peak_memory_mb"] < 200
+    loaded = result.stderr.splitlines()[-1]
+    assert not [name for name in ("mujoco", "trimesh", "open3d", "matplotlib") if name in loaded]
+    saved = (tmp_path / "run/config.toml").read_text()
+    assert saved.startswith("# Run again: twin real --config THIS_FILE\n")
+    assert tomllib.loads(saved)["run"]["scene"] == "real"
+    names = {path.name for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    assert names == {
+        "model.ply", "report.json", "top_view.svg", "config.toml", "000.npz", "001.npz"
+    }  # fmt: skip
+
+
+def test_ctrl_c_stops_and_leaves_the_base_in_order(ports, tmp_path):
+    with started("real", *ports, "--out", tmp_path / "run") as process:
+        assert "looking around" in process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert rest.splitlines()[-1] == "error: interrupted"
+    assert not (tmp_path / "run").exists()
+    again = call("doctor", *ports, "--json")
+    assert "mode Passive" in again.stdout
+
+
+def test_one_image_from_here(ports, tmp_path):
+    result = call(
+        "scan", *ports, "--width", "20", "--rate", "10", "--out", tmp_path / "one", "--json"
+    )
+    assert result.returncode == 0, result.stderr
+    taken = json.loads(result.stdout)
+    assert 18 <= taken["lines"] <= 24
+    assert taken["points"] > 1000
+    assert {path.name for path in (tmp_path / "one").iterdir()} == {"scan.ply", "scan.npz"}
+
+
+def test_one_image_of_the_twin(tmp_path):
+    result = call("scan", "--scene", "three_boxes", "--width", "20", "--out", tmp_path / "one")
+    assert result.returncode == 0, result.stderr
+    assert "points" in result.stdout
+
+
+def test_a_scene_and_a_port_do_not_go_together():
+    result = call("scan", "--scene", "three_boxes", "--port", os.devnull)
+    assert result.returncode == 2
+    assert "--scene" in result.stderr
