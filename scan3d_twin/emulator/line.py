@@ -108,16 +108,18 @@ class Line:
         self._stalled_until = 0.0
         self._looked = 0.0
 
-    def open(self) -> None:
-        """A client opens its end.
+    def open(self, now: float) -> None:
+        """A client opens its end; what the device said before is lost.
 
         Raises:
             LinkError: The line is unplugged.
         """
         if not self.plugged:
             raise LinkError("there is no such port: the line is unplugged")
-        self._arrived = bytearray(self.faults.junk)
+        while self.device.transmit(now):
+            pass
         self._down.clear()
+        self._arrived = bytearray(self.faults.junk)
 
     def discard(self, now: float, baud: int) -> None:
         """The client forgets what has arrived."""
@@ -218,7 +220,7 @@ class Wire:
         self._clock = clock
         self._baud = baud
         self._open = True
-        self.line.open()
+        self.line.open(clock.now())
 
     def read(self, timeout: float) -> bytes:
         """See ``Transport.read``."""

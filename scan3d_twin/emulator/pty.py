@@ -44,7 +44,7 @@ class PtyPort:
 
     def service(self, now: float) -> None:
         """Let bytes pass in both directions up to ``now`` [s]."""
-        data = self._read()
+        data = self._read(now)
         # After the bytes: who changes the speed writes first and changes then.
         baud = self.baud
         self._line.send(data, now, baud)
@@ -56,7 +56,7 @@ class PtyPort:
         """Take the port away; its client sees it unplugged."""
         os.close(self._master)
 
-    def _read(self) -> bytes:
+    def _read(self, now: float) -> bytes:
         """Return what the client has sent, and notice whether there is one."""
         try:
             data = os.read(self._master, _CHUNK)
@@ -68,7 +68,7 @@ class PtyPort:
         if not self._connected:
             self._connected = True
             with suppress(LinkError):
-                self._line.open()
+                self._line.open(now)
         return data
 
     def _write(self, data: bytes) -> None:

@@ -37,7 +37,7 @@ class TcpPort:
     def service(self, now: float) -> None:
         """Let bytes pass in both directions up to ``now`` [s]."""
         if self._client is None:
-            self._accept()
+            self._accept(now)
         self._line.send(self._read(), now, _ANY_BAUD)
         out = self._line.receive(now, _ANY_BAUD)
         if self._client is not None and out:
@@ -49,7 +49,7 @@ class TcpPort:
         self._hang_up()
         self._server.close()
 
-    def _accept(self) -> None:
+    def _accept(self, now: float) -> None:
         try:
             self._client, _ = self._server.accept()
         except BlockingIOError:
@@ -57,7 +57,7 @@ class TcpPort:
         self._client.setblocking(False)
         self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with suppress(LinkError):
-            self._line.open()
+            self._line.open(now)
 
     def _read(self) -> bytes:
         if self._client is None:

@@ -48,7 +48,7 @@ NUDGES = 3
 """After so many in vain the connection is made anew, unless bytes still come."""
 BROKEN = 10
 """After so many it is made anew even so."""
-BACKOFF = (0.1, 2.0)
+BACKOFF = (0.1, 0.25)
 """First and longest wait between two attempts to connect again [s]; it doubles."""
 CLOSE_TIMEOUT = 0.5
 """For stopping the laser at the end [s]: two ticks, and the scan in the line's buffer."""
@@ -231,12 +231,12 @@ class UrgLidar:
         deadline = self._clock.now() + FIND_TIMEOUT
         yield from find(link, deadline, self._bauds)
         found = link.baud
-        info = yield from identify(link, self._info)
+        if self._info is None:
+            self._info = self.info = yield from identify(link)
         self.request = yield from speed_up(link, self._requests)
         self._sensor_clock = SensorClock(self._sensor_clock.latency)
-        if self._info is None:
+        if not self._connected:
             yield from synchronise(link, self._sensor_clock)
-        self._info = self.info = info
         # The lines of one robot all look the same, whatever the next port could carry.
         same = (self.request.first, self.request.last)
         self._requests = tuple(r for r in self._requests if (r.first, r.last) == same)
@@ -281,7 +281,7 @@ class UrgLidar:
 
     def _finish(self, link: UrgLink, request: Request) -> None:
         """Send ``request`` and wait for its answer, without the robot's clock."""
-        deadline = self._clock.now() + CLOSE_TIMEOUT + duration(self.request, link.baud)
+        deadline = self._clock.now() + CLOSE_TIMEOUT + duration(self._requests[0], link.baud)
         link.send(b"\n" + request.encode())
         while self._clock.now() < deadline:
             if any(find_echo(arrived.block, request.echo) for arrived in link.take()):

@@ -145,8 +145,8 @@ def _reaction_scip1(block: Block) -> bytes:
     return b""
 
 
-def identify(link: UrgLink, known: UrgInfo | None = None) -> Steps[UrgInfo]:
-    """Return what the sensor says about itself; its version is not asked for if it is ``known``.
+def identify(link: UrgLink) -> Steps[UrgInfo]:
+    """Return what the sensor says about itself.
 
     Raises:
         LinkError: It is no URG-04LX, or says nothing.
@@ -163,8 +163,6 @@ def identify(link: UrgLink, known: UrgInfo | None = None) -> Steps[UrgInfo]:
                 f"this lidar is no URG-04LX: {key} is {parameters.get(key)}, not {value} "
                 f"({parameters.get('MODL', 'unknown model')})"
             )
-    if known is not None:
-        return UrgInfo(link.baud, known.version, parameters, known.state)
     version: dict[str, str] = {}
     state: dict[str, str] = {}
     with suppress(LinkTimeoutError):
