@@ -7,11 +7,23 @@ from collections.abc import Callable
 from scan3d_twin.emulator.create_body import Body
 from scan3d_twin.protocols.oi_packets import BumpsDrops, Mode, Packet
 
+Event = Callable[[Body], bool]
+"""Tells whether something is so."""
+
 _DROPS = BumpsDrops.DROP_LEFT | BumpsDrops.DROP_RIGHT | BumpsDrops.DROP_CASTER
 _BUMPS = BumpsDrops.BUMP_LEFT | BumpsDrops.BUMP_RIGHT
 _CLIFFS = range(Packet.CLIFF_LEFT, Packet.VIRTUAL_WALL)
 
-EVENTS: dict[int, Callable[[Body], bool]] = {
+
+def _reading(packet: int) -> Event:
+    return lambda body: bool(body.readings()[packet])
+
+
+def _input(bit: int) -> Event:
+    return lambda body: bool(body.inputs & bit)
+
+
+EVENTS: dict[int, Event] = {
     1: lambda body: bool(body.bumps() & _DROPS),
     2: lambda body: bool(body.bumps() & BumpsDrops.DROP_CASTER),
     3: lambda body: bool(body.bumps() & BumpsDrops.DROP_LEFT),
@@ -22,11 +34,11 @@ EVENTS: dict[int, Callable[[Body], bool]] = {
     8: lambda body: body.virtual_wall,
     9: lambda body: bool(body.readings().get(Packet.WALL)),
     10: lambda body: body.cliff(),
-    **{11 + k: lambda body, p=p: bool(body.readings()[p]) for k, p in enumerate(_CLIFFS)},
+    **{11 + k: _reading(packet) for k, packet in enumerate(_CLIFFS)},
     15: lambda body: bool(body.charger & 2),
     16: lambda body: bool(body.buttons & 4),
     17: lambda body: bool(body.buttons & 1),
-    **{18 + k: lambda body, bit=1 << k: bool(body.inputs & bit) for k in range(4)},
+    **{18 + k: _input(1 << k) for k in range(4)},
 }
 """Whether an event is there, by its number; number 22 (mode is Passive) is the firmware's own."""
 PASSIVE_EVENT = 22

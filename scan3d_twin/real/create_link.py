@@ -130,7 +130,10 @@ def _model(transport: Transport, clock: Clock) -> Model:
 class Source(Protocol):
     """Where readings come from."""
 
-    bad: int
+    @property
+    def bad(self) -> int:
+        """Number of broken answers so far."""
+        ...
 
     def take(self, data: bytes, now: float) -> list[Values]:
         """Return the readings that ``data``, arrived by ``now`` [s], completes, oldest first."""
