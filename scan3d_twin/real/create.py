@@ -286,17 +286,16 @@ class CreateBase:
         return self._values[Packet.REQUESTED_RIGHT], self._values[Packet.REQUESTED_LEFT]
 
     def _listen(self, now: float) -> None:
-        """Stop and raise if the base is silent; at rest ask again first."""
+        """Stop and raise if the base is silent; at rest ask again meanwhile."""
         silent = now - self._heard
+        if not self._moving and silent > self._patience and now > self._asked_at:
+            self._ask_again(now)
         if silent > (SILENCE if self._moving else SILENCE_AT_REST):
-            self._sent = (0, 0)
-            self._guard.beat(False)
-            self._transport.write(STOP)
+            self._heard = now
+            self._drive(0, 0)
             raise LinkTimeoutError(
                 f"stopped: the base has been silent for {silent:.1f} s; check its cable and battery"
             )
-        if not self._moving and silent > self._patience and now > self._asked_at:
-            self._ask_again(now)
 
     def _ask_again(self, now: float) -> None:
         """Make a base speak that stands and is silent: it may have missed or misread anything."""

@@ -469,3 +469,46 @@ def test_a_create_1_that_is_turned_by_hand_notices(rig):
     rig.wait(0.1)
     assert rig.pose.yaw == pytest.approx(turned(rig.base), abs=math.radians(12.0))
     assert abs(rig.pose.yaw) > 0.7
+
+
+def corrupted(data, rng):
+    """Flip, drop and insert about one byte in five hundred each."""
+    out = bytearray()
+    for byte, (flip, drop, insert) in zip(data, rng.random((len(data), 3)).tolist(), strict=True):
+        if drop > 0.002:
+            out.append(byte ^ (1 << int(4000 * flip)) if flip < 0.002 else byte)
+        if insert < 0.002:
+            out.append(int(256 * insert / 0.002))
+    return bytes(out)
+
+
+@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
+def test_half_a_million_corrupted_bytes(model):
+    # Nothing but our own errors, and never a position that the base was not at.
+    rig = Rig(model).open()
+    read, rng, passed, errors = rig.wire.read, np.random.default_rng(5), 0, 0
+
+    def worse(timeout):
+        nonlocal passed
+        data = corrupted(read(timeout), rng)
+        passed += len(data)
+        return data
+
+    rig.wire.read = worse
+    k = 0
+    while passed < 500_000:
+        k += 1
+        try:
+            rig.driver.set_velocity((-1) ** k * 0.2, 0.0)
+            for _ in range(100):
+                rig.clock.sleep(0.03)
+                rig.driver.service(rig.clock.now())
+                place = rig.driver.odometry()
+                (near, *_) = rig.base.odometry_since(place.stamp)
+                assert place.T_odom_base.distance(near.T_odom_base) < 0.03
+        except (HazardError, LinkTimeoutError):
+            errors += 1
+            rig.driver.set_velocity(0.0, 0.0)
+            rig.clock.sleep(0.5)
+    assert rig.driver.bad > 100
+    assert errors <= 5
