@@ -45,6 +45,7 @@ class Firmware:
         # Step of the sensor to place in the lines of the hardware interface.
         first = round(spec.elevations[0] / urg04lx.step_angle(urg04lx.FRONT_STEP + 1))
         self._first_step = urg04lx.FRONT_STEP + first
+        self._turns_per_line = round(spec.line_period / urg04lx.REVOLUTION)
         self._handlers: dict[str, Callable[[Request, float], tuple[str, list[bytes]]]] = {
             **{"VV": self._version, "PP": self._parameters, "II": self._state},
             **{"BM": self._laser_on, "QT": self._quit, "RS": self._reset, "TM": self._time},
@@ -95,7 +96,7 @@ class Firmware:
         stream = self.stream
         if stream is None or line.stamp < stream.since or self._malfunction:
             return False
-        stream.skipped += 1
+        stream.skipped += self._turns_per_line
         return stream.skipped > stream.request.skip
 
     def send(self, line: ScanLine) -> bytes:

@@ -1,5 +1,7 @@
 """The emulated lidar, byte by byte; replies are those of the SCIP 2.0 specification."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from virtual import KnownLidar, VirtualClock
@@ -149,6 +151,22 @@ def test_turns_are_left_out_as_asked():
     request = ScanRequest("MD", 384, 384)
     scans = [scip_replies.decode_scan(scip_replies.decode_reply(b), request) for b in blocks]
     assert set(np.diff([scan.time_ms for scan in scans])) <= {399, 400, 401}
+
+
+def test_turns_the_lidar_behind_leaves_out_count_as_left_out():
+    desk = Desk()
+
+    class EverySecondTurn(KnownLidar):
+        def read_line(self, timeout):
+            line = super().read_line(timeout)
+            return line if self.next % 2 else self.read_line(timeout)
+
+    half = EverySecondTurn(desk.clock)
+    half.spec = replace(half.spec, line_period=0.2)
+    desk.device = UrgEmulator(half)
+    desk.wire = Wire(Line(desk.device), desk.clock)
+    blocks = Splitter().feed(desk.ask(b"MD0384038401100\n", seconds=4.2))
+    assert len(blocks) - 1 == pytest.approx(20, abs=1)
 
 
 @pytest.mark.parametrize(("cluster", "count"), [(1, 6), (2, 3), (4, 2), (99, 1)])
