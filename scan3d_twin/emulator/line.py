@@ -23,7 +23,11 @@ POLL = 0.002
 
 
 class Device(Protocol):
-    """An emulated device: bytes in, bytes out, on the simulated clock and nothing else."""
+    """An emulated device: bytes in, bytes out, on the simulated clock and nothing else.
+
+    It may have an attribute ``began``: when it put the bytes from the last ``transmit`` on the line
+    [s]. Otherwise that is when they were fetched, and looking late delays them.
+    """
 
     @property
     def baud(self) -> int:
@@ -104,6 +108,7 @@ class Line:
         self._rng = np.random.default_rng(seed)
         self._up: deque[_Burst] = deque()
         self._down: deque[_Burst] = deque()
+        self._free_at = 0.0
         self._arrived = bytearray()
         self._stalled_until = 0.0
         self._looked = 0.0
@@ -153,8 +158,9 @@ class Line:
         self._push(now)
         speed = self.device.baud
         while data := self.device.transmit(now):
-            start = max([now, *(burst.end for burst in list(self._down)[-1:])])
-            self._down.append(_Burst(start, speed, data))
+            self._free_at = max(getattr(self.device, "began", now), self._free_at)
+            self._down.append(_Burst(self._free_at, speed, data))
+            self._free_at = self._down[-1].end
             speed = self.device.baud
         if not self.plugged:
             self._down.clear()

@@ -18,6 +18,8 @@ from scan3d_twin.protocols.urg04lx import REPLY_LATENCY
 
 MAX_REQUEST = 64
 """Longest request that is kept [bytes]; the longest, MD with a text, has 32."""
+UART_BUFFER = 0.005
+"""A scan waits so long for the one before to leave the UART [s]; assumption, some 60 bytes."""
 MAX_QUEUE = 16
 """Requests that wait for the tick; assumption."""
 
@@ -31,12 +33,14 @@ class UrgEmulator:
     Attributes:
         firmware: The state of the sensor.
         dropped: Scans dropped because the line was busy.
+        began: See ``Device``.
     """
 
     def __init__(self, lidar: Lidar, profile: UrgProfile | None = None) -> None:
         profile = UrgProfile() if profile is None else profile
         self.firmware = Firmware(profile, lidar.spec, self._latest)
         self.dropped = 0
+        self.began = 0.0
         self._lidar = lidar
         self._profile = profile
         self._booted_at = 0.0
@@ -69,14 +73,17 @@ class UrgEmulator:
     def transmit(self, now: float) -> bytes:
         """See ``Device.transmit``."""
         self._advance(now)
-        return self._out.popleft()[1] if self._out else b""
+        if not self._out:
+            return b""
+        _, self.began, data = self._out.popleft()
+        return data
 
     def _forget(self) -> None:
         self._request = bytearray()
         self._queue: deque[tuple[float, bytes]] = deque()
         self._turns: deque[ScanLine] = deque()
         self._last: ScanLine | None = None
-        self._out: deque[tuple[int, bytes]] = deque()
+        self._out: deque[tuple[int, float, bytes]] = deque()
         self._free_at = -math.inf
 
     def _advance(self, now: float) -> None:
@@ -110,7 +117,7 @@ class UrgEmulator:
         self._last = line
         if not self.firmware.is_due(line):
             return
-        if self._free_at <= now + 1e-9:
+        if self._free_at <= now + UART_BUFFER:
             self._put(self.firmware.send(line), now)
         else:
             self.dropped += 1
@@ -121,7 +128,7 @@ class UrgEmulator:
             self.firmware.baud = self.firmware.wanted_baud
         if data:
             baud = self._uart_baud()
-            self._out.append((baud, data))
+            self._out.append((baud, now, data))
             duration = len(data) * BITS_PER_BYTE / baud if baud else 0.0
             self._free_at = max(self._free_at, now) + duration
 
