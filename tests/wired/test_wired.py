@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from scan3d_twin.core.config import Config
@@ -11,15 +10,16 @@ from scan3d_twin.core.evaluate import evaluate
 from scan3d_twin.core.motion import turn_by
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.presets import preset
+from scan3d_twin.recording.settings import settings
 from scan3d_twin.recording.views import view_bytes
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import open_wired
 
 
-def digitised(opener, link, max_views=20):
+def digitised(opener, link, config):
     with opener("three_boxes", 0, TwinConfig(lidar_link=link)) as (robot, truth):
-        config = replace(Config(), max_views=max_views)
         planner = make_planner(config.planner)
         session = digitize(robot, planner, config, 0, Unobserved())
         return session, evaluate(session, truth), robot.lidar
@@ -28,20 +28,24 @@ def digitised(opener, link, max_views=20):
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("link", ["usb", "115200"])
 def test_three_boxes_through_the_drivers_is_as_good_as_without(link):
-    sim, by_sim, _ = digitised(open_sim, link)
-    wired, by_wired, lidar = digitised(open_wired, link)
-    assert abs(len(wired.views) - len(sim.views)) <= 1
-    assert wired.stop_reason == sim.stop_reason
-    assert by_wired.coverage == pytest.approx(by_sim.coverage, abs=0.05)
-    assert by_wired.accuracy.median == pytest.approx(by_sim.accuracy.median, abs=0.005)
-    errors = [np.median([pair.error for pair in each.pairs]) for each in (by_sim, by_wired)]
-    assert errors[1] <= errors[0] + 0.005
+    """With the preset ``best``; plain ICP differs more from run to run than the links do."""
+    config = settings([{"tour": "front"}, preset("best")]).config
+    sim, by_sim, _ = digitised(open_sim, link, config)
+    wired, by_wired, lidar = digitised(open_wired, link, config)
+    # The corner at the end of the row takes one view or three, as the noise has it.
+    assert abs(len(wired.views) - len(sim.views)) <= 2
+    assert wired.stop_reason == sim.stop_reason == "front complete"
+    assert by_wired.coverage == pytest.approx(by_sim.coverage, abs=0.1)
+    assert by_wired.accuracy.median == pytest.approx(by_sim.accuracy.median, abs=0.003)
+    for evaluation in (by_sim, by_wired):
+        assert max(pair.error for pair in evaluation.pairs) <= 0.010
     assert lidar.stats.bad == 0
     assert lidar.stats.reconnects == 0
 
 
 def test_one_seed_gives_the_same_bytes():
-    first, second = (digitised(open_wired, "usb", max_views=2)[0] for _ in range(2))
+    config = replace(Config(), max_views=2)
+    first, second = (digitised(open_wired, "usb", config)[0] for _ in range(2))
     assert len(first.views) == 2
     assert [view_bytes(v) for v in first.views] == [view_bytes(v) for v in second.views]
 
