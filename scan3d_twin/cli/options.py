@@ -34,7 +34,7 @@ class ScanOptions:
     planner: Annotated[str | None, env("PLANNER")] = None
     """Name of the planner, see `twin planners` (default: the preset's)."""
     preset: Annotated[str | None, env("PRESET")] = None
-    """Named set of options: paper (default paper)."""
+    """Named set of options: paper or best (default paper)."""
     seed: Annotated[int | None, env("SEED")] = None
     """The run's one seed; in the twin the same seed gives the same files (default 0)."""
     max_views: Annotated[int | None, env("MAX_VIEWS")] = None
