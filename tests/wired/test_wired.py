@@ -21,7 +21,7 @@ from scan3d_twin.wired import open_wired
 def digitised(opener, link, config):
     with opener("three_boxes", 0, TwinConfig(lidar_link=link)) as (robot, truth):
         planner = make_planner(config.planner)
-        session = digitize(robot, planner, config, SEED, Unobserved())
+        session = digitize(robot, planner, config, 0, Unobserved())
         return session, evaluate(session, truth), robot.lidar
 
 
