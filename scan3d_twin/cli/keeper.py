@@ -9,6 +9,8 @@ import numpy as np
 
 from scan3d_twin.cli.progress import Progress
 from scan3d_twin.core.digitize import Command
+from scan3d_twin.core.hal import DriveBase
+from scan3d_twin.core.motion import travelled
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, ScanLine
@@ -33,11 +35,32 @@ class TimedPlanner:
             self.seconds += time.perf_counter() - started
 
 
+class Odometer:
+    """The way of a base since it was opened; to be read before the base forgets its odometry."""
+
+    def __init__(self, base: DriveBase) -> None:
+        self.path, self.turn = 0.0, 0.0
+        self._base = base
+        self._stamp = 0.0
+
+    def read(self) -> None:
+        """Add the way since the last reading to ``path`` [m] and ``turn`` [rad]."""
+        samples = self._base.odometry_since(self._stamp)
+        if not samples:
+            return
+        path, turn = travelled(samples)
+        self.path, self.turn = self.path + path, self.turn + turn
+        self._stamp = samples[-1].stamp
+
+
 class Keeper:
     """Keeps each finished view on disk and the last session at hand, and tells the progress."""
 
-    def __init__(self, folder: Path, settings: Settings, progress: Progress) -> None:
+    def __init__(
+        self, folder: Path, settings: Settings, progress: Progress, odometer: Odometer
+    ) -> None:
         self.session: Session | None = None
+        self._odometer = odometer
         self._folder = folder
         self._settings = settings
         self._progress = progress
@@ -53,6 +76,7 @@ class Keeper:
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
         self.session = session
+        self._odometer.read()
         index = len(session.views) - 1
         if index == 0:
             write_file(self._folder / "config.toml", settings_toml(self._settings))

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol, cast
 
-from scan3d_twin.cli.keeper import Keeper, TimedPlanner
+from scan3d_twin.cli.keeper import Keeper, Odometer, TimedPlanner
 from scan3d_twin.cli.progress import Progress, make_progress
 from scan3d_twin.cli.save import save_run
 from scan3d_twin.cli.summary import summary
@@ -17,7 +17,6 @@ from scan3d_twin.core import evaluate
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.motion import travelled
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
@@ -79,7 +78,8 @@ def _digitize_and_save(
     with opening as (robot, truth):
         name_of_base = cast(RobotName, robot.base.spec.name)
         settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
-        keeper = Keeper(folder, settings, progress)
+        odometer = Odometer(robot.base)
+        keeper = Keeper(folder, settings, progress, odometer)
         target = _target(settings.run.target, truth)
         try:
             session = digitize(robot, planner, settings.config, settings.run.seed, keeper, target)
@@ -87,7 +87,8 @@ def _digitize_and_save(
             if keeper.session is None:
                 raise
             ended, session = error, keeper.session.ended(_words(error))
-        journey = _journey(robot)
+        odometer.read()
+        journey = Journey(odometer.path, odometer.turn, robot.clock.now())
     effort = Effort(time.perf_counter() - started, planner.seconds, _peak_memory())
     progress.event("evaluating and saving" if truth is not None else "saving")
     report = save_run(folder, name, settings, session, journey, effort, truth)
@@ -111,11 +112,6 @@ def _target(text: str, truth: Truth | None) -> tuple[float, float] | None:
         choice = "x,y in metres" if truth is None else "a name or x,y in metres"
         raise ConfigError(f"--target must be {choice}, got {text!r}") from None
     return x, y
-
-
-def _journey(robot: Robot) -> Journey:
-    path, turn = travelled(robot.base.odometry_since(0.0))
-    return Journey(path, turn, robot.clock.now())
 
 
 def _words(error: BaseException) -> str:
