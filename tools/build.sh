@@ -17,6 +17,6 @@ twin=$empty/venv/bin/twin
 cd "$empty"
 "$twin" --version
 "$twin" scenes
-"$twin" sim --scene three_boxes --max-views 2 --out "$empty/run"
+"$twin" sim --scene three_boxes --max-views 2 --epsilon 50 --out "$empty/run"
 test -s "$empty/run/model.ply" && test -s "$empty/run/report.json" && test -s "$empty/run/top_view.svg"
 echo "the wheel works on its own"
