@@ -83,19 +83,8 @@ def motion_prior(move: Pose2, config: PlanningConfig) -> PosePrior:
 
 def _by_odometry(prior: PosePrior) -> RegistrationResult:
     """Return the result for views that do not overlap: the odometry and what it is worth."""
-    return RegistrationResult(
-        T_target_source=prior.T,
-        covariance=prior.covariance,
-        information=read_only(np.linalg.inv(prior.covariance)),
-        fitness=0.0,
-        inlier_rmse=math.nan,
-        predicted_rmse=math.nan,
-        num_inliers=0,
-        iterations=0,
-        converged=False,
-        degenerate_directions=read_only(np.zeros((0, 6))),
-        ambiguity_gap=1.0,
-    )
+    information = read_only(np.linalg.inv(prior.covariance))
+    return RegistrationResult.unregistered(prior.T, prior.covariance, information)
 
 
 def _place_by_icp(view: View, previous: View, config: Config) -> View:

@@ -325,6 +325,28 @@ class RegistrationResult:
     degenerate_directions: FloatArray
     ambiguity_gap: float
 
+    @staticmethod
+    def unregistered(
+        T: FloatArray, covariance: FloatArray, information: FloatArray
+    ) -> RegistrationResult:
+        """Return the result for scans that cannot be registered: the guess ``T`` (4, 4) as it was.
+
+        ``covariance`` and ``information`` (6, 6) say what the guess is worth.
+        """
+        return RegistrationResult(
+            T_target_source=T,
+            covariance=covariance,
+            information=information,
+            fitness=0.0,
+            inlier_rmse=math.nan,
+            predicted_rmse=math.nan,
+            num_inliers=0,
+            iterations=0,
+            converged=False,
+            degenerate_directions=read_only(np.zeros((0, 6))),
+            ambiguity_gap=1.0,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from scan3d_twin.core.types import Observation
+from scan3d_twin.core.types import Observation, RangeImage
 
 
 def image_bytes(observation: Observation) -> bytes:
@@ -18,15 +20,18 @@ def image_bytes(observation: Observation) -> bytes:
     """
     image = observation.image
     buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        stamps=image.stamps,
-        yaws=image.yaws,
-        ranges=image.ranges,
-        codes=image.codes.astype(np.int16),
-        elevations=image.spec.elevations,
-        beam_times=image.spec.beam_times,
-        T_base_lidar=image.T_base_lidar,
-        points=image.points,
-    )
+    np.savez_compressed(buffer, allow_pickle=False, **image_arrays(image), points=image.points)
     return buffer.getvalue()
+
+
+def image_arrays(image: RangeImage) -> dict[str, npt.NDArray[Any]]:
+    """Return what a file keeps of a range image, by the names of its fields."""
+    return {
+        "stamps": image.stamps,
+        "yaws": image.yaws,
+        "ranges": image.ranges,
+        "codes": image.codes.astype(np.int16),
+        "elevations": image.spec.elevations,
+        "beam_times": image.spec.beam_times,
+        "T_base_lidar": image.T_base_lidar,
+    }

@@ -9,6 +9,7 @@ import numpy as np
 
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.recording.image import image_arrays
 
 
 def view_path(folder: Path, index: int) -> Path:
@@ -24,17 +25,11 @@ def view_bytes(view: View) -> bytes:
     (poses as x, y, yaw) and ``target_points`` (n, 3) in frame ``scan`` with their ``target_lines``
     and ``target_beams``.
     """
-    image = view.observation.image
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
-        stamps=image.stamps,
-        yaws=image.yaws,
-        ranges=image.ranges,
-        codes=image.codes.astype(np.int16),
-        elevations=image.spec.elevations,
-        beam_times=image.spec.beam_times,
-        T_base_lidar=image.T_base_lidar,
+        allow_pickle=False,
+        **image_arrays(view.observation.image),
         T_odom_scan=_row(view.observation.T_odom_scan),
         T_world_scan=_row(view.T_world_scan),
         target_points=view.target.points,

@@ -193,16 +193,4 @@ def _thin_out(points: FloatArray, most: int) -> FloatArray:
 def _failed(pose: Pose2) -> RegistrationResult:
     """Return the result for sets that cannot be registered: the guess, not converged."""
     nothing = read_only(np.zeros((6, 6)))
-    return RegistrationResult(
-        T_target_source=read_only(pose.matrix()),
-        covariance=nothing,
-        information=nothing,
-        fitness=0.0,
-        inlier_rmse=math.nan,
-        predicted_rmse=math.nan,
-        num_inliers=0,
-        iterations=0,
-        converged=False,
-        degenerate_directions=read_only(np.zeros((0, 6))),
-        ambiguity_gap=1.0,
-    )
+    return RegistrationResult.unregistered(read_only(pose.matrix()), nothing, nothing)
