@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.types import FloatArray, Pose2, read_only
+from scan3d_twin.core.types import FloatArray, IntArray, Pose2, read_only
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
 from scan3d_twin.sim.floor import lay_floor, uneven_floor
 from scan3d_twin.sim.profiles import PROFILES
@@ -22,10 +23,11 @@ TIMESTEP = 0.002
 SETTLE = 1.0
 """Physics time before time 0, in which the suspension comes to rest [s]."""
 RECENT = 16_384
-"""Steps of the lidar's pose that are kept, a power of 2: 32 s, a sweep of 300 lines."""
-LAST = RECENT - 1
-LIDAR, BASE = 12, 7
-"""Columns of the trace: the lidar's place and axes; the base's place and quaternion."""
+"""Steps of the lidar's pose that are kept: 32 s, a sweep of 300 lines."""
+TRACE = slice(-6, None)
+"""The sensors of the trace: the lidar's place and three axes; the base's place and quaternion."""
+BASE = 7
+"""Columns of the base's pose."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,8 @@ def robot_spec(robot: RobotName) -> Any:
         tyre = spec.geom(f"{side}_tyre")
         tyre.size = [radius, tyre.size[1], radius]
         spec.body(f"{side}_mount").pos = [0, sign * half, radius]
+    for sensor in spec.sensors[TRACE]:
+        sensor.nsample = RECENT
     return spec
 
 
@@ -136,13 +140,11 @@ class World:
         self.steps = 0
         self._scene_nq = scene.model.nq  # attached last, the robot comes after the scene's joints
         mujoco.mj_step(model, self.data, nstep=round(SETTLE / TIMESTEP))
-        self.data.time = 0.0
         mujoco.mj_forward(model, self.data)
         free = model.joint(PREFIX + "free").qposadr[0]
         self._base_qpos = self.data.qpos[free : free + 7]
-        row = model.sensor(PREFIX + "trace").adr[0]
-        self._row = self.data.sensordata[row : row + LIDAR + BASE]
-        self._recent = np.empty((RECENT, LIDAR + BASE))
+        histories = [_history(model, self.data, sensor) for sensor in range(model.nsensor)[TRACE]]
+        self._lidar, self._recent_base = histories[:4], histories[4:]
         self._base = np.empty((1024, BASE))
         self._kept = 0
 
@@ -156,41 +158,30 @@ class World:
         return np.array(self.data.qpos[: self._scene_nq])
 
     def advance(self, steps: int) -> None:
-        """Run ``steps`` physics steps and record the poses."""
-        model, data, recent, row, step = (
-            self.model,
-            self.data,
-            self._recent,
-            self._row,
-            mujoco.mj_step,
-        )
+        """Run ``steps`` physics steps; MuJoCo records the poses."""
         while steps > 0:
-            first = self.steps & LAST
-            count = min(steps, RECENT - first)
-            for k in range(first, first + count):
-                step(model, data)
-                recent[k] = row
+            count = min(steps, RECENT - (self.steps - self._kept))
+            mujoco.mj_step(self.model, self.data, nstep=count)
             self.steps += count
             steps -= count
-            if first + count == RECENT:
-                self._keep(self.steps)
+            if self.steps - self._kept == RECENT:
+                self._keep()
 
-    def _keep(self, end: int) -> None:
-        """Move the base's poses of the steps before ``end`` to the long trace."""
-        rows = np.arange(self._kept, end)
-        if end > len(self._base):
-            grown = np.empty((2 * end, BASE))
+    def _keep(self) -> None:
+        """Copy the base's poses of the latest steps to the long trace."""
+        if self.steps >= len(self._base):
+            grown = np.empty((2 * (self.steps + 1), BASE))
             grown[: self._kept] = self._base[: self._kept]
             self._base = grown
-        self._base[rows] = self._recent[rows & LAST, LIDAR:]
-        self._kept = end
+        rows = _slots(np.arange(self._kept, self.steps))
+        self._base[self._kept : self.steps] = _columns(self._recent_base, rows)
+        self._kept = self.steps
 
     def base_pose(self, time: float) -> Pose2:
         """Return ``T_map_base`` at ``time`` [s], interpolated; clamped to what was recorded."""
-        self._keep(self.steps + 1)
+        self._keep()
         self._base[self.steps] = self._base_qpos
-        self._kept = self.steps
-        rows = _interpolate(self._base, np.array([time]), 0, self.steps + 1)
+        rows = _interpolate(self._base.__getitem__, np.array([time]), 0, self.steps + 1)
         x, y, _, qw, qx, qy, qz = rows[0]
         yaw = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
         return Pose2(x, y, float(yaw))
@@ -198,12 +189,44 @@ class World:
     def lidar_poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the lidar's positions (n, 3) [m] and rotations (n, 3, 3) in ``map``."""
         first = max(0, self.steps - RECENT)
-        rows = _interpolate(self._recent[:, :LIDAR], times, first, self.steps)
+        rows = _interpolate(self._lidar_rows, times, first, self.steps)
         return rows[:, :3], rows[:, 3:].reshape(-1, 3, 3).transpose(0, 2, 1)
 
+    def _lidar_rows(self, steps: IntArray) -> FloatArray:
+        """Return the lidar's place and axes (n, 12) at recent ``steps`` (n,)."""
+        return _columns(self._lidar, _slots(steps))
 
-def _interpolate(trace: FloatArray, times: FloatArray, first: int, end: int) -> FloatArray:
-    """Return rows (n, k) of ``trace`` at ``times`` (n,); step k's lies at k modulo its length.
+
+def _history(model: Any, data: Any, sensor: int) -> FloatArray:
+    """Return MuJoCo's own record of the last values of ``sensor``, a view (RECENT, dim).
+
+    It is a ring that begins at slot 0 of the first step of all: two numbers of its own, the times
+    and the values (``mjData.history``).
+    """
+    dim = int(model.sensor_dim[sensor])
+    times = int(model.sensor_historyadr[sensor]) + 2
+    values = times + RECENT
+    latest = round(SETTLE / TIMESTEP) - 1
+    if not np.isclose(data.history[times + latest], data.time - TIMESTEP):
+        raise SceneError(f"MuJoCo {mujoco.__version__} keeps its history of sensors otherwise")
+    result: FloatArray = data.history[values : values + RECENT * dim].reshape(RECENT, dim)
+    return result
+
+
+def _slots(steps: IntArray) -> IntArray:
+    """Return where in the history the values of ``steps`` since time 0 lie."""
+    return (steps + round(SETTLE / TIMESTEP)) % RECENT
+
+
+def _columns(histories: list[FloatArray], rows: IntArray) -> FloatArray:
+    """Return ``rows`` (n,) of several histories side by side (n, k)."""
+    return np.concatenate([history.take(rows, axis=0) for history in histories], axis=1)
+
+
+def _interpolate(
+    rows: Callable[[IntArray], FloatArray], times: FloatArray, first: int, end: int
+) -> FloatArray:
+    """Return the trace (n, k) at ``times`` (n,), where ``rows`` gives that at steps (m,).
 
     Steps ``first`` to ``end`` - 1 are known; 2 ms apart, a line between them errs by less than
     1e-7 of a rotation.
@@ -212,7 +235,7 @@ def _interpolate(trace: FloatArray, times: FloatArray, first: int, end: int) -> 
     lower = np.minimum(place.astype(np.int64), max(first, end - 2))
     start = int(lower.min())
     steps = np.arange(start, int(lower.max()) + 2)
-    window = trace[np.minimum(steps, end - 1) % len(trace)]
+    window = rows(np.minimum(steps, end - 1))
     rises = window[1:] - window[:-1]
     share = (place - lower)[:, None]
     lower -= start
