@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from scan3d_twin.cli.progress import Progress
-from scan3d_twin.core.digitize import Command
 from scan3d_twin.core.hal import DriveBase
 from scan3d_twin.core.motion import travelled
+from scan3d_twin.core.observer import Command
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, ScanLine

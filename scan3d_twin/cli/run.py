@@ -17,6 +17,7 @@ from scan3d_twin.core import evaluate
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.observer import Observers
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
@@ -80,9 +81,10 @@ def _digitize_and_save(
         settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
         odometer = Odometer(robot.base)
         keeper = Keeper(folder, settings, progress, odometer)
+        watching = Observers(keeper)
         target = _target(settings.run.target, truth)
         try:
-            session = digitize(robot, planner, settings.config, settings.run.seed, keeper, target)
+            session = digitize(robot, planner, settings.config, settings.run.seed, watching, target)
         except BaseException as error:
             if keeper.session is None:
                 raise

@@ -6,8 +6,6 @@ real robot, replay and tests all run the same algorithm.
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
-
 import numpy as np
 
 from scan3d_twin.core.config import Config
@@ -16,6 +14,7 @@ from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.gaps import fill_gaps
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.motion import follow
+from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.placing import place_view
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session, View
@@ -26,7 +25,6 @@ from scan3d_twin.core.types import (
     Observation,
     Plan,
     Pose2,
-    ScanLine,
 )
 from scan3d_twin.core.viewpoints import (
     first_segment,
@@ -35,35 +33,10 @@ from scan3d_twin.core.viewpoints import (
     sweep_width,
 )
 
-Command = Literal["go", "pause", "stop"]
 REGISTRATION, PLANNING = 1, 2
 """Random streams of view k: ``default_rng([seed, k, stream])``; stream 0 is the sensor's."""
 PAUSE = 0.1
 """Time between two looks at the pause button [s]."""
-
-
-class Observer(Protocol):
-    """How progress, recording, views and stop buttons attach to a run."""
-
-    def on_event(self, text: str) -> None:
-        """Something worth a line happened."""
-        ...
-
-    def on_line(self, line: ScanLine) -> None:
-        """A scan line arrived."""
-        ...
-
-    def on_view(self, session: Session) -> None:
-        """The last view of ``session`` was added."""
-        ...
-
-    def on_plan(self, session: Session) -> None:
-        """The last plan of ``session`` was made."""
-        ...
-
-    def command(self) -> Command:
-        """Return what the user wants now."""
-        ...
 
 
 def digitize(
