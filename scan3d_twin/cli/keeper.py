@@ -1,66 +1,22 @@
-"""What watches a run from outside: it keeps each finished view and measures the planner."""
+"""What watches a run from outside: it keeps each finished view and tells the progress."""
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
-import numpy as np
-
 from scan3d_twin.cli.progress import Progress
-from scan3d_twin.core.hal import DriveBase
-from scan3d_twin.core.motion import travelled
 from scan3d_twin.core.observer import Command
-from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Plan, ScanLine
+from scan3d_twin.core.types import ScanLine
 from scan3d_twin.recording.folder import write_file
 from scan3d_twin.recording.settings import Settings, settings_toml
 from scan3d_twin.recording.views import view_bytes, view_path
 
 
-class TimedPlanner:
-    """A planner that knows how long it thought [s]."""
-
-    def __init__(self, planner: Planner) -> None:
-        self.seconds = 0.0
-        self._planner = planner
-
-    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
-        """See ``Planner.plan``."""
-        started = time.perf_counter()
-        try:
-            return self._planner.plan(session, rng)
-        finally:
-            self.seconds += time.perf_counter() - started
-
-
-class Odometer:
-    """The way of a base since it was opened; to be read before the base forgets its odometry."""
-
-    def __init__(self, base: DriveBase) -> None:
-        self.path, self.turn = 0.0, 0.0
-        self._base = base
-        self._stamp = 0.0
-
-    def read(self) -> None:
-        """Add the way since the last reading to ``path`` [m] and ``turn`` [rad]."""
-        samples = self._base.odometry_since(self._stamp)
-        if not samples:
-            return
-        path, turn = travelled(samples)
-        self.path, self.turn = self.path + path, self.turn + turn
-        self._stamp = samples[-1].stamp
-
-
 class Keeper:
-    """Keeps each finished view on disk and the last session at hand, and tells the progress."""
+    """Keeps each finished view on disk and tells the progress."""
 
-    def __init__(
-        self, folder: Path, settings: Settings, progress: Progress, odometer: Odometer
-    ) -> None:
-        self.session: Session | None = None
-        self._odometer = odometer
+    def __init__(self, folder: Path, settings: Settings, progress: Progress) -> None:
         self._folder = folder
         self._settings = settings
         self._progress = progress
@@ -75,8 +31,6 @@ class Keeper:
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
-        self.session = session
-        self._odometer.read()
         index = len(session.views) - 1
         if index == 0:
             write_file(self._folder / "config.toml", settings_toml(self._settings))
@@ -85,7 +39,6 @@ class Keeper:
 
     def on_plan(self, session: Session) -> None:
         """See ``Observer``."""
-        self.session = session
         self._progress.plan(session)
 
     def command(self) -> Command:

@@ -3,39 +3,23 @@
 from __future__ import annotations
 
 import time
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol, cast
+from typing import cast
 
-from scan3d_twin.cli.keeper import Keeper, Odometer, TimedPlanner
+from scan3d_twin.cli.keeper import Keeper
 from scan3d_twin.cli.progress import Progress, make_progress
 from scan3d_twin.cli.save import save_run
 from scan3d_twin.cli.summary import summary
-from scan3d_twin.core import evaluate
-from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.errors import ConfigError, ScanError
-from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.observer import Observers
-from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
+from scan3d_twin.recording.closed_loop import Opening, close_loop
 from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
-from scan3d_twin.recording.report import Effort, Journey, Report, failure, report_json
+from scan3d_twin.recording.report import Effort, Report, failure, report_json
 from scan3d_twin.recording.settings import Settings
 from scan3d_twin.sim.config import RobotName
-
-
-class Truth(evaluate.Truth, Protocol):
-    """What the twin knows besides."""
-
-    def locate(self, name: str) -> tuple[float, float]:
-        """Return the place (x, y) in ``odom`` [m] of the target ``name``."""
-        ...
-
-
-Opening = AbstractContextManager[tuple[Robot, Truth | None]]
-"""Opens a robot, and the truth if anybody knows it."""
 
 
 def run(
@@ -73,54 +57,21 @@ def _digitize_and_save(
     settings: Settings, name: str, opening: Opening, folder: Path, progress: Progress
 ) -> tuple[Report, BaseException | None]:
     """Return the report, and what ended the run before its time or makes it a failure."""
-    planner = TimedPlanner(make_planner(settings.config.planner))
     started = time.perf_counter()
-    ended: BaseException | None = None
     with opening as (robot, truth):
         name_of_base = cast(RobotName, robot.base.spec.name)
         settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
-        odometer = Odometer(robot.base)
-        keeper = Keeper(folder, settings, progress, odometer)
-        watching = Observers(keeper)
-        target = _target(settings.run.target, truth)
-        try:
-            session = digitize(robot, planner, settings.config, settings.run.seed, watching, target)
-        except BaseException as error:
-            if keeper.session is None:
-                raise
-            ended, session = error, keeper.session.ended(_words(error))
-        odometer.read()
-        journey = Journey(odometer.path, odometer.turn, robot.clock.now())
-    effort = Effort(time.perf_counter() - started, planner.seconds, _peak_memory())
+        watching = Observers(Keeper(folder, settings, progress))
+        loop = close_loop(robot, truth, settings, watching, time.perf_counter)
+    effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     progress.event("evaluating and saving" if truth is not None else "saving")
-    report = save_run(folder, name, settings, session, journey, effort, truth)
-    return report, ended or _failed(session)
+    report = save_run(folder, name, settings, loop.session, loop.journey, effort, truth)
+    return report, loop.ended or _failed(loop.session)
 
 
 def _failed(session: Session) -> ScanError | None:
     reason = failure(session)
     return ScanError(reason) if reason else None
-
-
-def _target(text: str, truth: Truth | None) -> tuple[float, float] | None:
-    """Return the place in ``odom`` [m] that ``text`` states as x,y or by name; None if empty."""
-    if not text:
-        return None
-    if "," not in text and truth is not None:
-        return truth.locate(text)
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        choice = "x,y in metres" if truth is None else "a name or x,y in metres"
-        raise ConfigError(f"--target must be {choice}, got {text!r}") from None
-    return x, y
-
-
-def _words(error: BaseException) -> str:
-    """Return ``error`` as the reason why a run ended."""
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted"
-    return f"{type(error).__name__}: {error}"
 
 
 def _peak_memory() -> float:

@@ -1,0 +1,167 @@
+"""One closed loop with an open robot: what ``twin sim``, ``twin real`` and ``twin bench`` share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from scan3d_twin.core import evaluate
+from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.hal import Clock, DriveBase, Robot
+from scan3d_twin.core.motion import travelled
+from scan3d_twin.core.observer import Observer, Observers, Unobserved
+from scan3d_twin.core.planning import Planner, make_planner
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan
+from scan3d_twin.recording.report import Journey
+from scan3d_twin.recording.settings import Settings
+
+Timer = Callable[[], float]
+"""Returns the computer's time [s] since some moment."""
+
+
+class Truth(evaluate.Truth, Protocol):
+    """What the twin knows besides."""
+
+    def locate(self, name: str) -> tuple[float, float]:
+        """Return the place (x, y) in ``odom`` [m] of the target ``name``."""
+        ...
+
+
+Opening = AbstractContextManager[tuple[Robot, Truth | None]]
+"""Opens a robot, and the truth if anybody knows it."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What came of a closed loop.
+
+    Attributes:
+        session: As far as it got.
+        journey: What the robot did in all.
+        journeys: What it had done by the end of each view.
+        plan_times: What the planner took for each view, by the timer [s].
+        ended: What ended it before its time; None when the planner did.
+    """
+
+    session: Session
+    journey: Journey
+    journeys: tuple[Journey, ...]
+    plan_times: tuple[float, ...]
+    ended: BaseException | None
+
+
+def close_loop(
+    robot: Robot, truth: Truth | None, settings: Settings, observer: Observer, timer: Timer
+) -> Loop:
+    """Digitise with an open robot, whatever ends it.
+
+    Args:
+        robot: Open and at rest.
+        truth: Finds a target by name; None if nobody knows it.
+        settings: The effective ones.
+        observer: Sees every step.
+        timer: Times the planner.
+
+    Raises:
+        BaseException: Whatever ended the loop before there was a view.
+    """
+    planner = TimedPlanner(make_planner(settings.config.planner), timer)
+    log = _Log(Odometer(robot.base), robot.clock)
+    target = _target(settings.run.target, truth)
+    ended: BaseException | None = None
+    try:
+        session = digitize(
+            robot, planner, settings.config, settings.run.seed, Observers(log, observer), target
+        )
+    except BaseException as error:
+        if log.session is None:
+            raise
+        ended, session = error, log.session.ended(_words(error))
+    return Loop(session, log.journey(), tuple(log.journeys), tuple(planner.seconds), ended)
+
+
+class TimedPlanner:
+    """A planner that knows how long it thought about each view [s]."""
+
+    def __init__(self, planner: Planner, timer: Timer) -> None:
+        self.seconds: list[float] = []
+        self._planner = planner
+        self._timer = timer
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        """See ``Planner.plan``; asked twice about a view, the times add up."""
+        started = self._timer()
+        self.seconds += [0.0] * (len(session.views) - len(self.seconds))
+        try:
+            return self._planner.plan(session, rng)
+        finally:
+            self.seconds[-1] += self._timer() - started
+
+
+class Odometer:
+    """The way of a base since it was opened; to be read before the base forgets its odometry."""
+
+    def __init__(self, base: DriveBase) -> None:
+        self.path, self.turn = 0.0, 0.0
+        self._base = base
+        self._stamp = 0.0
+
+    def read(self) -> None:
+        """Add the way since the last reading to ``path`` [m] and ``turn`` [rad]."""
+        samples = self._base.odometry_since(self._stamp)
+        if not samples:
+            return
+        path, turn = travelled(samples)
+        self.path, self.turn = self.path + path, self.turn + turn
+        self._stamp = samples[-1].stamp
+
+
+class _Log(Unobserved):
+    """Keeps the last session at hand and notes the way by the end of each view."""
+
+    def __init__(self, odometer: Odometer, clock: Clock) -> None:
+        self.session: Session | None = None
+        self.journeys: list[Journey] = []
+        self._odometer = odometer
+        self._clock = clock
+
+    def journey(self) -> Journey:
+        """Return what the robot did so far."""
+        self._odometer.read()
+        return Journey(self._odometer.path, self._odometer.turn, self._clock.now())
+
+    def on_view(self, session: Session) -> None:
+        """See ``Observer``."""
+        self.session = session
+        self.journeys.append(self.journey())
+
+    def on_plan(self, session: Session) -> None:
+        """See ``Observer``."""
+        self.session = session
+
+
+def _target(text: str, truth: Truth | None) -> tuple[float, float] | None:
+    """Return the place in ``odom`` [m] that ``text`` states as x,y or by name; None if empty."""
+    if not text:
+        return None
+    if "," not in text and truth is not None:
+        return truth.locate(text)
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        choice = "x,y in metres" if truth is None else "a name or x,y in metres"
+        raise ConfigError(f"--target must be {choice}, got {text!r}") from None
+    return x, y
+
+
+def _words(error: BaseException) -> str:
+    """Return ``error`` as the reason why a run ended."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    return f"{type(error).__name__}: {error}"
