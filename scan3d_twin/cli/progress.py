@@ -8,18 +8,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-import numpy as np
 from rich.console import Console
 from rich.status import Status
-from scipy.spatial import cKDTree
 
-from scan3d_twin.core.model import fuse
+from scan3d_twin.core.model import scanned_share
 from scan3d_twin.core.session import Session
-
-SEEN_DISTANCE = 0.10
-"""What the look around found counts as scanned with a model point this near [m]."""
-SECTORS = 36
-"""Directions round the target, for a tour all round."""
 
 _OUTLINE = {"front": "front", "full": "contour"}
 
@@ -121,20 +114,3 @@ def plan_words(session: Session) -> str:
     known = math.isfinite(plan.predicted_rmse)
     error = f"{1e3 * plan.predicted_rmse:.1f} mm" if known else "unknown"
     return f"  next: {plan.overlap:.0%} overlap, predicted error {error} ({plan.reason})"
-
-
-def scanned_share(session: Session) -> float:
-    """Return how much of the target's outline has been scanned, as far as the robot can know, 0..1.
-
-    The front: of what the first look around found. All round: of the directions round its middle.
-    """
-    model = fuse(session)[0][:, :2]
-    if len(model) == 0:
-        return 0.0
-    if session.config.tour == "front":
-        distance, _ = cKDTree(model).query(session.hint, distance_upper_bound=SEEN_DISTANCE)
-        return float(np.mean(np.isfinite(distance)))
-    middle = (model.min(axis=0) + model.max(axis=0)) / 2
-    x, y = (model - middle).T
-    sectors = np.floor((np.arctan2(y, x) / math.tau) % 1.0 * SECTORS).astype(np.int64)
-    return len(np.unique(sectors)) / SECTORS

@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ScanError
+from scan3d_twin.core.mesh import Mesh
 from scan3d_twin.core.model import fuse, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
@@ -36,6 +37,8 @@ EYE_HEIGHT = 0.30
 """Height of the lidar [m]; its 5 cm ahead of the axle are neglected here."""
 LOOK_HEIGHTS = (0.05, 0.15, 0.25, 0.33)
 """Heights at which a pose must be free of things [m]."""
+MESH_SAMPLES = 50_000
+"""Points that stand for a mesh: over 2 m2 one every 6 mm, as dense as the truth's samples."""
 HIT_TOLERANCE = 0.005
 """A ray that ends this near to a surface point has hit it [m]."""
 
@@ -107,6 +110,7 @@ class Evaluation:
 
     Attributes:
         coverage: Share of the coverable surface within ``COVERAGE_DISTANCE`` of the model.
+        coverage_by_view: The same after the first view, the first two, and so on.
         accuracy: Distance from the model to the true surface.
         completeness: Distance from the coverable surface to the model.
         f_score: By distance [m].
@@ -115,6 +119,7 @@ class Evaluation:
     """
 
     coverage: float
+    coverage_by_view: tuple[float, ...]
     accuracy: Distances
     completeness: Distances
     f_score: dict[float, float]
@@ -130,14 +135,17 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
     """
     if not any(len(view.target) for view in session.views):
         raise ScanError("no view shows anything of the target: there is no model to evaluate")
-    T_map_world = true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
+    T_map_world = _map_of_world(session, truth)
     model = T_map_world.apply(fuse(session)[0])
     surface, normals, spacing = _samples(truth)
     coverable = coverable_surface(surface, normals, truth, session.config)
     to_truth = surface_distance(model, surface, normals, spacing)
-    to_model, _ = nearest(cKDTree(model), surface[coverable])
+    by_view = _distance_by_view(session, T_map_world, surface[coverable])
+    to_model = by_view[-1]
+    covered = tuple(float(np.mean(each <= COVERAGE_DISTANCE)) for each in by_view)
     return Evaluation(
-        coverage=float(np.mean(to_model <= COVERAGE_DISTANCE)),
+        coverage=covered[-1],
+        coverage_by_view=covered,
         accuracy=Distances.of(to_truth),
         completeness=Distances.of(to_model),
         f_score={
@@ -151,6 +159,37 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
             _pair_error(k, session, truth, T_map_world) for k in range(1, len(session.views))
         ),
     )
+
+
+def mesh_accuracy(
+    mesh: Mesh, session: Session, truth: Truth, rng: np.random.Generator
+) -> Distances:
+    """Return the distances of ``MESH_SAMPLES`` points spread over ``mesh`` to the true surface.
+
+    Raises:
+        ScanError: The mesh has no triangles.
+    """
+    points = mesh.sample(MESH_SAMPLES, rng)
+    if len(points) == 0:
+        raise ScanError("the mesh has no triangles: there is nothing to evaluate")
+    surface, normals, spacing = _samples(truth)
+    on_truth = _map_of_world(session, truth).apply(points)
+    return Distances.of(surface_distance(on_truth, surface, normals, spacing))
+
+
+def _map_of_world(session: Session, truth: Truth) -> Pose2:
+    """Return ``T_map_world``: the model is laid on the truth by its first pose alone."""
+    return true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
+
+
+def _distance_by_view(session: Session, T_map_world: Pose2, surface: FloatArray) -> FloatArray:
+    """Return the distance of ``surface`` (n, 3) to the views up to each one (n_views, n) [m]."""
+    distances = np.full((len(session.views), len(surface)), np.inf)
+    for k, view in enumerate(session.views):
+        if len(view.target):
+            points = (T_map_world @ view.T_world_scan).apply(view.target.points)
+            distances[k], _ = nearest(cKDTree(points), surface)
+    return np.asarray(np.minimum.accumulate(distances, axis=0))
 
 
 def true_pose(view: View, truth: Truth) -> Pose2:
