@@ -44,10 +44,9 @@ def planners(*, json: bool = False) -> None:
     Args:
         json: Print one JSON document instead of lines.
     """
-    from scan3d_twin.core.planning import make_planner, planner_names
+    from scan3d_twin.core.planning import planner_names, planner_summary
 
-    names = planner_names()
-    _show({name: (type(make_planner(name)).__doc__ or "").split("\n")[0] for name in names}, json)
+    _show({name: planner_summary(name) for name in planner_names()}, json)
 
 
 def _show(lines: dict[str, str], as_json: bool) -> None:

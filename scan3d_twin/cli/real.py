@@ -66,12 +66,12 @@ def real(
 
 def resolve(options: RealOptions, sections: Options) -> Settings:
     """Return the effective settings."""
-    from scan3d_twin.core.planning import make_planner
+    from scan3d_twin.core.planning import check_planner
 
     given = stated_options(options, sections)
     name = settings([given]).run.preset
     effective = settings([preset(name), given, {"run": {"scene": REAL}}])
-    make_planner(effective.config.planner)
+    check_planner(effective.config.planner, truth_known=False)
     return effective
 
 

@@ -27,8 +27,8 @@ class SimOptions(ScanOptions):
     """What only the twin has a choice of; None is not stated."""
 
     scene: Annotated[str | None, env("SCENE")] = None
-    """Name of a scene (`twin scenes`), or an .xml, .stl, .ply, .obj or .glb file (default
-    three_boxes)."""
+    """Name of a scene (`twin scenes`), random:SEED for one drawn by SEED, or an .xml, .stl, .ply,
+    .obj or .glb file (default three_boxes)."""
     mesh_scale: Annotated[float | None, env("MESH_SCALE")] = None
     """Metres per unit of a mesh file (default 1)."""
     robot: Annotated[str | None, env("ROBOT")] = None
@@ -61,14 +61,14 @@ def sim(
 
 def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
     """Return the effective settings and the scene they name."""
-    from scan3d_twin.core.planning import make_planner
+    from scan3d_twin.core.planning import check_planner
     from scan3d_twin.sim.scene import load_scene
 
     given = stated_options(options, sections)
     run = settings([given]).run
     named = [world_options(run.world), preset(run.preset)]
     effective = settings([*named, given])
-    make_planner(effective.config.planner)
+    check_planner(effective.config.planner, truth_known=True)
     scene = load_scene(effective.run.scene, effective.run.mesh_scale)
     return settings([_of_scene(scene), *named, given]), scene
 

@@ -19,6 +19,9 @@ Engine = Literal["icp", "grid"]
 Draws = Literal["common", "independent"]
 VirtualScan = Literal["smoothed", "copy"]
 Criterion = Literal["displacement", "eq3", "nn"]
+Feature = Literal["normals", "variation"]
+Gain = Literal["oa", "rse", "af"]
+FrontierRule = Literal["surmann", "gonzalez-banos"]
 
 
 def _check(condition: bool, message: str) -> None:
@@ -208,6 +211,52 @@ class PlanningConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class BaselineConfig:
+    """Planners other than the paper's; their sources are in docs/planners.md."""
+
+    fixed_overlap: float = 0.5
+    """Overlap of `fixed`."""
+    resampled_area: float = 0.3
+    """`pito`: share of the current area that must be sampled again, weighted by the incidence."""
+    feature: Feature = "normals"
+    """`curvature`: what is a feature, spread of the normals or surface variation."""
+    feature_score: float = 0.05
+    """`curvature`: share of the current area that must be features seen again; an assumption."""
+    gain: Gain = "rse"
+    """`ig`: gain of a ray: occlusion aware (oa), rear side entropy (rse), area factor (af)."""
+    frontier: FrontierRule = "surmann"
+    """`frontier2d`: value of a viewpoint by Surmann and Nuechter, or by Gonzalez-Banos."""
+    min_solid_edge: float = 0.5
+    """`frontier2d` by Gonzalez-Banos: length of known edge that must be seen again [m]."""
+    travel_weight: float = 0.1
+    """`ig`: weight of a viewpoint's share of all travel against its share of all gain."""
+    min_new_area: float = 0.03
+    """Unseen area at the target's border below which there is nothing more to see [m2]."""
+    grid_step: float = 0.25
+    """Distance of the places that are candidates [m]."""
+    min_overlap: float = 0.2
+    """`oracle`: least overlap of consecutive views."""
+    coverage: float = 0.95
+    """`oracle`: share of the coverable surface that its views see."""
+
+    def __post_init__(self) -> None:
+        _share(
+            "baselines",
+            fixed_overlap=self.fixed_overlap,
+            coverage=self.coverage,
+        )
+        for name in ("resampled_area", "feature_score", "min_overlap"):
+            value = getattr(self, name)
+            _check(0.0 <= value <= 1.0, f"baselines.{name} must be in [0, 1], got {value:g}")
+        for name in ("min_solid_edge", "travel_weight", "min_new_area"):
+            _check(getattr(self, name) >= 0, f"baselines.{name} must be >= 0")
+        _check(
+            0.05 <= self.grid_step <= 1.0,
+            f"baselines.grid_step must be in [0.05, 1] m, got {self.grid_step:g}",
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class MotionConfig:
     """Driving from one viewpoint to the next."""
 
@@ -262,6 +311,7 @@ class Config:
     target: TargetConfig = field(default_factory=TargetConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     planning: PlanningConfig = field(default_factory=PlanningConfig)
+    baselines: BaselineConfig = field(default_factory=BaselineConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
 
     def __post_init__(self) -> None:

@@ -71,7 +71,7 @@ def close_loop(
     Raises:
         BaseException: Whatever ended the loop before there was a view.
     """
-    planner = TimedPlanner(make_planner(settings.config.planner), timer)
+    planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
     log = _Log(Odometer(robot.base), robot.clock)
     target = _target(settings.run.target, truth)
     ended: BaseException | None = None

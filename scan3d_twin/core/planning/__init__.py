@@ -1,16 +1,32 @@
-"""Viewpoint planners: one file each, behind the one ``Planner`` protocol."""
+"""Viewpoint planners: one file each, behind the one ``Planner`` protocol.
+
+Other packages add planners by the entry point group ``scan3d_twin.planners``: a name, and something
+that is called without arguments and returns a ``Planner``. What has a true attribute
+``needs_truth`` is called with the truth instead, and is refused where nobody knows it.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import entry_points
+from typing import Any, Protocol
 
 import numpy as np
 
-from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.evaluate import Truth
+from scan3d_twin.core.planning.curvature import CurvaturePlanner
 from scan3d_twin.core.planning.fisher import FisherPlanner
+from scan3d_twin.core.planning.fixed import FixedPlanner
+from scan3d_twin.core.planning.pito import PitoPlanner
 from scan3d_twin.core.planning.siicp import SiicpPlanner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
+
+ENTRY_POINTS = "scan3d_twin.planners"
+"""Entry point group in which other packages offer planners."""
 
 
 class Planner(Protocol):
@@ -25,20 +41,99 @@ class Planner(Protocol):
         ...
 
 
-_PLANNERS: dict[str, type[Planner]] = {"fisher": FisherPlanner, "siicp": SiicpPlanner}
+@dataclass(frozen=True)
+class Entry:
+    """One planner that can be chosen by name.
+
+    Attributes:
+        build: Makes it; called with the truth if it ``needs_truth``, else with nothing.
+        summary: One line.
+        needs_truth: Whether it plans on the truth, which only the twin knows.
+    """
+
+    build: Callable[..., Planner]
+    summary: str
+    needs_truth: bool = False
+
+    @staticmethod
+    def of(build: Callable[..., Planner]) -> Entry:
+        """Return the entry of a class or factory, described by its docstring's first line."""
+        summary = (build.__doc__ or "").strip().split("\n")[0]
+        return Entry(build, summary, bool(getattr(build, "needs_truth", False)))
+
+
+def _fixed(percent: int) -> Entry:
+    return Entry(partial(FixedPlanner, percent / 100), f"An overlap of {percent} %, always.")
+
+
+_OWN: dict[str, Entry] = {
+    "curvature": Entry.of(CurvaturePlanner),
+    "fisher": Entry.of(FisherPlanner),
+    "fixed": Entry.of(FixedPlanner),
+    "fixed20": _fixed(20),
+    "fixed50": _fixed(50),
+    "fixed80": _fixed(80),
+    "pito": Entry.of(PitoPlanner),
+    "siicp": Entry.of(SiicpPlanner),
+}
 
 
 def planner_names() -> tuple[str, ...]:
     """Return the names that ``make_planner`` knows."""
-    return tuple(sorted(_PLANNERS))
+    return tuple(sorted({*_OWN, *_others()}))
 
 
-def make_planner(name: str) -> Planner:
-    """Return the planner called ``name``.
+def planner_summary(name: str) -> str:
+    """Return one line on the planner called ``name``; errors as ``make_planner``."""
+    return _entry(name).summary
+
+
+def check_planner(name: str, *, truth_known: bool) -> None:
+    """Refuse a planner that does not exist, or that needs a truth which nobody knows.
 
     Raises:
         UnknownNameError: There is none of this name.
+        ConfigError: It needs the truth, or cannot be loaded.
     """
-    if name not in _PLANNERS:
-        raise UnknownNameError("planner", name, _PLANNERS)
-    return _PLANNERS[name]()
+    if _entry(name).needs_truth and not truth_known:
+        raise ConfigError(
+            f"planner {name} plans on the truth, which only the twin knows; "
+            "use it with twin sim, or choose another one"
+        )
+
+
+def make_planner(name: str, truth: Truth | None = None) -> Planner:
+    """Return the planner called ``name``.
+
+    Args:
+        name: One of ``planner_names()``.
+        truth: What the twin knows; for those planners alone that are bounds for the others.
+
+    Raises:
+        UnknownNameError: There is none of this name.
+        ConfigError: It needs the truth and there is none, or it cannot be loaded.
+    """
+    check_planner(name, truth_known=truth is not None)
+    entry = _entry(name)
+    return entry.build(truth) if entry.needs_truth else entry.build()
+
+
+def _entry(name: str) -> Entry:
+    if name in _OWN:
+        return _OWN[name]
+    others = _others()
+    if name not in others:
+        raise UnknownNameError("planner", name, planner_names())
+    try:
+        build = others[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            f"planner {name} ({others[name].value}) cannot be loaded: {error}"
+        ) from None
+    return Entry.of(build)
+
+
+def _others() -> dict[str, Any]:
+    """Return the entry points of other packages by name; they do not replace our own."""
+    found = entry_points(group=ENTRY_POINTS)
+    return {point.name: point for point in found if point.name not in _OWN}

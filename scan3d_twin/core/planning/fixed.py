@@ -1,0 +1,28 @@
+"""A fixed overlap: what people do who have no planner."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scan3d_twin.core.planning.situation import Situation, finish
+from scan3d_twin.core.planning.step import step
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan
+
+
+class FixedPlanner:
+    """The overlap `baselines.fixed_overlap`, always."""
+
+    def __init__(self, overlap: float | None = None) -> None:
+        """Choose the overlap; None leaves it to ``config.baselines.fixed_overlap``."""
+        self._overlap = overlap
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        """Return the viewpoint for the fixed overlap."""
+        situation = Situation(session)
+        if reason := situation.finished():
+            return finish(reason)
+        overlap = self._overlap
+        if overlap is None:
+            overlap = session.config.baselines.fixed_overlap
+        return step(situation, overlap, f"fixed overlap: {overlap:.0%}")

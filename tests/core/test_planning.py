@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import math
+from importlib.metadata import EntryPoint, EntryPoints
+
+import numpy as np
+import pytest
+from sessions import PILASTERS, WALL, session_at
+
+from scan3d_twin.core import planning
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.planning import (
+    check_planner,
+    make_planner,
+    planner_names,
+    planner_summary,
+)
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan
+
+
+class Stubborn:
+    """Ends every scan at once.
+
+    And nothing else.
+    """
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        return Plan(None, 0.0, math.nan, False, (), "stubborn")
+
+
+class Omniscient(Stubborn):
+    """Knows the truth."""
+
+    needs_truth = True
+
+    def __init__(self, truth: object) -> None:
+        self.truth = truth
+
+
+@pytest.fixture
+def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another package that offers planners, one of them under a name of ours."""
+    points = [
+        EntryPoint("stubborn", f"{__name__}:Stubborn", planning.ENTRY_POINTS),
+        EntryPoint("omniscient", f"{__name__}:Omniscient", planning.ENTRY_POINTS),
+        EntryPoint("broken", "scan3d_twin.no_such_module:Planner", planning.ENTRY_POINTS),
+        EntryPoint("fisher", f"{__name__}:Stubborn", planning.ENTRY_POINTS),
+    ]
+    monkeypatch.setattr(
+        planning, "entry_points", lambda group: EntryPoints(points).select(group=group)
+    )
+    monkeypatch.setattr(EntryPoint, "load", lambda self: _load(self.value))
+
+
+def _load(value: str) -> object:
+    name = value.partition(":")[2]
+    if "no_such_module" in value:
+        raise ImportError("no module named scan3d_twin.no_such_module")
+    return globals()[name]
+
+
+def test_every_planner_has_one_line() -> None:
+    for name in planner_names():
+        text = planner_summary(name)
+        assert text.endswith("."), name
+        assert "\n" not in text
+        assert len(text) < 90
+
+
+def test_the_names_of_the_paper_and_its_rivals() -> None:
+    assert {"siicp", "fisher", "fixed", "fixed20", "fixed50", "fixed80"} <= set(planner_names())
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(UnknownNameError, match="fixed20, fixed50"):
+        make_planner("best")
+
+
+@pytest.mark.usefixtures("plugins")
+def test_another_package_adds_planners() -> None:
+    assert "stubborn" in planner_names()
+    assert planner_summary("stubborn") == "Ends every scan at once."
+    plan = make_planner("stubborn").plan(session_at(WALL), np.random.default_rng(0))
+    assert plan.reason == "stubborn"
+
+
+@pytest.mark.usefixtures("plugins")
+def test_another_package_does_not_replace_ours() -> None:
+    assert type(make_planner("fisher")).__name__ == "FisherPlanner"
+
+
+@pytest.mark.usefixtures("plugins")
+def test_a_plugin_that_does_not_load_is_a_wrong_name() -> None:
+    with pytest.raises(ConfigError, match=r"broken .* cannot be loaded"):
+        make_planner("broken")
+
+
+@pytest.mark.usefixtures("plugins")
+def test_the_truth_goes_to_those_alone_that_need_it() -> None:
+    truth = object()
+    assert make_planner("omniscient", truth).truth is truth  # type: ignore[arg-type, attr-defined]
+    assert not hasattr(make_planner("stubborn", truth), "truth")  # type: ignore[arg-type]
+    check_planner("omniscient", truth_known=True)
+    with pytest.raises(ConfigError, match="only the twin knows"):
+        check_planner("omniscient", truth_known=False)
+    with pytest.raises(ConfigError, match="only the twin knows"):
+        make_planner("omniscient")
+
+
+@pytest.fixture(scope="module")
+def wall() -> Session:
+    return session_at(WALL)
+
+
+@pytest.fixture(scope="module")
+def pilasters() -> Session:
+    return session_at(PILASTERS)
+
+
+@pytest.mark.parametrize("name", ["fixed", "fixed20", "fixed50", "fixed80", "pito", "curvature"])
+def test_plans_are_pure_and_complete(name: str, pilasters: Session) -> None:
+    a, b = (make_planner(name).plan(pilasters, np.random.default_rng(k)) for k in (0, 0))
+    assert a == b
+    assert a.viewpoint is not None
+    assert a.candidates[-1].viewpoint == a.viewpoint
+    assert a.candidates[-1].feasible
+    assert a.predicted_rmse > 0
+    assert a.reason
