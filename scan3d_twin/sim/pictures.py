@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.png import Picture, png_bytes
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
 from scan3d_twin.sim.offscreen import open_context
 from scan3d_twin.sim.scene import Scene
@@ -27,8 +25,6 @@ CLOSE = 0.7
 SUPERSAMPLES = 4
 SHADOWS = 2048
 """Side of the shadow map [pixels]; MuJoCo's default of 4096 takes ten times as long."""
-
-Picture = npt.NDArray[np.uint8]
 
 
 def render(scene: Scene, robot: RobotName = "create2") -> Picture:
@@ -83,20 +79,6 @@ def write_png(path: Path, picture: Picture) -> None:
         path.write_bytes(png_bytes(picture))
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror}") from error
-
-
-def png_bytes(picture: Picture) -> bytes:
-    """Return ``picture`` (height, width, 3) as a PNG file (ISO/IEC 15948, 8 bit RGB)."""
-    height, width, _ = picture.shape
-    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # each row begins with filter type 0
-    rows[:, 1:] = picture.reshape(height, -1)
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks)
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
 def _cut_away(model: Any, data: Any, camera: Any) -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.sim import offscreen
-from scan3d_twin.sim.pictures import HEIGHT, WIDTH, png_bytes, render, write_png
+from scan3d_twin.core.png import png_bytes
+from scan3d_twin.sim.pictures import HEIGHT, WIDTH, render, write_png
 from scan3d_twin.sim.scene import load_scene
 
 
