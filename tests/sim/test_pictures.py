@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.errors import ConfigError, FileError
-from scan3d_twin.sim import offscreen
 from scan3d_twin.core.png import png_bytes
+from scan3d_twin.sim import offscreen
 from scan3d_twin.sim.pictures import HEIGHT, WIDTH, render, write_png
 from scan3d_twin.sim.scene import load_scene
 
