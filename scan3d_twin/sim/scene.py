@@ -3,6 +3,7 @@
 * site ``spawn``: where the robot starts; its +x is the robot's heading.
 * target: bodies or geoms named ``target*``, or ``<custom><tuple name="target">``.
 * ``<custom><numeric name="scan3d.standoff"/>``: scanning distance [m], optional.
+* ``<custom><numeric name="scan3d.friction"/>``: of the tyres on this floor, optional.
 * ``<custom><text name="scan3d.tour" data="front|full"/>``; for front, a site ``front`` whose +x is
   the outward normal of the front.
 * ``<custom><text name="scan3d.description" data="..."/>``: one line.
@@ -37,6 +38,7 @@ class Scene:
         spawn: ``T_map_base`` at the start; ``map`` is the scene's own frame.
         tour: Whether it is scanned from the front or all round.
         standoff: Scanning distance [m]; None leaves it to the run's configuration.
+        friction: Sliding friction of the tyres on this floor; None leaves it to the robot's errors.
         targets: Names of the geoms of each named target.
         front: Middle of the front, +x the outward normal, in ``map``; None for tour full.
         description: One line.
@@ -48,6 +50,7 @@ class Scene:
     spawn: Pose2
     tour: Tour
     standoff: float | None
+    friction: float | None
     targets: Mapping[str, tuple[str, ...]]
     front: Pose2 | None
     description: str
@@ -67,26 +70,31 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
     """Return a built-in scene by name, or an MJCF or mesh file by path.
 
     Args:
-        name_or_path: A name of ``scene_names()``, or a path that ends in .xml .stl .ply .obj .glb.
+        name_or_path: A name of ``scene_names()``, ``random:SEED``, or a path that ends in .xml .stl
+            .ply .obj .glb.
         mesh_scale: Metres per unit of a mesh file.
 
     Raises:
         UnknownNameError: It is neither a path nor the name of a scene.
-        ConfigError: ``mesh_scale`` is not positive.
+        ConfigError: ``mesh_scale`` is not positive, or the SEED no whole number.
         SceneError: The file is missing or broken, or holds no target.
     """
     if not (mesh_scale > 0 and np.isfinite(mesh_scale)):
         raise ConfigError(f"mesh scale must be > 0, got {mesh_scale:g}")
+    if name_or_path.startswith("random:"):
+        from scan3d_twin.sim.random_scenes import scene_of_seed  # it builds on this module
+
+        return scene_of_seed(name_or_path)
     path = Path(name_or_path)
     suffix = path.suffix.lower()
     if suffix == ".xml" or suffix in MESH_SUFFIXES:
         if not path.is_file():
             raise SceneError(f"no file {name_or_path}")
         spec = _read_mjcf(path) if suffix == ".xml" else mesh_spec(path, mesh_scale)
-        return _scene(path.stem, spec, name_or_path)
+        return scene_from_spec(path.stem, spec, name_or_path)
     if name_or_path not in scene_names():
-        raise UnknownNameError("scene", name_or_path, scene_names())
-    return _scene(
+        raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))
+    return scene_from_spec(
         name_or_path, _read_mjcf(resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path
     )
 
@@ -102,8 +110,17 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _scene(name: str, spec: Any, label: str) -> Scene:
-    """Read the conventions off ``spec``; ``label`` names the file in messages."""
+def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
+    """Return the scene that an ``MjSpec`` without a robot describes by the conventions above.
+
+    Args:
+        name: The scene's.
+        spec: Gets a floor, and names for the target's geoms, where they are missing.
+        label: Names it in messages: a file.
+
+    Raises:
+        SceneError: It does not compile, or holds no target or spawn.
+    """
     _add_floor(spec)
     targets = _targets(spec, label)
     try:
@@ -128,7 +145,8 @@ def _scene(name: str, spec: Any, label: str) -> Scene:
         model=model,
         spawn=spawn,
         tour=cast(Tour, tour),
-        standoff=_standoff(spec, label),
+        standoff=_positive(spec, "scan3d.standoff", "m", label),
+        friction=_positive(spec, "scan3d.friction", "", label),
         targets=targets,
         front=front,
         description=texts.get("scan3d.description", ""),
@@ -184,12 +202,14 @@ def _target_names(spec: Any) -> tuple[list[str], list[str]]:
     )
 
 
-def _standoff(spec: Any, label: str) -> float | None:
+def _positive(spec: Any, name: str, unit: str, label: str) -> float | None:
+    """Return the number that the scene states as ``name``; None if it does not."""
     for numeric in spec.numerics:
-        if numeric.name == "scan3d.standoff":
+        if numeric.name == name:
             value = float(np.atleast_1d(numeric.data)[0])
-            if not value > 0:
-                raise SceneError(f"{label}: scan3d.standoff must be > 0 m, got {value:g}")
+            if not (value > 0 and np.isfinite(value)):
+                limit = f"> 0 {unit}".rstrip()
+                raise SceneError(f"{label}: {name} must be {limit}, got {value:g}")
             return value
     return None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -37,7 +37,7 @@ class RobotErrors:
     Attributes:
         wheel_radius: Relative error of the left and right wheel's radius (2,).
         wheel_base: Relative error of the wheel base.
-        friction: Sliding friction of the tyres.
+        friction: Sliding friction of the tyres, where the scene states none.
         cogging: Amplitude of the cogging torque [N m].
         cogging_phase: Phase of the left and right wheel's cogging (2,) [rad].
         floor: Heights of an uneven floor on a square grid (n, n) [m]; None is an even one.
@@ -92,6 +92,8 @@ def build_model(scene: Scene, robot: RobotName, errors: RobotErrors) -> Any:
         pos=[scene.spawn.x, scene.spawn.y, 0.0], quat=[np.cos(half), 0, 0, np.sin(half)]
     )
     child = robot_spec(robot)
+    if scene.friction is not None:
+        errors = replace(errors, friction=scene.friction)
     _apply_errors(child, errors)
     spec.attach(child, prefix=PREFIX, frame=frame)
     if errors.floor is not None:
