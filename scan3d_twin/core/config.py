@@ -17,7 +17,7 @@ Scope = Literal["target", "sweep"]
 Border = Literal["drop", "keep"]
 Engine = Literal["icp", "grid"]
 Draws = Literal["common", "independent"]
-VirtualScan = Literal["smoothed", "copy"]
+VirtualScan = Literal["smoothed", "copy", "visible"]
 Criterion = Literal["displacement", "eq3", "nn"]
 Feature = Literal["normals", "variation"]
 Gain = Literal["oa", "rse", "af"]
@@ -178,7 +178,8 @@ class PlanningConfig:
     sigma: float = 0.005
     """N_noise of eq. (2) in x, y and z [m]; URG-04LX: 4 to 5 mm up to 2 m."""
     virtual_scan: VirtualScan = "smoothed"
-    """What Q'' is made from: the surface behind the noise of P, or P's very readings."""
+    """What Q'' is made from: the surface behind the noise of P, P's very readings, or what would be
+    visible from O2, read anew and registered by the grid engine."""
     criterion: Criterion = "displacement"
     """Error E: eq. (3) on noise-free points, as printed, or the nearest-neighbour residual."""
     calibration: float = 1.0
@@ -189,6 +190,10 @@ class PlanningConfig:
     """Whether all overlaps are tried with the same luck, or each with its own."""
     quantile: float = 0.9
     """Share of the draws that must meet epsilon."""
+    certainty: float = 0.95
+    """Of the outcome at which ``visible`` draws end early; 1 only where it is settled."""
+    checks: int = 0
+    """Simulated registrations that the closed form's choice must stand, 0 for none."""
     standoff: float = 1.0
     """Distance from the surface at which a viewpoint is wanted [m]."""
 
@@ -199,6 +204,7 @@ class PlanningConfig:
             "planning",
             alpha=self.alpha,
             quantile=self.quantile,
+            certainty=self.certainty,
             default_overlap=self.default_overlap,
         )
         _check(
@@ -208,6 +214,7 @@ class PlanningConfig:
         for name in ("lambda_", "gamma", "drift", "sigma"):
             _check(getattr(self, name) >= 0, f"planning.{name.rstrip('_')} must be >= 0")
         _check(self.trials >= 1, f"planning.trials must be >= 1, got {self.trials}")
+        _check(self.checks >= 0, f"planning.checks must be >= 0, got {self.checks}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,3 +324,7 @@ class Config:
     def __post_init__(self) -> None:
         _check(self.tour in ("front", "full"), f"tour must be front or full, got {self.tour!r}")
         _check(self.max_views >= 1, f"max_views must be >= 1, got {self.max_views}")
+        _check(
+            self.planning.virtual_scan != "visible" or self.registration.engine == "grid",
+            "planning.virtual_scan = visible simulates registration.engine = grid; choose that too",
+        )

@@ -14,7 +14,7 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.placing import motion_prior
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.planning.fisher import Forecast
+from scan3d_twin.core.planning.forecast import Forecast
 from scan3d_twin.core.planning.situation import Situation
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.session import Session
@@ -135,7 +135,7 @@ def test_the_forecast_tells_features_from_a_wall() -> None:
         situation = Situation(session_at(boxes, config()))
         viewpoint = situation.place(0.3).viewpoint
         assert viewpoint is not None
-        errors.append(Forecast(situation).error(viewpoint))
+        errors.append(Forecast.of(situation).error(viewpoint))
     assert errors[1] < 0.005
     assert errors[0] > 3 * errors[1]
 
@@ -143,7 +143,7 @@ def test_the_forecast_tells_features_from_a_wall() -> None:
 def test_the_forecast_is_what_registration_then_reports() -> None:
     session = session_at(PILASTERS, config())
     viewpoint = Pose2(0.0, -0.5, 0.2)
-    forecast = Forecast(Situation(session)).error(viewpoint)
+    forecast = Forecast.of(Situation(session)).error(viewpoint)
     seen = second_view(session, PILASTERS, viewpoint)
     result = seen.views[-1].registration
     assert result is not None
@@ -152,7 +152,7 @@ def test_the_forecast_is_what_registration_then_reports() -> None:
 
 def test_out_of_sight_is_no_overlap() -> None:
     situation = Situation(session_at(PILASTERS, config()))
-    assert Forecast(situation).error(Pose2(0.0, 0.0, math.pi)) == math.inf
+    assert Forecast.of(situation).error(Pose2(0.0, 0.0, math.pi)) == math.inf
 
 
 def test_the_closed_form_planner_steps_farther_on_features() -> None:

@@ -1,175 +1,45 @@
-"""Closed-form planner: the covariance that the next registration will have, for every candidate.
+"""Closed-form planner: the smallest overlap whose predicted error meets epsilon.
 
-For a candidate O2 the surfels of the latest view that O2 would see again take part with the
-information of one pair each, times the density of the readings to come:
-
-    H = sum density J J^T / (s_1^2 + s_2^2),    C = (H_kept + H_edges + L0)^-1,
-    E^2 = mean over the points of tr(G C G^T),  G = (I, -[a]x),
-
-with everything as in the real registration: the common bias and the yaw scale, the test for
-directions that noise of the normals fakes, edges, and the motion's prior L0 about O2. E times the
-calibration is what is compared with epsilon. No draws, no ICP; what it cannot see are wrong basins.
+The prediction (``forecast``) takes no draws and no registration, and so sees no wrong basins. With
+``planning.checks`` the overlap it chooses must also stand simulated registrations (``simulate``);
+where they contradict it, the next larger overlap is tried.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from scan3d_twin.core.placing import motion_prior, surfels_of
-from scan3d_twin.core.planning.siicp import chosen, default_plan, overlaps
-from scan3d_twin.core.planning.situation import Situation, blocked, finish, in_world
-from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible_from
-from scan3d_twin.core.registration import SurfelGrid
-from scan3d_twin.core.registration.edges import edge_equations
-from scan3d_twin.core.registration.gauss_newton import determined, without_scale
-from scan3d_twin.core.registration.point_to_plane import Equations, faked_information
-from scan3d_twin.core.registration.pose_prior import PLANAR, spread
-from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, N, X
+from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.planning.forecast import Forecast
+from scan3d_twin.core.planning.siicp import smallest_overlap
+from scan3d_twin.core.planning.simulate import Simulation
+from scan3d_twin.core.planning.situation import Situation, finish
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import BoolArray, Candidate, FloatArray, IntArray, Plan, Pose2
-
-WANTED = 4000
-"""Surfels that take part; each stands for as many readings as were left out."""
-MIN_SEEN = 10
-"""Fewer surfels in common are no overlap."""
+from scan3d_twin.core.types import Plan, Pose2
 
 
 class FisherPlanner:
-    """The closed-form planner; its knobs are those of ``config.planning``."""
+    """Closed form: the smallest overlap whose predicted covariance meets epsilon."""
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose predicted error meets epsilon."""
         situation, config = Situation(session), session.config.planning
         if reason := situation.finished():
             return finish(reason)
-        forecast = Forecast(situation)
-        candidates: list[Candidate] = []
-        for eta in overlaps(config):
-            placement = situation.place(eta)
-            if not placement.wanted and not situation.looked:
-                return blocked(situation)
-            if placement.viewpoint is None:
-                continue
-            error = forecast.error(placement.viewpoint)
-            viewpoint = in_world(situation, placement.viewpoint)
-            candidates.append(Candidate(viewpoint, eta, error, feasible=True))
-            if error <= config.epsilon:
-                return chosen(candidates[-1], candidates, fell_back=False)
-        return default_plan(situation, candidates, config)
+        seed = int(rng.integers(2**63))
+        try:
+            forecast = Forecast.of(situation)
+        except RegistrationError:
+            return smallest_overlap(situation, lambda eta, O2: math.inf)
+        simulation = Simulation(forecast.grid, forecast.on_target, session.config, seed)
 
+        def error(_: float, viewpoint: Pose2) -> float:
+            predicted = forecast.error(viewpoint)
+            if config.checks == 0 or predicted > config.epsilon:
+                return predicted
+            simulated = simulation.error(viewpoint, config.checks)
+            return max(predicted, simulated) if simulated > config.epsilon else predicted
 
-@dataclass(frozen=True)
-class Forecast:
-    """Predicts registrations on the latest view."""
-
-    situation: Situation
-
-    def error(self, viewpoint: Pose2) -> float:
-        """Return the predicted error [m] of the next view's target, times the calibration.
-
-        Args:
-            viewpoint: O2 in frame ``scan`` of the latest view.
-        """
-        config = self.situation.session.config
-        rows, t = self._rows, self.grid.image.T_base_lidar
-        seen = visible_from(rows, self._ranges, viewpoint, self._sweep, config.target.max_range)
-        on_target = seen.index[self._on_target[seen.index]]
-        if len(seen.index) < MIN_SEEN or len(on_target) < MIN_SEEN:
-            return math.inf
-        O2 = np.array([viewpoint.x, viewpoint.y, 0.0])
-        a, n = rows[seen.index, X] - O2, rows[seen.index, N]
-        variance = rows[seen.index, VARIANCE] * (1.0 + _cosine_ratio(n, a, rows[seen.index, X], t))
-        w = self._area * seen.density / (variance * self.grid.inflation)
-        equations = self._equations(seen.index, seen.yaws, a, n, w)
-        covariance = self._covariance(equations, viewpoint)
-        points = rows[on_target, X] - O2
-        return config.planning.calibration * spread(points, covariance)
-
-    @cached_property
-    def grid(self) -> SurfelGrid:
-        """Surfels of the latest view, in the scope of registration."""
-        return surfels_of(self.situation.view, self.situation.session.config)
-
-    @cached_property
-    def _stride(self) -> int:
-        return max(2, round(math.sqrt(self.grid.count / WANTED)))
-
-    @cached_property
-    def _area(self) -> float:
-        return float(self._stride**2)
-
-    @cached_property
-    def _rows(self) -> FloatArray:
-        return self.grid.sample(self._stride).rows
-
-    @cached_property
-    def _ranges(self) -> FloatArray:
-        return ranges_here(self._rows, self.grid)
-
-    @cached_property
-    def _on_target(self) -> BoolArray:
-        """Which of the surfels belong to the target."""
-        target = self.situation.view.target
-        mask = np.zeros(self.grid.valid.shape, dtype=bool)
-        mask[target.lines, target.beams] = True
-        first = self._stride // 2
-        grid = np.s_[first :: self._stride, first :: self._stride]
-        return np.asarray(mask[grid][self.grid.table[grid][..., VARIANCE] > 0])
-
-    @cached_property
-    def _sweep(self) -> NextSweep:
-        sweep = self.situation.session.config.sweep
-        return NextSweep.like(self.grid, sweep.width / 2 + sweep.margin)
-
-    def _equations(
-        self, index: IntArray, yaws: FloatArray, a: FloatArray, n: FloatArray, w: FloatArray
-    ) -> Equations:
-        """Return the normal equations of perfect pairs; their gradient is 0."""
-        rows, here = self._rows[index], self.grid.sample(self._stride).yaws[index]
-        swing = n[:, 1] * a[:, 0] - n[:, 0] * a[:, 1]
-        g = yaws * swing - here * (n[:, 1] * rows[:, 0] - n[:, 0] * rows[:, 1])
-        J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
-        information = (J * w[:, None]).T @ J
-        nu = (rows[:, NORMAL_VARIANCE] + self.grid.noise.tilt_variance) / 2
-        faked = faked_information(w * nu, a, J[:, :6])
-        return Equations(information, np.zeros((7, 7)), np.zeros(7), faked, len(a), 0.0)
-
-    def _covariance(self, equations: Equations, viewpoint: Pose2) -> FloatArray:
-        """Return the covariance (6, 6) about O2 of a planar registration."""
-        noise = self.grid.noise
-        prior = 1.0 / noise.yaw_scale_sigma**2 if noise.yaw_scale_sigma > 0 else math.inf
-        H = without_scale(equations, prior, 0.0)[0]
-        block = np.ix_(PLANAR, PLANAR)
-        reach = float(np.sqrt(np.mean(self._ranges**2)))
-        raw, faked = equations.information[:6, :6][block], equations.faked[block]
-        honest = determined(raw, faked, reach, "planar")[1]
-        total = honest @ H[block] @ honest.T + self._edges(viewpoint)[block]
-        total += motion_prior(viewpoint, self.situation.session.config.planning).information(PLANAR)
-        covariance = np.zeros((6, 6))
-        covariance[block] = np.linalg.inv(total)
-        return covariance
-
-    def _edges(self, viewpoint: Pose2) -> FloatArray:
-        """Return the information (6, 6) about O2 of those edges that O2 sees again."""
-        edges, back = self.grid.edges, viewpoint.inverse()
-        if len(edges) == 0:
-            return np.zeros((6, 6))
-        middle = np.column_stack([edges.places, edges.heights.mean(axis=1)])
-        seen = self._sweep.cells(back.apply(middle))[0] >= 0
-        again = edges.select(seen)
-        moved = again.seen_from(back)
-        return edge_equations(again, moved, viewpoint.matrix(), 1.0, 1e3)[0]
-
-
-def _cosine_ratio(n: FloatArray, a: FloatArray, here: FloatArray, T: FloatArray) -> FloatArray:
-    """Return the squared ratio (k,) of the incidence cosines from O2 and from here."""
-    eye = np.array([0.0, 0.0, T[2, 3]])
-
-    def square(rays: FloatArray) -> FloatArray:
-        return np.asarray(np.sum(n * rays, axis=1) ** 2 / np.sum(rays * rays, axis=1))
-
-    return square(a - eye) / np.maximum(square(here - eye), 1e-4)
+        return smallest_overlap(situation, error)

@@ -2,17 +2,21 @@
 
 For growing overlaps eta the next scan is simulated as a displaced, noisy copy of the part Q of the
 current scan it would share, and registered with ICP. The smallest overlap whose registration error
-E stays within epsilon wins; if there is none, the overlap is 80 %.
+E stays within epsilon wins; if there is none, the overlap is 80 %. ``planning.virtual_scan =
+visible`` simulates what would be seen from the candidate instead (``simulate``).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Criterion, PlanningConfig
+from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.planning.simulate import Simulation
 from scan3d_twin.core.planning.situation import Situation, blocked, finish, in_world
 from scan3d_twin.core.registration.icp import cut_lines, register
 from scan3d_twin.core.session import Session
@@ -28,28 +32,54 @@ from scan3d_twin.core.types import (
 
 
 class SiicpPlanner:
-    """The SiICP planner; all its knobs are in ``config.planning``."""
+    """Simulated ICP (the paper): the smallest overlap whose registration meets epsilon."""
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose simulated error meets epsilon."""
         situation, config = Situation(session), session.config.planning
         if reason := situation.finished():
             return finish(reason)
-        candidates: list[Candidate] = []
+        if config.virtual_scan == "visible":
+            return smallest_overlap(situation, _visible_error(situation, rng))
         etas = overlaps(config)
-        luck = draw_luck(len(etas), config, rng)
-        for eta, draws, noise in zip(etas, luck, rng.spawn(len(etas)), strict=True):
-            placement = situation.place(eta)
-            if not placement.wanted and not situation.looked:
-                return blocked(situation)
-            if placement.viewpoint is None:
-                continue
-            error = simulated_error(situation, eta, placement.viewpoint, draws, noise)
-            viewpoint = in_world(situation, placement.viewpoint)
-            candidates.append(Candidate(viewpoint, eta, error, feasible=True))
-            if error <= config.epsilon:
-                return chosen(candidates[-1], candidates, fell_back=False)
-        return default_plan(situation, candidates, config)
+        luck = dict(zip(etas, draw_luck(len(etas), config, rng), strict=True))
+        noise = dict(zip(etas, rng.spawn(len(etas)), strict=True))
+        return smallest_overlap(
+            situation, lambda eta, O2: simulated_error(situation, eta, O2, luck[eta], noise[eta])
+        )
+
+
+def smallest_overlap(situation: Situation, error: Callable[[float, Pose2], float]) -> Plan:
+    """Return the plan for the smallest overlap whose error meets epsilon.
+
+    Args:
+        situation: Not finished.
+        error: Of an overlap and its viewpoint in frame ``scan`` [m].
+    """
+    config = situation.session.config.planning
+    candidates: list[Candidate] = []
+    for eta in overlaps(config):
+        placement = situation.place(eta)
+        if not placement.wanted and not situation.looked:
+            return blocked(situation)
+        if placement.viewpoint is None:
+            continue
+        viewpoint, E = in_world(situation, placement.viewpoint), error(eta, placement.viewpoint)
+        candidates.append(Candidate(viewpoint, eta, E, feasible=True))
+        if config.epsilon >= E:
+            return chosen(candidates[-1], candidates, fell_back=False)
+    return default_plan(situation, candidates, config)
+
+
+def _visible_error(
+    situation: Situation, rng: np.random.Generator
+) -> Callable[[float, Pose2], float]:
+    """Return the error of a viewpoint by simulated registration of what would be seen there."""
+    try:
+        simulation = Simulation.of(situation, int(rng.integers(2**63)))
+    except RegistrationError:
+        return lambda eta, O2: math.inf
+    return lambda eta, O2: simulation.error(O2, situation.session.config.planning.trials)
 
 
 def overlaps(config: PlanningConfig) -> list[float]:

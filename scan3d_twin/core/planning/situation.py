@@ -14,7 +14,7 @@ from scan3d_twin.core.costmap import Costmap, build_costmap
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.smoothing import smooth
-from scan3d_twin.core.types import FloatArray, Plan, Pose2, RangeImage, Scan3D, wrap
+from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2, RangeImage, Scan3D, wrap
 from scan3d_twin.core.viewpoints import (
     FRONT_SIDE,
     HERE,
@@ -198,6 +198,13 @@ def blocked(situation: Situation) -> Plan:
         return finish("no viewpoint left: none that shows the next segment can be reached")
     reason = "no viewpoint is known to be free: look around"
     return Plan(None, 0.0, math.nan, False, (), reason, needs_look=True)
+
+
+def readings_of(scan: Scan3D, image: RangeImage) -> BoolArray:
+    """Return which readings (n_lines, n_beams) of ``image`` the points of ``scan`` are."""
+    mask = np.zeros(image.ranges.shape, dtype=bool)
+    mask[scan.lines, scan.beams] = True
+    return mask
 
 
 def in_world(situation: Situation, viewpoint: Pose2) -> Pose2:

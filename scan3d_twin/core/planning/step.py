@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.planning.fisher import Forecast
+from scan3d_twin.core.planning.forecast import Forecast
 from scan3d_twin.core.planning.situation import Situation, blocked, in_world
 from scan3d_twin.core.types import Candidate, Plan, Pose2
 
@@ -18,7 +18,7 @@ def predicted_error(situation: Situation, viewpoint: Pose2) -> float:
     where the latest view shows too little to say.
     """
     try:
-        return Forecast(situation).error(viewpoint)
+        return Forecast.of(situation).error(viewpoint)
     except RegistrationError:
         return math.nan
 
