@@ -13,9 +13,10 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Protocol
 
-from scan3d_twin.core.errors import ConfigError, HazardError, LinkError, LinkTimeoutError
+from scan3d_twin.core.errors import HazardError, LinkError, LinkTimeoutError
 from scan3d_twin.core.hal import BaseSpec, Clock
 from scan3d_twin.core.types import Hazards, Odometry
+from scan3d_twin.core.wheels import wheel_speeds
 from scan3d_twin.protocols import oi
 from scan3d_twin.protocols.oi import CREATE1, Op
 from scan3d_twin.protocols.oi_packets import Mode, Packet
@@ -136,7 +137,7 @@ class CreateBase:
         Raises:
             HazardError: The base cannot drive: charger, battery, or it refuses Safe mode.
         """
-        right, left = _wheel_speeds(self.spec, linear, angular)
+        left, right = (round(1000 * v) for v in wheel_speeds(self.spec, linear, angular))
         if right or left:
             self._prepare()
         self._drive(right, left)
@@ -321,16 +322,6 @@ class CreateBase:
             and self._packets == watched(self.contact)
         ):
             self._source = self._ask(at_rest(self.contact))
-
-
-def _wheel_speeds(spec: BaseSpec, linear: float, angular: float) -> tuple[int, int]:
-    """Return the (right, left) speeds [mm/s] for a command, slowed down on the same path."""
-    if not (math.isfinite(linear) and math.isfinite(angular)):
-        raise ConfigError(f"velocity must be finite, got {linear:g} m/s and {angular:g} rad/s")
-    right = 1000 * (linear + angular * spec.wheel_base / 2)
-    left = 1000 * (linear - angular * spec.wheel_base / 2)
-    scale = min(1.0, 1000 * spec.max_wheel_speed / max(abs(left), abs(right), 1.0))
-    return round(right * scale), round(left * scale)
 
 
 def _reckoning(spec: BaseSpec, stamp: float, values: Values) -> Reckoning:

@@ -15,6 +15,7 @@ import numpy as np
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.odometry import DeadReckoning
 from scan3d_twin.core.types import Odometry, read_only
+from scan3d_twin.core.wheels import correction, ramped
 from scan3d_twin.protocols.oi_packets import Packet
 from scan3d_twin.real.create_link import Values
 
@@ -30,8 +31,6 @@ SPARE_COUNTS = 10
 """Allowed on top of that [counts]: jitter of the stamps; assumption."""
 RESTARTED = 5
 """So many wrong readings in a row, and the base has begun to count anew."""
-ACCELERATION = 1.8
-"""Of a wheel's rim [m/s2]; create_robot URDF."""
 COMMAND_ERROR = 0.05
 """Of a turn that was only commanded, not measured, standard deviation [rad/rad]; assumption."""
 
@@ -166,7 +165,7 @@ class CommandedReckoning:
         passed = max(0.0, stamp - self._stamp)
         self._stamp = max(stamp, self._stamp)
         left, right = (
-            _ramped(speed, told, passed)
+            ramped(speed, told, passed)
             for speed, told in zip(self._speeds, self._told, strict=True)
         )
         self._speeds = (left[1], right[1])
@@ -178,8 +177,7 @@ class CommandedReckoning:
         """Move by what a reading adds to the commands; at rest that is who pushed the robot."""
         if not (self._way or self._turn or distance_mm or angle_deg):
             return
-        way = 1e-3 * _nearest(1e3 * self._way, distance_mm) - self._way
-        turn = math.radians(_nearest(math.degrees(self._turn), angle_deg)) - self._turn
+        way, turn = correction(self._way, self._turn, distance_mm, angle_deg)
         log.debug("corrected by %.1f mm and %.2f deg", 1e3 * way, math.degrees(turn))
         self._reckoning.advance(stamp, way, turn)
         self._variance += math.radians(1.0) ** 2 / 12
@@ -189,23 +187,3 @@ class CommandedReckoning:
         extra = self._variance + (COMMAND_ERROR * self._turn) ** 2
         covariance = plain.covariance + np.diag([0.0, 0.0, extra])
         return Odometry(stamp, plain.T_odom_base, read_only(covariance))
-
-
-def _ramped(speed: float, told: float, time: float) -> tuple[float, float]:
-    """Return how far [m] a wheel gets in ``time`` [s], and how fast [m/s] it is then.
-
-    Args:
-        speed: Before [m/s].
-        told: What it is on its way to [m/s].
-        time: [s].
-    """
-    ramp = min(time, abs(told - speed) / ACCELERATION)
-    after = told if ramp < time else speed + math.copysign(ACCELERATION * ramp, told - speed)
-    return (speed + after) / 2 * ramp + told * (time - ramp), after
-
-
-def _nearest(value: float, truncated: int) -> float:
-    """Return the number next to ``value`` whose whole part is ``truncated``."""
-    low = truncated - 1 if truncated <= 0 else truncated
-    high = truncated + 1 if truncated >= 0 else truncated
-    return min(max(value, low), high)

@@ -5,39 +5,20 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 
-from scan3d_twin.core.errors import ConfigError, HazardError
+from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.types import Hazards, Odometry
+from scan3d_twin.core.wheels import ACCELERATION, wheel_speeds
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.hazards import Feelers
 from scan3d_twin.sim.odometers import Sample, make_odometer
 from scan3d_twin.sim.profiles import CREATE2
 from scan3d_twin.sim.world import PREFIX, TIMESTEP, World
 
-__all__ = ["ACCELERATION", "CREATE2", "HISTORY", "SPEED_STEP", "SimBase", "wheel_speeds"]
+__all__ = ["CREATE2", "HISTORY", "SimBase"]
 
-ACCELERATION = 1.8
-"""Of a wheel's rim [m/s^2]; create_robot URDF."""
-SPEED_STEP = 0.001
-"""Resolution of a wheel's speed [m/s]; opcode 145 takes whole mm/s."""
 HISTORY = 20_000
 """Odometry samples that are kept at least: 5 minutes."""
-
-
-def wheel_speeds(spec: BaseSpec, linear: float, angular: float) -> tuple[float, float]:
-    """Return the (left, right) wheel speeds [m/s] that are sent for a command.
-
-    Too fast a command is slowed down so that the path's curvature is kept; whole mm/s.
-    """
-    if not (math.isfinite(linear) and math.isfinite(angular)):
-        raise ConfigError(f"velocity must be finite, got {linear:g} m/s and {angular:g} rad/s")
-    left = linear - angular * spec.wheel_base / 2
-    right = linear + angular * spec.wheel_base / 2
-    scale = min(1.0, spec.max_wheel_speed / max(abs(left), abs(right), SPEED_STEP))
-    return (
-        round(left * scale / SPEED_STEP) * SPEED_STEP,
-        round(right * scale / SPEED_STEP) * SPEED_STEP,
-    )
 
 
 class SimBase:

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.odometry import DeadReckoning
 from scan3d_twin.core.types import Odometry
+from scan3d_twin.core.wheels import correction
 from scan3d_twin.sim.config import RobotErrorConfig
 
 AT_REST = 0.3
@@ -104,14 +105,6 @@ class Commanded:
         distance, angle = int(1e3 * self._unread[0]), int(math.degrees(self._unread[1]))
         rest = (self._unread[0] - distance / 1e3, self._unread[1] - math.radians(angle))
         self._unread = [0.0, 0.0] if self._errors.truncates else [*rest]
-        way = _nearest(1e3 * self._told[0], distance) / 1e3 - self._told[0]
-        turn = math.radians(_nearest(math.degrees(self._told[1]), angle)) - self._told[1]
+        way, turn = correction(self._told[0], self._told[1], distance, angle)
         self._told = [0.0, 0.0]
         return way, turn
-
-
-def _nearest(value: float, whole: int) -> float:
-    """Return the number next to ``value`` whose whole part is ``whole``."""
-    low = whole - 1 if whole <= 0 else whole
-    high = whole + 1 if whole >= 0 else whole
-    return min(max(value, low), high)

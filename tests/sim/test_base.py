@@ -5,7 +5,8 @@ from itertools import pairwise
 import pytest
 
 from scan3d_twin.core.errors import HazardError
-from scan3d_twin.sim.base import CREATE2, wheel_speeds
+from scan3d_twin.core.wheels import wheel_speeds
+from scan3d_twin.sim.base import CREATE2
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 
