@@ -10,8 +10,7 @@ from cyclopts import Parameter
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import ScanOptions, env, stated_options
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.presets import preset
-from scan3d_twin.recording.settings import Options, Settings, settings, world_options
+from scan3d_twin.recording.settings import Options, Settings
 from scan3d_twin.sim.config import TwinConfig
 
 if TYPE_CHECKING:
@@ -61,19 +60,6 @@ def sim(
 
 def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
     """Return the effective settings and the scene they name."""
-    from scan3d_twin.core.planning import check_planner
-    from scan3d_twin.sim.scene import load_scene
+    from scan3d_twin.recording.resolve import resolve_sim
 
-    given = stated_options(options, sections)
-    run = settings([given]).run
-    named = [world_options(run.world), preset(run.preset)]
-    effective = settings([*named, given])
-    check_planner(effective.config.planner, truth_known=True)
-    scene = load_scene(effective.run.scene, effective.run.mesh_scale)
-    return settings([_of_scene(scene), *named, given]), scene
-
-
-def _of_scene(scene: Scene) -> Options:
-    """Return what ``scene`` says about how it is to be scanned."""
-    standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
-    return {"tour": scene.tour, "planning": standoff}
+    return resolve_sim(stated_options(options, sections))
