@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from scan3d_twin.core.alignment import closed, concluded
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.costmap import build_costmap
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.gaps import fill_gaps
 from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.mixed_pixels import without_mixed_pixels
 from scan3d_twin.core.motion import follow
 from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.placing import place_view
@@ -75,7 +77,8 @@ def digitize(
         observer.on_plan(session)
         viewpoint = _next_in_odom(session) if _go_on(robot, observer) else None
     last = session.plans[-1]
-    return session.ended(last.reason if last.viewpoint is None else "stopped by the user")
+    reason = last.reason if last.viewpoint is None else "stopped by the user"
+    return conclude(session, observer).ended(reason)
 
 
 def begin(
@@ -122,12 +125,13 @@ def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer
 
 
 def integrate(session: Session, observation: Observation) -> Session:
-    """Fill gaps, extract the target, register with the previous view and append the new one.
+    """Clean the image, extract the target, register with the previous view and append the new one.
 
     Pure: the same session and observation give the same result.
     """
     config = session.config
-    image = fill_gaps(observation.image, config.gaps)
+    image = without_mixed_pixels(observation.image, config.gaps)
+    image = fill_gaps(image, config.gaps)
     points = all_points(image, config)
     prior = _prior(session, observation)
     known = prior.inverse().apply(_known_target(session))
@@ -135,7 +139,19 @@ def integrate(session: Session, observation: Observation) -> Session:
     view = View(observation, image, target, points, prior, None)
     if session.views:
         view = place_view(view, session.views[-1], config)
-    return session.with_view(view)
+    return closed(session.with_view(view))
+
+
+def conclude(session: Session, observer: Observer) -> Session:
+    """Return a finished session with its views aligned, if wanted; tell which do not fit."""
+    result = concluded(session)
+    if len(result.views) < len(session.views):
+        observer.on_event(
+            f"left out {len(session.views) - len(result.views)} views that do not fit"
+        )
+    for k in result.misfits:
+        observer.on_event(f"view {k} does not fit the others")
+    return result
 
 
 def _prior(session: Session, observation: Observation) -> Pose2:

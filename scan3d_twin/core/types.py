@@ -21,6 +21,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 VALID = -1
 """Entry of a ``codes`` array where the reading is a distance and not an error code."""
+MIXED = -2
+"""Entry of a ``codes`` array where the reading was a mixed pixel and is not used."""
 
 
 def wrap(angle: float) -> float:

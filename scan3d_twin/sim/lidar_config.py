@@ -68,8 +68,8 @@ class LidarModelConfig:
     assumption."""
     glitch: float = 0.001
     """Probability that a reading becomes code 10, 0..1; assumption, such codes are that rare."""
-    sub_rays: int = 1
-    """Rays per beam over its footprint, 1 to 16; 1 is a beam without width, 5 mixes pixels."""
+    sub_rays: int = 5
+    """Rays per beam over its footprint, 1 to 16; 1 is a beam without width: no mixed pixels."""
     footprint_along: float = 0.0045
     """Half the beam's width along the line, with the mirror's turn while it measures [rad]; data
     sheet: under 20 mm at 2 m."""
@@ -123,6 +123,7 @@ IDEAL_LIDAR = LidarModelConfig(
     threshold=0.0,
     saturation=1e12,
     glitch=0.0,
+    sub_rays=1,
     revolution=0.0,
     jitter=0.0,
     stamp_step=0.0,
@@ -138,7 +139,6 @@ HARSH_LIDAR = LidarModelConfig(
     warm_up=0.010,
     albedo=0.4,
     glitch=0.01,
-    sub_rays=5,
     jitter=0.001,
 )
 """A cold sensor on a bad cable: twice the errors of a `typical` one; assumption."""

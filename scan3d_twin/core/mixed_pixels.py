@@ -1,0 +1,46 @@
+"""Mixed pixels: readings of a beam that fell on two surfaces, one behind the other.
+
+They hang in the air between the two (Tang, Huber and Akinci, 3DIM 2007) and would lengthen a target
+at its silhouette. A reading is taken for one when the range runs through it from the nearer surface
+to the farther one in two steps, each steeper than any surface that a lidar still measures.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from scan3d_twin.core.config import GapConfig
+from scan3d_twin.core.types import MIXED, BoolArray, FloatArray, RangeImage, read_only
+
+STEEPEST = math.radians(80.0)
+"""Incidence from which on a UBG-04LX-F01 returns gross errors: steeper steps are no surface."""
+
+
+def without_mixed_pixels(image: RangeImage, config: GapConfig) -> RangeImage:
+    """Return ``image`` without its mixed pixels, along the lines and across them.
+
+    Args:
+        image: As it came from the robot.
+        config: Steps up to ``depth_edge`` may be noise.
+    """
+    columns = np.broadcast_to(image.spec.elevations, image.ranges.shape)
+    mixed = _between(image.ranges, columns, config.depth_edge)
+    mixed |= _between(image.ranges.T, -image.yaws.T, config.depth_edge).T
+    ranges = np.where(mixed, np.nan, image.ranges)
+    codes = np.where(mixed, MIXED, image.codes)
+    return replace(image, ranges=read_only(ranges), codes=read_only(codes, np.int64))
+
+
+def _between(ranges: FloatArray, angles: FloatArray, noise: float) -> BoolArray:
+    """Tell which readings of each row (m, n) lie between those before and after, far from both."""
+    rise = np.diff(ranges, axis=1)
+    with np.errstate(invalid="ignore"):
+        nearer = np.minimum(ranges[:, 1:], ranges[:, :-1])
+        step = np.maximum(noise, nearer * np.diff(angles, axis=1) * math.tan(STEEPEST))
+        up, down = rise > step, rise < -step
+    mixed = np.zeros(ranges.shape, dtype=bool)
+    mixed[:, 1:-1] = (up[:, :-1] & up[:, 1:]) | (down[:, :-1] & down[:, 1:])
+    return mixed
