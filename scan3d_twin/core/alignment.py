@@ -13,6 +13,7 @@ the less the gap tells them apart, the more of the prior's covariance is added t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -28,11 +29,8 @@ from scan3d_twin.core.registration.multistart import AMBIGUOUS
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, about_target
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult
+from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, wrap
 
-MIN_OVERLAP = 0.15
-"""Two views are worth registering when so much of the smaller finds a partner: less than the 0.2
-that planners ask for at least, as neighbours must never be left out."""
 SEARCH = 0.30
 """Overlap is looked for with a gate this wide [m]: the drift around a target before alignment."""
 MOST_LINKS = 6
@@ -40,6 +38,9 @@ MOST_LINKS = 6
 OPTIMISM = 2.0
 """Standard deviations of chained registrations are multiplied by this when they become the prior of
 another one; realised errors are 0.5 to 4 times the predicted ones."""
+NEARLY_ROUND = math.radians(240.0)
+"""Turn since the first view after which the latest may see the same again; three sides of a box
+are 270 deg."""
 ROUNDS = 2
 """Searches for pairs: after the first, views lie where more can be found."""
 KNOWN = 0.05
@@ -106,12 +107,55 @@ def align(session: Session, leave_out: Collection[int] = ()) -> Session:
 
 
 def placed(session: Session, alignment: Alignment) -> Session:
-    """Return ``session`` with its views where ``alignment`` has them, without the others."""
+    """Return ``session`` with its views where ``alignment`` has them, without the others.
+
+    With a view goes the plan that led to it, with the first one the plan made after it. Looks
+    around stay, as what they saw of the floor does.
+    """
+    kept = alignment.views
+    dropped = [k for k in range(len(session.views)) if k not in kept]
     views = tuple(
         replace(session.views[k], T_world_scan=pose)
-        for k, pose in zip(alignment.views, alignment.poses, strict=True)
+        for k, pose in zip(kept, alignment.poses, strict=True)
     )
-    return replace(session, views=views)
+    unplanned = {max(0, k - 1) for k in dropped}
+    return replace(
+        session,
+        views=views,
+        plans=tuple(plan for k, plan in enumerate(session.plans) if k not in unplanned),
+        looks=tuple(
+            (taken - sum(k < taken for k in dropped), look) for taken, look in session.looks
+        ),
+        misfits=tuple(kept.index(k) for k in alignment.misfits),
+    )
+
+
+def closed(session: Session) -> Session:
+    """Return ``session`` aligned if the latest view closes the contour; else as it is."""
+    if session.config.alignment.when == "never" or not _turned_round(session):
+        return session
+    return align(session)
+
+
+def concluded(session: Session) -> Session:
+    """Return a finished ``session`` aligned as its configuration wants it.
+
+    With ``alignment.misfits`` drop, views that contradict most others are left out and the rest is
+    aligned again, as long as two are left.
+    """
+    if session.config.alignment.when == "never":
+        return session
+    alignment = solve(session)
+    left = len(session.views) - len(alignment.misfits)
+    if session.config.alignment.misfits == "drop" and alignment.misfits and left >= 2:
+        alignment = solve(session, alignment.misfits)
+    return placed(session, alignment)
+
+
+def _turned_round(session: Session) -> bool:
+    """Tell whether the robot has gone far enough around the target to see the first view again."""
+    yaws = [view.T_world_scan.yaw for view in session.views]
+    return sum(wrap(b - a) for a, b in pairwise(yaws)) >= NEARLY_ROUND
 
 
 def solve(session: Session, leave_out: Collection[int] = ()) -> Alignment:
@@ -161,6 +205,7 @@ def align_views(views: Sequence[View], config: Config) -> tuple[list[Edge], Solu
         [_odometry(a, b, config) for a, b in pairwise(views)],
         first=views[0].T_world_scan,
         starts=config.registration.starts,
+        min_overlap=config.alignment.min_overlap,
     )
 
 
@@ -170,6 +215,7 @@ def align_grids(
     *,
     first: Pose2 | None = None,
     starts: int = 16,
+    min_overlap: float = 0.15,
 ) -> tuple[list[Edge], Solution]:
     """Return the registered pairs of scans, and how all of them lie together.
 
@@ -178,6 +224,7 @@ def align_grids(
         odometry: Of each scan in the one before it, so one fewer.
         first: Where the first scan lies; the origin by default.
         starts: Of each registration.
+        min_overlap: Two scans are registered when so much of the smaller one finds a partner.
     """
     poses = [first or Pose2()]
     for prior in odometry:
@@ -187,7 +234,8 @@ def align_grids(
     solution = _solve(poses, odometry, edges)
     tried = {(k, k + 1) for k in range(len(odometry))}
     for _ in range(ROUNDS):
-        pairs = [pair for pair in overlapping(grids, solution.poses) if pair not in tried]
+        seen = overlapping(grids, solution.poses, min_overlap)
+        pairs = [pair for pair in seen if pair not in tried]
         tried.update(pairs)
         found = (register_pair(grids, i, j, _prior(solution, i, j), starts) for i, j in pairs)
         edges += [edge for edge in found if edge is not None]
@@ -268,14 +316,14 @@ def _prior(solution: Solution, i: int, j: int) -> PosePrior:
 
 
 def overlapping(
-    grids: Sequence[SurfelGrid | None], poses: Sequence[Pose2]
+    grids: Sequence[SurfelGrid | None], poses: Sequence[Pose2], least: float
 ) -> Iterator[tuple[int, int]]:
-    """Yield the pairs i < j worth registering, at most ``MOST_LINKS`` per view, best first."""
+    """Yield the pairs that share ``least`` or more, best first, at most ``MOST_LINKS`` per view."""
     shares = [
         (share, i, j)
         for j in range(len(grids))
         for i in range(j)
-        if (share := _overlap(grids[i], grids[j], poses[i].inverse() @ poses[j])) >= MIN_OVERLAP
+        if (share := _overlap(grids[i], grids[j], poses[i].inverse() @ poses[j])) >= least
     ]
     count = dict.fromkeys(range(len(grids)), 0)
     for _, i, j in sorted(shares, key=lambda row: (-row[0], row[1], row[2])):

@@ -20,6 +20,8 @@ Draws = Literal["common", "independent"]
 VirtualScan = Literal["smoothed", "copy", "visible"]
 Criterion = Literal["displacement", "eq3", "nn"]
 Feature = Literal["normals", "variation"]
+When = Literal["never", "closed"]
+Misfits = Literal["keep", "drop"]
 Gain = Literal["oa", "rse", "af"]
 FrontierRule = Literal["surmann", "gonzalez-banos"]
 
@@ -151,6 +153,22 @@ class RegistrationConfig:
             f"registration.yaw_scale_sigma must be in [0, 0.2], got {self.yaw_scale_sigma:g}",
         )
         _share("registration", min_fitness=self.min_fitness)
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentConfig:
+    """Global alignment of all views; the paper has none."""
+
+    when: When = "never"
+    """Whether all views are placed at once when the contour closes and at the end, or never."""
+    misfits: Misfits = "keep"
+    """Views that contradict most others at the end: keep them, with a warning, or drop them."""
+    min_overlap: float = 0.15
+    """Two views are registered when so much of the smaller one finds a partner; less than
+    planning.eta_min, so that no neighbours are left out."""
+
+    def __post_init__(self) -> None:
+        _share("alignment", min_overlap=self.min_overlap)
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,6 +335,7 @@ class Config:
     gaps: GapConfig = field(default_factory=GapConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     planning: PlanningConfig = field(default_factory=PlanningConfig)
     baselines: BaselineConfig = field(default_factory=BaselineConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)

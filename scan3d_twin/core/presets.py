@@ -14,13 +14,15 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "planner": "fisher",
         "sweep": {"margin": math.radians(45.0)},
         "registration": {"engine": "grid", "scope": "sweep"},
+        "alignment": {"when": "closed"},
         "planning": {"calibration": 3.0},
     },
 }
 """Options by preset, in the shape of a configuration file. ``paper``: Zhang, Yan and Sheng.
-``best``: the grid engine on the whole sweep, of which the target alone is modelled, and the
-closed-form planner; its calibration is a first value from closed loops on three_boxes, where the
-realised errors were 0.5 to 4 times the predicted ones, not yet a fit."""
+``best``: the grid engine on the whole sweep, of which the target alone is modelled, all views
+aligned when the contour closes, and the closed-form planner; its calibration is a first value from
+closed loops on three_boxes, where the realised errors were 0.5 to 4 times the predicted ones, not
+yet a fit."""
 
 DEFAULT_PRESET = "paper"
 

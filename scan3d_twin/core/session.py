@@ -52,6 +52,7 @@ class Session:
         looks: Coarse sweeps all round, each with the number of views taken before it.
         views: In the order they were taken.
         plans: ``plans[k]`` was made after ``views[k]``.
+        misfits: Views that contradict most others, by the latest alignment.
         stop_reason: Why the run ended; empty while it goes on.
         version: Of the software.
     """
@@ -63,6 +64,7 @@ class Session:
     looks: tuple[tuple[int, Observation], ...] = ()
     views: tuple[View, ...] = ()
     plans: tuple[Plan, ...] = ()
+    misfits: tuple[int, ...] = ()
     stop_reason: str = ""
     version: str = __version__
 
