@@ -39,6 +39,9 @@ app.command(
 app.command("scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.")
 app.command("scan3d_twin.cli.listing:planners", name="planners", help="List the planners.")
 app.command(
+    "scan3d_twin.cli.bench:app", name="bench", help="Run planners against planners in the twin."
+)
+app.command(
     "scan3d_twin.cli.emulate:emulate",
     name="emulate",
     help="Serve the twin's base and lidar on serial ports.",

@@ -1,0 +1,31 @@
+"""How much feature the surface had that a planner had to overlap with (the claim of Fig. 11)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from scan3d_twin.core.planning.curvature import feature_score
+from scan3d_twin.core.planning.situation import MIN_LINES, Situation
+from scan3d_twin.core.planning.surface import eye_height, patches_of
+from scan3d_twin.core.session import Session
+
+SHARE = 0.5
+"""The score is that of this share of the latest view, on the travel side: half way between the
+smallest and the largest overlaps of the paper."""
+
+
+def feature_before(session: Session, k: int) -> float | None:
+    """Return the feature score that the planner met after view ``k``; None where there was no step.
+
+    The spread of the normals (curvature.py), whatever the planner looked at itself.
+    """
+    if k + 1 >= len(session.views):
+        return None
+    situation = Situation(replace(session, views=session.views[: k + 1]))
+    if situation.n_lines < MIN_LINES:
+        return None
+    eye = np.array([0.0, 0.0, eye_height(situation.view)])
+    Q = patches_of(situation.P.last_lines(situation.n_Q(SHARE)).points, eye)
+    return feature_score(Q, len(patches_of(situation.P.points, eye)), "normals")

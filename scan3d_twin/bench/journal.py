@@ -1,0 +1,115 @@
+"""The journal: one line per finished task, written at once, so that a killed bench goes on.
+
+A line is complete with its line feed; a torn last line is what a killed bench leaves, and counts
+for nothing. A task that stands there twice counts with its last line.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from scan3d_twin.bench.record import Record, from_row, to_json
+from scan3d_twin.core.errors import FileError
+
+PATTERN = "journal*.jsonl"
+
+
+def journal_path(folder: Path, shard: tuple[int, int]) -> Path:
+    """Return the journal of ``shard`` (number from 1, count): shards may share a folder."""
+    number, count = shard
+    return folder / ("journal.jsonl" if count == 1 else f"journal-{number}of{count}.jsonl")
+
+
+def read_journals(paths: Iterable[Path]) -> dict[str, Record]:
+    """Return the records of journals by key.
+
+    Raises:
+        FileError: A journal cannot be read, or a line other than the last is broken.
+    """
+    records: dict[str, Record] = {}
+    for path in paths:
+        for row in _rows(path):
+            records[row.key] = row
+    return records
+
+
+def _rows(path: Path) -> list[Record]:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror}") from error
+    lines = content.split(b"\n")[:-1]
+    return [_row(path, number, line) for number, line in enumerate(lines, start=1)]
+
+
+def _row(path: Path, number: int, line: bytes) -> Record:
+    try:
+        row: dict[str, Any] = json.loads(line)
+        return from_row(row)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FileError(
+            f"{path}, line {number} is no record ({error}); remove that line to go on"
+        ) from error
+
+
+class Journal:
+    """A journal open for appending; no other bench can open it meanwhile."""
+
+    def __init__(self, path: Path) -> None:
+        """Open ``path`` and cut off a torn last line.
+
+        Raises:
+            FileError: It cannot be written, or another bench has it open.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        except OSError as error:
+            raise FileError(f"cannot write {path}: {error.strerror}") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(self._file)
+            raise FileError(
+                f"another bench writes {path}; wait for it, or name another folder with --out"
+            ) from None
+        self._path = path
+        self._cut()
+
+    def _cut(self) -> None:
+        """Remove what follows the last line feed."""
+        content = self._path.read_bytes()
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            os.ftruncate(self._file, whole)
+
+    def append(self, record: Record) -> None:
+        """Write ``record`` and wait until the disk has it.
+
+        Raises:
+            FileError: The disk is full.
+        """
+        data = (to_json(record) + "\n").encode()
+        try:
+            while data:
+                data = data[os.write(self._file, data) :]
+            os.fsync(self._file)
+        except OSError as error:
+            raise FileError(f"cannot write {self._path}: {error.strerror}") from error
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        os.close(self._file)

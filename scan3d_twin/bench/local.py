@@ -1,0 +1,122 @@
+"""Workers on this computer: processes of which one can be lost alone."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Collection, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, TimeoutError, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any
+
+from scan3d_twin.bench.engine import WorkerLostError
+from scan3d_twin.bench.task import Task
+from scan3d_twin.bench.work import Done, perform
+from scan3d_twin.core.errors import ConfigError
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""One thread per worker: the arrays are small, and more only get into each other's way."""
+
+
+@contextmanager
+def local_engine(jobs: int, timeout: float) -> Iterator[LocalEngine]:
+    """Open ``jobs`` workers that may spend ``timeout`` [s] on a task; they end with the block.
+
+    Raises:
+        ConfigError: The process pool is not installed.
+    """
+    with _environment(dict.fromkeys(THREADS, "1")):
+        engine = LocalEngine(jobs, timeout)
+        try:
+            yield engine
+        finally:
+            engine.stop()
+
+
+class LocalEngine:
+    """A pool of processes; see ``Engine``."""
+
+    def __init__(self, jobs: int, timeout: float) -> None:
+        self._jobs = jobs
+        self._timeout = timeout
+        self._pool = self._open()
+
+    @property
+    def slots(self) -> int:
+        """See ``Engine``: as many again wait at the pool's door."""
+        return 2 * self._jobs
+
+    def submit(self, task: Task) -> Future[Done]:
+        """See ``Engine``."""
+        outer: Future[Done] = Future()
+        try:
+            inner = self._pool.schedule(perform, args=(task,), timeout=self._timeout)
+        except (BrokenProcessPool, RuntimeError):
+            # A pool breaks when its last idle worker is killed; the tasks are not to blame.
+            self.stop()
+            self._pool = self._open()
+            inner = self._pool.schedule(perform, args=(task,), timeout=self._timeout)
+        inner.add_done_callback(lambda future: _pass_on(future, outer, self._timeout))
+        return outer
+
+    def wait(self, futures: Collection[Future[Done]]) -> Collection[Future[Done]]:
+        """See ``Engine``."""
+        return wait(futures, return_when=FIRST_COMPLETED).done
+
+    def stop(self) -> None:
+        """End all workers at once."""
+        self._pool.stop()
+        self._pool.join()
+
+    def _open(self) -> Any:
+        try:
+            from pebble import ProcessPool
+        except ImportError:
+            raise ConfigError(
+                "the process pool is not installed; pip install 'scan3d-twin[bench]'"
+            ) from None
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["scan3d_twin.bench.work"])
+        return ProcessPool(max_workers=self._jobs, initializer=_begin, context=context)
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the bench, which ends its workers itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _pass_on(inner: Future[Done], outer: Future[Done], timeout: float) -> None:
+    """Give ``outer`` the outcome of ``inner``, in the engine's words."""
+    from pebble import ProcessExpired
+
+    if inner.cancelled():
+        outer.set_exception(WorkerLostError("the bench was stopped"))
+        return
+    error = inner.exception()
+    if error is None:
+        outer.set_result(inner.result())
+    elif isinstance(error, ProcessExpired):
+        outer.set_exception(WorkerLostError(f"the worker died, exit code {error.exitcode}"))
+    elif isinstance(error, BrokenProcessPool):
+        outer.set_exception(WorkerLostError("all workers died"))
+    elif isinstance(error, TimeoutError):
+        outer.set_exception(WorkerLostError(f"not finished after {timeout:g} s"))
+    else:
+        outer.set_exception(error)
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    """Set variables for the processes that are begun in the block."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

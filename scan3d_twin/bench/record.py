@@ -1,0 +1,201 @@
+"""The record of one closed loop: a row of the journal and of the Parquet file.
+
+SI units and radians, as everywhere inside. One task gives the same record again, except for
+``TIMINGS``. Null is what was not measured or is not finite.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import types
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+Status = Literal["done", "failed", "lost"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """One view of a run, and the plan that led to it; what the first view has none of is None.
+
+    Attributes:
+        view: Index, from 0.
+        x, y, yaw: ``T_world_scan`` [m, rad].
+        path: Driven by the end of the view [m].
+        turn: Turned by the end of the view [rad].
+        time: On the robot's clock at the end of the view [s].
+        coverage: Of the coverable surface by this and the earlier views.
+        plan_cpu: Processor time of the planner after this view [s].
+        feature: Feature score of the surface the planner then had to overlap with (curvature.py).
+        overlap: The eta chosen for this view.
+        predicted: E by the planner [m].
+        expected: E by the registration itself, from its own covariance [m].
+        error: Of the registration against the truth [m].
+        pose_error: Of the pose in the world, after the last alignment [m].
+        odometry_error: Before registration [m].
+        fitness: Share of points with a correspondence.
+        converged: Whether the registration did.
+        fell_back: Whether no overlap met epsilon.
+        candidates: How many viewpoints the planner considered.
+    """
+
+    view: int
+    x: float
+    y: float
+    yaw: float
+    path: float
+    turn: float
+    time: float
+    coverage: float | None = None
+    plan_cpu: float | None = None
+    feature: float | None = None
+    overlap: float | None = None
+    predicted: float | None = None
+    expected: float | None = None
+    error: float | None = None
+    pose_error: float | None = None
+    odometry_error: float | None = None
+    fitness: float | None = None
+    converged: bool | None = None
+    fell_back: bool | None = None
+    candidates: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """One closed loop.
+
+    Attributes:
+        key: Hash of the effective task.
+        variant, scene, seed: Which run it is.
+        planner, preset, world, tour, scope, engine: The settings people compare by.
+        epsilon, lambda_, gamma, sigma, standoff: Those with units [m, 1, 1, m, m].
+        trials: Draws per overlap of the simulated registration.
+        settings: All of them, as the TOML file that `twin sim --config` runs.
+        status: `done`; `failed` when the scan could not go on; `lost` when the worker was.
+        stop: Why it ended, in words.
+        complete: Whether the planner ended it because nothing was left to scan.
+        views: How many.
+        success: At least two views, and every registration error is at most epsilon.
+        max_error: The largest of them [m].
+        coverage, coverable_share: Of the coverable surface; of the whole surface.
+        f10, f20, f30: F-scores at 10, 20 and 30 mm.
+        accuracy, completeness: Medians [m].
+        accuracy_p95, completeness_p95: Their 95 % quantiles [m].
+        points: Of the model.
+        path, turn, duration: What the robot did [m, rad, s].
+        plan_cpu, cpu, wall: Processor time of the planner, of the run, and its wall time [s].
+        attempts: How often the task was begun.
+        version, code, python: Of the software; ``code`` is a hash of its sources.
+        steps: One per view.
+    """
+
+    key: str
+    variant: str
+    scene: str
+    seed: int
+    planner: str
+    preset: str
+    world: str
+    tour: str
+    scope: str
+    engine: str
+    epsilon: float
+    lambda_: float
+    gamma: float
+    sigma: float
+    standoff: float
+    trials: int
+    settings: str
+    status: Status
+    stop: str
+    complete: bool = False
+    views: int = 0
+    success: bool = False
+    max_error: float | None = None
+    coverage: float = 0.0
+    coverable_share: float | None = None
+    f10: float = 0.0
+    f20: float = 0.0
+    f30: float = 0.0
+    accuracy: float | None = None
+    accuracy_p95: float | None = None
+    completeness: float | None = None
+    completeness_p95: float | None = None
+    points: int = 0
+    path: float | None = None
+    turn: float | None = None
+    duration: float | None = None
+    plan_cpu: float | None = None
+    cpu: float | None = None
+    wall: float | None = None
+    attempts: int = 1
+    version: str = ""
+    code: str = ""
+    python: str = ""
+    steps: tuple[Step, ...] = ()
+
+
+TIMINGS = ("plan_cpu", "cpu", "wall", "attempts")
+"""What differs between two runs of one task, in a record and in its steps."""
+
+
+def lasting(record: Record) -> dict[str, Any]:
+    """Return what every run of the task gives again."""
+    row = {name: value for name, value in asdict(record).items() if name not in TIMINGS}
+    steps = [{k: v for k, v in step.items() if k not in TIMINGS} for step in row["steps"]]
+    return {**row, "steps": steps}
+
+
+def to_json(record: Record) -> str:
+    """Return ``record`` as one line."""
+    return json.dumps(_finite(asdict(record)), ensure_ascii=False, allow_nan=False)
+
+
+def from_row(row: Mapping[str, Any]) -> Record:
+    """Return the record of a row of the journal or of the Parquet file.
+
+    Raises:
+        KeyError, TypeError: It is none.
+    """
+    steps = tuple(Step(**_known(Step, step)) for step in row["steps"])
+    return Record(**{**_known(Record, row), "steps": steps})
+
+
+def columns(cls: type = Record) -> dict[str, str]:
+    """Return DuckDB's type of each field of ``cls``."""
+    hints = get_type_hints(cls)
+    return {field.name: _sql_type(hints[field.name]) for field in fields(cls)}
+
+
+_SQL: Mapping[Any, str] = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE", bool: "BOOLEAN"}
+
+
+def _sql_type(hint: Any) -> str:
+    if get_origin(hint) in (Union, types.UnionType):
+        (hint,) = (each for each in get_args(hint) if each is not type(None))
+    if get_origin(hint) is Literal:
+        return "VARCHAR"
+    if get_origin(hint) is tuple:
+        return _sql_type(get_args(hint)[0]) + "[]"
+    if is_dataclass(hint) and isinstance(hint, type):
+        inner = ", ".join(f'"{name}" {kind}' for name, kind in columns(hint).items())
+        return f"STRUCT({inner})"
+    return _SQL[hint]
+
+
+def _known(cls: type, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what ``cls`` has fields for: records of a later version may say more."""
+    names = {field.name for field in fields(cls)}
+    return {name: value for name, value in row.items() if name in names}
+
+
+def _finite(value: Any) -> Any:
+    """Return ``value`` with None for what JSON has no number for."""
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

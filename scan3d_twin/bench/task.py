@@ -1,0 +1,76 @@
+"""A task: one closed loop that an experiment wants."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+from scan3d_twin.bench.record import Record
+from scan3d_twin.recording.settings import Settings, settings_toml
+
+
+@dataclass(frozen=True)
+class Task:
+    """One closed loop.
+
+    Attributes:
+        scene: Its name, for people.
+        variant: Name of the set of options.
+        settings: The effective ones; they hold the seed and the scene.
+        picture: Whether the top view is wanted too.
+    """
+
+    scene: str
+    variant: str
+    settings: Settings
+    picture: bool = False
+
+    @property
+    def seed(self) -> int:
+        """The run's one seed."""
+        return self.settings.run.seed
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of all that decides on the record; a scene's file by its content."""
+        digest = hashlib.sha256(f"{self.variant}\n{settings_toml(self.settings)}".encode())
+        if Path(self.settings.run.scene).suffix:
+            digest.update(Path(self.settings.run.scene).read_bytes())
+        return digest.hexdigest()[:20]
+
+    def with_seed(self, seed: int, *, picture: bool) -> Task:
+        """Return the same task with another seed."""
+        run = replace(self.settings.run, seed=seed)
+        return replace(self, settings=replace(self.settings, run=run), picture=picture)
+
+    def lost(self, reason: str, attempts: int) -> Record:
+        """Return the record of a task whose workers were lost, ``attempts`` times."""
+        return replace(self.blank(), status="lost", stop=reason, attempts=attempts)
+
+    def blank(self) -> Record:
+        """Return the record of a task of which nothing is known but its settings."""
+        config, run = self.settings.config, self.settings.run
+        return Record(
+            key=self.key,
+            variant=self.variant,
+            scene=self.scene,
+            seed=run.seed,
+            planner=config.planner,
+            preset=run.preset,
+            world=run.world,
+            tour=config.tour,
+            scope=config.registration.scope,
+            engine=config.registration.engine,
+            epsilon=config.planning.epsilon,
+            lambda_=config.planning.lambda_,
+            gamma=config.planning.gamma,
+            sigma=config.planning.sigma,
+            standoff=config.planning.standoff,
+            trials=config.planning.trials,
+            settings=settings_toml(self.settings),
+            status="failed",
+            stop="",
+            version=run.version,
+        )

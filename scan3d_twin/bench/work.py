@@ -1,0 +1,171 @@
+"""What a worker does: one task, from the settings to the record."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import time
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import scan3d_twin
+from scan3d_twin.bench.features import feature_before
+from scan3d_twin.bench.record import Record, Step
+from scan3d_twin.bench.task import Task
+from scan3d_twin.core.errors import TwinError
+from scan3d_twin.core.evaluate import Evaluation, evaluate
+from scan3d_twin.core.model import fuse
+from scan3d_twin.core.observer import Unobserved
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording.closed_loop import Loop, close_loop
+from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.viz.top_view import top_view
+
+COMPLETE = ("front complete", "contour complete")
+"""Reasons to stop that mean that nothing is left to scan start so."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """What came of a task.
+
+    Attributes:
+        record: Its row.
+        picture: The top view as SVG, where it was wanted and there is one.
+    """
+
+    record: Record
+    picture: str | None = None
+
+
+def perform(task: Task) -> Done:
+    """Run ``task``; a scan that cannot go on is a result too.
+
+    Raises:
+        Exception: A bug, and nothing that a robot or a scene can do.
+    """
+    wall, cpu = time.perf_counter(), time.process_time()
+    run = task.settings.run
+    try:
+        scene = load_scene(run.scene, run.mesh_scale)
+        with open_sim(scene, run.seed, task.settings.twin) as (robot, truth):
+            loop = close_loop(robot, truth, task.settings, Unobserved(), time.process_time)
+    except TwinError as error:
+        blank = replace(task.blank(), stop=f"{type(error).__name__}: {error}")
+        return Done(_signed(blank, wall, cpu))
+    if loop.ended is not None and not isinstance(loop.ended, TwinError):
+        raise loop.ended
+    seen = any(len(view.target) for view in loop.session.views)
+    record = _filled(task.blank(), loop, evaluate(loop.session, truth) if seen else None)
+    picture = _picture(task, record, loop.session) if task.picture and seen else None
+    return Done(_signed(record, wall, cpu), picture)
+
+
+def _filled(blank: Record, loop: Loop, evaluation: Evaluation | None) -> Record:
+    """Return the record of ``loop``; without ``evaluation`` nothing of the target was seen."""
+    errors = [pair.error for pair in evaluation.pairs] if evaluation else []
+    record = replace(
+        blank,
+        status="failed" if loop.ended else "done",
+        stop=loop.session.stop_reason,
+        complete=loop.session.stop_reason.startswith(COMPLETE),
+        views=len(loop.session.views),
+        success=bool(errors) and max(errors) <= blank.epsilon,
+        max_error=max(errors, default=None),
+        path=loop.journey.path,
+        turn=loop.journey.turn,
+        duration=loop.journey.duration,
+        plan_cpu=sum(loop.plan_times),
+        steps=tuple(_step(loop, k, evaluation) for k in range(len(loop.session.views))),
+    )
+    return record if evaluation is None else replace(record, **_quality(loop.session, evaluation))
+
+
+def _quality(session: Session, evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        "coverage": evaluation.coverage,
+        "coverable_share": evaluation.coverable_share,
+        **{f"f{1e3 * d:.0f}": score for d, score in evaluation.f_score.items()},
+        "accuracy": evaluation.accuracy.median,
+        "accuracy_p95": evaluation.accuracy.p95,
+        "completeness": evaluation.completeness.median,
+        "completeness_p95": evaluation.completeness.p95,
+        "points": len(fuse(session)[0]),
+    }
+
+
+def _step(loop: Loop, k: int, evaluation: Evaluation | None) -> Step:
+    """Return the row of view ``k``."""
+    view, journey = loop.session.views[k], loop.journeys[k]
+    step = Step(
+        view=k,
+        x=view.T_world_scan.x,
+        y=view.T_world_scan.y,
+        yaw=view.T_world_scan.yaw,
+        path=journey.path,
+        turn=journey.turn,
+        time=journey.duration,
+        coverage=evaluation.coverage_by_view[k] if evaluation else None,
+        plan_cpu=loop.plan_times[k] if k < len(loop.plan_times) else None,
+        feature=feature_before(loop.session, k),
+    )
+    return step if k == 0 else replace(step, **_registered(loop.session, k, evaluation))
+
+
+def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict[str, Any]:
+    """Return what was planned for view ``k`` and what came of it."""
+    plan, result = session.plans[k - 1], session.views[k].registration
+    planned = {
+        "overlap": plan.overlap,
+        "predicted": plan.predicted_rmse,
+        "fell_back": plan.fell_back,
+        "candidates": len(plan.candidates),
+    }
+    if result is not None:
+        planned |= {
+            "expected": result.predicted_rmse,
+            "fitness": result.fitness,
+            "converged": result.converged,
+        }
+    if evaluation is None:
+        return planned
+    pair = evaluation.pairs[k - 1]
+    errors = {name: getattr(pair, name) for name in ("error", "pose_error", "odometry_error")}
+    return planned | errors
+
+
+def _picture(task: Task, record: Record, session: Session) -> str:
+    points, view = fuse(session)
+    return top_view(
+        points,
+        view,
+        [each.T_world_scan for each in session.views],
+        sweep_width=session.config.sweep.width,
+        standoff=session.config.planning.standoff,
+        title=f"{task.scene}, {task.variant}, seed {task.seed}: {record.views} views, "
+        f"{record.coverage:.0%} covered",
+    )
+
+
+def _signed(record: Record, wall: float, cpu: float) -> Record:
+    """Return ``record`` with what it took and by which software."""
+    return replace(
+        record,
+        wall=time.perf_counter() - wall,
+        cpu=time.process_time() - cpu,
+        code=code_hash(),
+        python=platform.python_version(),
+    )
+
+
+@cache
+def code_hash() -> str:
+    """Return a hash of the package's sources: figures of different ones are not to be mixed."""
+    digest = hashlib.sha256()
+    root = Path(scan3d_twin.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
