@@ -19,6 +19,7 @@ from scan3d_twin.recording.settings import REAL, Options, Settings, settings
 
 if TYPE_CHECKING:
     from scan3d_twin.core.hal import Robot
+    from scan3d_twin.recording.recorder import SerialTaps
 
     DottedOptions = Any
 else:
@@ -54,14 +55,16 @@ def real(
         TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
     """
     from scan3d_twin.cli.run import run
+    from scan3d_twin.recording.recorder import SerialTaps
 
     effective = resolve(options, {} if dotted is None else stated(dotted))
-    opening = open_robot(options, effective.twin.lidar_link)
+    taps = SerialTaps()
+    opening = open_robot(options, effective.twin.lidar_link, taps)
     if options.dry_run:
         with opening as (robot, _):
             rehearse(robot, as_json=options.json)
         return
-    run(effective, REAL, opening, options.out, as_json=options.json)
+    run(effective, REAL, opening, options.out, as_json=options.json, taps=taps)
 
 
 def resolve(options: RealOptions, sections: Options) -> Settings:
@@ -75,7 +78,9 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
     return effective
 
 
-def open_robot(options: PortOptions, lidar_link: str) -> AbstractContextManager[tuple[Robot, None]]:
+def open_robot(
+    options: PortOptions, lidar_link: str, taps: SerialTaps | None = None
+) -> AbstractContextManager[tuple[Robot, None]]:
     """Return what opens the robot on the ports that are given or found; nobody knows the truth."""
     from scan3d_twin.protocols.urg04lx import LINKS
     from scan3d_twin.real.ports import choose_ports
@@ -84,7 +89,7 @@ def open_robot(options: PortOptions, lidar_link: str) -> AbstractContextManager[
     @contextmanager
     def opened() -> Iterator[tuple[Robot, None]]:
         base, lidar = choose_ports(options.port, options.lidar_port)
-        with open_real(base, lidar, LINKS[lidar_link]) as robot:
+        with open_real(base, lidar, LINKS[lidar_link], taps) as robot:
             yield robot, None
 
     return opened()

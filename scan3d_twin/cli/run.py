@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -12,18 +16,26 @@ from scan3d_twin.cli.keeper import Keeper
 from scan3d_twin.cli.progress import Progress, make_progress
 from scan3d_twin.cli.save import save_run
 from scan3d_twin.cli.summary import summary
-from scan3d_twin.core.errors import ScanError
+from scan3d_twin.cli.versions import versions
+from scan3d_twin.core.errors import FileError, HazardError, LinkError, ScanError
 from scan3d_twin.core.observer import Observers
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.closed_loop import Opening, close_loop
+from scan3d_twin.recording.closed_loop import Loop, Opening, close_loop
 from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
+from scan3d_twin.recording.recorder import Recorder, SerialTaps
 from scan3d_twin.recording.report import Effort, Report, failure, report_json
 from scan3d_twin.recording.settings import Settings
 from scan3d_twin.sim.config import RobotName
 
 
 def run(
-    settings: Settings, name: str, opening: Opening, out: Path | None, *, as_json: bool
+    settings: Settings,
+    name: str,
+    opening: Opening,
+    out: Path | None,
+    *,
+    as_json: bool,
+    taps: SerialTaps | None = None,
 ) -> None:
     """Digitise with the robot of ``opening``, save the results in ``out`` and print the report.
 
@@ -33,6 +45,7 @@ def run(
         opening: Closed, with the wheels stopped, before anything is computed or saved.
         out: Folder for the results; None makes one under ``runs``.
         as_json: Print the report as JSON.
+        taps: On the serial lines of a real robot, to be recorded too.
 
     Raises:
         TwinError: The scan failed or was stopped; what was scanned by then is saved and printed.
@@ -40,8 +53,8 @@ def run(
     """
     folder = claim_folder(_default_folder(name) if out is None else out)
     try:
-        with make_progress() as progress:
-            report, ended = _digitize_and_save(settings, name, opening, folder, progress)
+        with make_progress() as progress, recording(folder, taps) as recorder:
+            report, ended = _digitize_and_save(settings, name, opening, recorder, progress)
     finally:
         release_folder(folder)
     print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
@@ -53,20 +66,54 @@ def run(
         raise ended
 
 
+@contextmanager
+def recording(folder: Path, taps: SerialTaps | None) -> Iterator[Recorder]:
+    """Open the session file of the run in ``folder``.
+
+    Of a run that ends without a view it is kept only for what it tells of a robot that failed.
+    """
+    started = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
+    origin = {**versions(), "command": shlex.join(sys.argv), "started": started}
+    recorder = Recorder(folder, time.monotonic, origin)
+    if taps is not None:
+        taps.listener = recorder.on_bytes
+    try:
+        yield recorder
+    except (LinkError, HazardError):
+        recorder.close()
+        raise
+    except BaseException:
+        recorder.abandon()
+        raise
+
+
 def _digitize_and_save(
-    settings: Settings, name: str, opening: Opening, folder: Path, progress: Progress
+    settings: Settings, name: str, opening: Opening, recorder: Recorder, progress: Progress
 ) -> tuple[Report, BaseException | None]:
     """Return the report, and what ended the run before its time or makes it a failure."""
-    started = time.perf_counter()
+    started, folder = time.perf_counter(), recorder.path.parent
     with opening as (robot, truth):
         name_of_base = cast(RobotName, robot.base.spec.name)
         settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
-        watching = Observers(Keeper(folder, settings, progress))
+        recorder.describe(name, settings)
+        robot = recorder.attach(robot)
+        watching = Observers(recorder, Keeper(folder, settings, progress))
         loop = close_loop(robot, truth, settings, watching, time.perf_counter)
+        _finish(recorder, loop)
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     progress.event("evaluating and saving" if truth is not None else "saving")
     report = save_run(folder, name, settings, loop.session, loop.journey, effort, truth)
     return report, loop.ended or _failed(loop.session)
+
+
+def _finish(recorder: Recorder, loop: Loop) -> None:
+    """End the session file; a full disk that has ended the run has no room for an end either."""
+    try:
+        recorder.finish(loop.session)
+    except FileError:
+        recorder.close()
+        if loop.ended is None:
+            raise
 
 
 def _failed(session: Session) -> ScanError | None:

@@ -29,7 +29,8 @@ def summary(report: Report, folder: Path) -> str:
             f"accuracy {report['accuracy_mm']['median']:.1f} mm (median)"
         )
     lines += ["", *_table(report), ""] if report["registration"] else []
-    lines.append(f"{folder}: model.ply report.json top_view.svg config.toml views/")
+    files = "model.ply report.html report.json top_view.svg config.toml session.mcap views/"
+    lines.append(f"{folder}: {files}")
     return "\n".join(lines) + "\n"
 
 

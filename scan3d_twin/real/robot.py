@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
-from typing import Protocol
+from typing import Literal, Protocol
 
 from scan3d_twin.core.errors import LinkTimeoutError
 from scan3d_twin.core.hal import Clock, Robot
@@ -12,7 +12,7 @@ from scan3d_twin.protocols.urg04lx import ScanMode
 from scan3d_twin.real.clock import RealClock
 from scan3d_twin.real.create import Guard, open_create
 from scan3d_twin.real.guard import ProcessGuard
-from scan3d_twin.real.transport import SerialTransport, Transport
+from scan3d_twin.real.transport import SerialTransport, Tapped, Transport
 from scan3d_twin.real.urg import UrgLidar
 
 SLICE = 0.005
@@ -54,6 +54,18 @@ class ServicedClock:
             self._clock.sleep(min(SLICE, left))
 
 
+class Taps(Protocol):
+    """Who is told of the bytes on the serial lines; an error of theirs ends the run."""
+
+    def base(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
+        """See ``transport.Tap``."""
+        ...
+
+    def lidar(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
+        """See ``transport.Tap``."""
+        ...
+
+
 @contextmanager
 def open_over(
     base_link: Transport,
@@ -93,21 +105,28 @@ def _forget_lines(lidar: UrgLidar) -> None:
 
 
 @contextmanager
-def open_real(base_port: str, lidar_port: str, mode: ScanMode) -> Iterator[Robot]:
+def open_real(
+    base_port: str, lidar_port: str, mode: ScanMode, taps: Taps | None = None
+) -> Iterator[Robot]:
     """Open the robot on two serial ports; it does not move, and is stopped on every way out.
 
     Args:
         base_port: Of the Create, such as ``/dev/ttyUSB0``.
         lidar_port: Of the URG-04LX, such as ``/dev/ttyACM0``.
         mode: Which lines the lidar is to send.
+        taps: Are told of every byte that passes.
 
     Raises:
         LinkError: A port cannot be opened, or no such device is on it; says what to do.
     """
     clock = RealClock()
     with ExitStack() as stack:
-        link = stack.enter_context(closing(SerialTransport(base_port)))
-        guard = stack.enter_context(closing(ProcessGuard(link.fileno(), clock)))
-        yield stack.enter_context(
-            open_over(link, lambda: SerialTransport(lidar_port), clock, mode, guard)
-        )
+        port = stack.enter_context(closing(SerialTransport(base_port)))
+        guard = stack.enter_context(closing(ProcessGuard(port.fileno(), clock)))
+        link = port if taps is None else Tapped(port, clock, taps.base)
+
+        def open_lidar_link() -> Transport:
+            line = SerialTransport(lidar_port)
+            return line if taps is None else Tapped(line, clock, taps.lidar)
+
+        yield stack.enter_context(open_over(link, open_lidar_link, clock, mode, guard))

@@ -8,6 +8,7 @@ import sys
 import jsonschema
 import pytest
 
+from scan3d_twin.recording.load import load_session
 from scan3d_twin.recording.report import report_schema
 
 
@@ -32,7 +33,11 @@ def test_a_signal_during_a_sweep_saves_the_finished_views(tmp_path, number):
     assert report["views"] == 1
     assert json.loads((tmp_path / "run" / "report.json").read_text()) == report
     names = {path.name for path in (tmp_path / "run").rglob("*") if path.is_file()}
-    assert names == {"model.ply", "report.json", "top_view.svg", "config.toml", "000.npz"}
+    assert names == {
+        "model.ply", "report.json", "top_view.svg", "config.toml", "session.mcap", "000.npz"
+    }  # fmt: skip
+    recorded = load_session(tmp_path / "run")
+    assert (recorded.finished, recorded.session.stop_reason) == (True, "interrupted")
 
 
 def test_a_signal_before_the_first_view_leaves_nothing_behind(tmp_path):

@@ -1,0 +1,32 @@
+"""What a bug report must name: the versions of everything that computes, without importing it."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+from scan3d_twin import __version__
+
+LIBRARIES = (
+    "numpy", "scipy", "mujoco-core", "embreex", "numba", "trimesh", "mcap", "rosbags", "viser",
+    "cyclopts",
+)  # fmt: skip
+"""Distributions whose versions can change a result, a file or the command line."""
+
+
+def versions() -> dict[str, str]:
+    """Return versions by name: the program, Python, installed libraries and the system."""
+    found = {"scan3d_twin": __version__, "python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return {**found, "platform": platform.platform()}
+
+
+def version_text() -> str:
+    """Return what ``twin --version`` prints."""
+    found = versions()
+    width = max(map(len, found))
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in found.items())

@@ -1,0 +1,121 @@
+"""Session files back as sessions, finished or not."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Metadata
+
+from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import ScanLine
+from scan3d_twin.recording import ros
+from scan3d_twin.recording.recorder import COMMANDS, PART, RECORDS, SESSION_FILE
+from scan3d_twin.recording.salvage import Delivered, contents, is_finished, is_written
+from scan3d_twin.recording.session_log import Mark, SessionState
+from scan3d_twin.recording.settings import Settings, settings
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a session file holds.
+
+    Attributes:
+        path: The file.
+        finished: Whether the run ended by itself; else it was killed, or goes on.
+        running: Whether a run is writing to the file right now.
+        name: Of what was scanned.
+        settings: The effective ones.
+        session: As it was when the last view or plan was done; ``stop_reason`` is empty for a
+            killed run.
+        mark: Where the robot was in its run by then.
+        provenance: What made the file: versions, command, date.
+    """
+
+    path: Path
+    finished: bool
+    running: bool
+    name: str
+    settings: Settings
+    session: Session
+    mark: Mark
+    provenance: Mapping[str, str]
+
+
+def session_path(place: Path) -> Path:
+    """Return the session file of the run in the folder ``place``; a file is itself.
+
+    A run in progress comes before a finished one it goes on from.
+
+    Raises:
+        FileError: There is none.
+    """
+    if place.is_file():
+        return place
+    for name in (SESSION_FILE + PART, SESSION_FILE):
+        if (place / name).is_file():
+            return place / name
+    raise FileError(f"no session in {place}: a run's folder holds a {SESSION_FILE}")
+
+
+def load_session(place: Path) -> Recorded:
+    """Return the session recorded in the folder ``place``, or in the file ``place`` itself.
+
+    An unfinished file is read as far as it goes and stays as it is.
+
+    Raises:
+        FileError: There is none, no view was finished in it, or it is damaged.
+    """
+    path = session_path(place)
+    texts, state = {}, SessionState()
+    for each in contents(path, RECORDS):
+        if isinstance(each, Metadata):
+            texts[each.name] = each.metadata
+        else:
+            message = _decoded(each)
+            packed = message.json, message.data.tobytes()
+            state.take((message.kind, message.index, packed))
+    if state.session is None or state.mark is None or "settings" not in texts:
+        raise FileError(f"no view was finished in {path}: there is nothing to go on from")
+    described = texts["settings"]
+    return Recorded(
+        path=path,
+        finished=is_finished(path),
+        running=is_written(path),
+        name=described["name"],
+        settings=settings([tomllib.loads(described["toml"])]),
+        session=state.session,
+        mark=state.mark,
+        provenance=texts.get("provenance", {}),
+    )
+
+
+def commands(path: Path, until: float) -> Iterator[tuple[float, float, float]]:
+    """Yield stamp [s], speed [m/s] and turn rate [rad/s] of what was sent to the base by ``until``.
+
+    In the order in which it was sent.
+    """
+    for each in contents(path, COMMANDS):
+        if isinstance(each, Delivered) and each.nanoseconds <= round(until * 1e9):
+            twist = _decoded(each).twist
+            yield each.nanoseconds / 1e9, float(twist.linear.x), float(twist.angular.z)
+
+
+def lines(path: Path) -> Iterator[ScanLine]:
+    """Yield all scan lines, also those of looks around and unfinished sweeps.
+
+    As ROS has them: to the nanosecond, distances to 7 digits. Sweeps in views are exact.
+    """
+    for each in contents(path, "/scan"):
+        if isinstance(each, Delivered):
+            scan = _decoded(each)
+            stamp = scan.header.stamp.sec + scan.header.stamp.nanosec / 1e9
+            yield ScanLine(stamp, scan.ranges.astype("float64"), scan.intensities.astype("int64"))
+
+
+def _decoded(each: Delivered) -> Any:
+    return ros.typestore().deserialize_cdr(each.data, each.name)

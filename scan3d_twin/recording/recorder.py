@@ -1,0 +1,248 @@
+"""The observer that writes the session file as the run goes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from scan3d_twin.core.errors import FileError, TwinError
+from scan3d_twin.core.hal import BaseSpec, DriveBase, Robot
+from scan3d_twin.core.motion import travelled
+from scan3d_twin.core.observer import Command, attended
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
+from scan3d_twin.recording import ros, ros_records
+from scan3d_twin.recording.mcap_file import McapFile
+from scan3d_twin.recording.session_log import Mark, SessionLog
+from scan3d_twin.recording.settings import Settings, settings_toml
+
+RECORDS = "/scan3d_twin/record"
+"""Topic of what must come back bit by bit."""
+COMMANDS = "/cmd_vel"
+"""Topic of the velocities sent to the base."""
+SESSION_FILE, PART = "session.mcap", ".part"
+"""Name of the session file in a run's folder, and what it ends with until the run has ended."""
+
+
+class SerialTaps:
+    """Passes the bytes on the robot's serial lines on to whoever listens, if anybody."""
+
+    def __init__(self) -> None:
+        self.listener: Callable[[str, float, Literal["<", ">"], bytes], None] | None = None
+
+    def base(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
+        """Tell of bytes from or to the base; a ``Tap``."""
+        if self.listener:
+            self.listener("/serial/base", stamp, direction, data)
+
+    def lidar(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
+        """Tell of bytes from or to the lidar; a ``Tap``."""
+        if self.listener:
+            self.listener("/serial/lidar", stamp, direction, data)
+
+
+class _TappedBase:
+    """A ``DriveBase`` that tells which velocities it is given."""
+
+    def __init__(self, base: DriveBase, told: Callable[[float, float], None]) -> None:
+        self._base = base
+        self._told = told
+
+    @property
+    def spec(self) -> BaseSpec:
+        """See ``DriveBase.spec``."""
+        return self._base.spec
+
+    def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
+        """See ``DriveBase.set_velocity``; the base comes first, the record second."""
+        sent = self._base.set_velocity(linear, angular)
+        self._told(linear, angular)
+        return sent
+
+    def odometry(self) -> Odometry:
+        """See ``DriveBase.odometry``."""
+        return self._base.odometry()
+
+    def odometry_since(self, stamp: float) -> tuple[Odometry, ...]:
+        """See ``DriveBase.odometry_since``."""
+        return self._base.odometry_since(stamp)
+
+    def hazards(self) -> Hazards:
+        """See ``DriveBase.hazards``."""
+        return self._base.hazards()
+
+
+class Recorder:
+    """Writes everything a run measures, decides and says to ``session.mcap.part``.
+
+    What a killed run loses is what came in within the last half second, of the robot's clock or of
+    ours, whichever is shorter. ``finish`` gives the file its name.
+    """
+
+    def __init__(
+        self, folder: Path, wall: Callable[[], float], provenance: Mapping[str, str]
+    ) -> None:
+        """Begin the session file of the run in ``folder``.
+
+        Args:
+            folder: Holds no session file yet.
+            wall: Returns the time here [s]; only differences count.
+            provenance: What made the file: versions, command, date.
+
+        Raises:
+            FileError: It cannot be written.
+        """
+        self.path = folder / SESSION_FILE
+        self.mark = Mark()
+        self._file = McapFile(_part(self.path), wall)
+        self._log = SessionLog()
+        self._robot: Robot | None = None
+        self._T_world_odom = Pose2()
+        self._last: Odometry | None = None
+        self._views = 0
+        self._failure: FileError | None = None
+        self._file.metadata("provenance", provenance)
+
+    def describe(self, name: str, settings: Settings) -> None:
+        """Write what is scanned, by its ``name``, and with which ``settings``."""
+        self._file.metadata("settings", {"name": name, "toml": settings_toml(settings)})
+
+    def attach(self, robot: Robot) -> Robot:
+        """Return ``robot`` as it is to be used, so that its way and commands are recorded."""
+        self._robot = robot
+        self._file.write(
+            "/tf_static", robot.clock.now(), ros.mount(robot.T_base_lidar), latched=True
+        )
+        self._follow()
+        recorded = replace(robot, base=_TappedBase(robot.base, self._on_command))
+        return attended(recorded, self._follow)
+
+    def on_bytes(self, topic: str, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
+        """Record bytes on a serial line; the ``listener`` of ``SerialTaps``.
+
+        Never raises, for they may be the command to stop: the next line or move will.
+        """
+        if self._file.sink.closed or self._failure is not None:
+            return
+        try:
+            self._file.write(topic, stamp, ros_records.serial_bytes(stamp, direction, data))
+        except FileError as error:
+            self._failure = error
+
+    def on_event(self, text: str) -> None:
+        """See ``Observer``."""
+        self._file.write("/rosout", self._now(), ros_records.log(self._now(), text))
+
+    def on_line(self, line: ScanLine) -> None:
+        """See ``Observer``."""
+        self._follow()
+        self._file.write("/scan", self._now(), ros.scan(line, self._attached().lidar.spec))
+
+    def on_view(self, session: Session) -> None:
+        """See ``Observer``."""
+        index, view, now = len(session.views) - 1, session.views[-1], self._now()
+        self._views = len(session.views)
+        self._T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
+        self._follow()
+        self._file.write("/cloud", now, ros.cloud(now, index, view))
+        if view.registration is not None:
+            placed = ros_records.registration(now, index, view.registration)
+            self._file.write("/registration", now, placed)
+        self._keep(session)
+
+    def on_plan(self, session: Session) -> None:
+        """See ``Observer``."""
+        index, plan, now = len(session.plans) - 1, session.plans[-1], self._now()
+        self._follow()
+        self._file.write("/plan", now, ros_records.plan(now, index, plan))
+        if plan.viewpoint is not None:
+            self._file.write("/viewpoint", now, ros.viewpoint(now, plan.viewpoint))
+        self._keep(session)
+
+    def command(self) -> Command:
+        """See ``Observer``: nobody stops a run here."""
+        return "go"
+
+    def finish(self, session: Session) -> None:
+        """Write how the run ended and give the file its name.
+
+        Raises:
+            FileError: The disk is full or gone; what was recorded before is kept.
+        """
+        self._follow()
+        self._keep(session)
+        finish_file(self._file, self.path)
+
+    def abandon(self) -> None:
+        """Close the file; leave it behind only if there is a view in it."""
+        self.close()
+        if not self._views:
+            self._file.sink.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Leave the file as it is: unfinished, to be recovered; closing twice does nothing."""
+        if self._file.sink.closed:
+            return
+        with suppress(TwinError):
+            self._file.flush(self._now())
+        self._file.sink.close()
+
+    def _keep(self, session: Session) -> None:
+        """Write what is new in ``session``, and see to it that the disk has it."""
+        now = self._now()
+        self.mark = replace(self.mark, stamp=now)
+        for kind, index, packed in self._log.changes(session, self.mark):
+            self._file.write(RECORDS, now, ros_records.record(now, kind, index, packed))
+        self._file.flush(now)
+        self._file.sink.sync()
+
+    def _follow(self) -> None:
+        """Write the way since the last call."""
+        if self._failure is not None:
+            raise self._failure
+        robot = self._attached()
+        since = 0.0 if self._last is None else self._last.stamp
+        samples = robot.base.odometry_since(since)
+        if self._last is not None:
+            path, turn = travelled(samples)
+            self.mark = replace(self.mark, path=self.mark.path + path, turn=self.mark.turn + turn)
+        fresh = [s for s in samples if self._last is None or s.stamp > self._last.stamp]
+        for sample in fresh:
+            self._file.write("/odom", sample.stamp, ros.odometry(sample, self._last))
+            self._last = sample
+        if fresh and self._last is not None:
+            edges = ("world", "odom", self._T_world_odom), ("odom", "base", self._last.T_odom_base)
+            self._file.write("/tf", self._last.stamp, ros.transforms(self._last.stamp, *edges))
+
+    def _on_command(self, linear: float, angular: float) -> None:
+        now = self._now()
+        self._file.write(COMMANDS, now, ros.command(now, linear, angular))
+
+    def _now(self) -> float:
+        return 0.0 if self._robot is None else self._robot.clock.now()
+
+    def _attached(self) -> Robot:
+        if self._robot is None:
+            raise FileError("nothing to record: attach a robot first")
+        return self._robot
+
+
+def finish_file(file: McapFile, path: Path) -> None:
+    """Make ``file`` whole and name it ``path``, in place of what was there.
+
+    Raises:
+        FileError: The disk is full or gone.
+    """
+    file.finish()
+    try:
+        os.replace(file.sink.path, path)
+    except OSError as error:
+        raise FileError(f"cannot name {path}: {error.strerror or error}") from error
+
+
+def _part(path: Path) -> Path:
+    return path.with_name(path.name + PART)

@@ -1,0 +1,173 @@
+"""Reading MCAP files that end anywhere: after their index, or where a run was killed."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import IO
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, breakup_chunk
+from zstandard import ZstdError
+
+from scan3d_twin.core.errors import FileError
+from scan3d_twin.recording.mcap_file import McapFile
+
+_MAGIC = b"\x89MCAP0\r\n"
+_BROKEN = (McapError, CRCValidationError, ZstdError, struct.error, ValueError, KeyError)
+"""What a reader runs into where a disk has lost a part of the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Delivered:
+    """A message as it lies in a file.
+
+    Attributes:
+        topic: Where it was published.
+        name: Its type.
+        latched: Whether late listeners need it too.
+        nanoseconds: When, on the robot's clock [ns].
+        data: Encoded.
+    """
+
+    topic: str
+    name: str
+    latched: bool
+    nanoseconds: int
+    data: bytes
+
+
+def is_finished(path: Path) -> bool:
+    """Tell whether the file at ``path`` ends as a finished one does.
+
+    Raises:
+        FileError: It cannot be read, or is no MCAP file.
+    """
+    try:
+        with path.open("rb") as stream:
+            if stream.read(len(_MAGIC)) != _MAGIC:
+                raise FileError(f"{path} is no session file")
+            size = stream.seek(0, os.SEEK_END)
+            stream.seek(max(len(_MAGIC), size - len(_MAGIC)))
+            return stream.read() == _MAGIC
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def is_written(path: Path) -> bool:
+    """Tell whether a run that is still going on writes to the file at ``path``."""
+    try:
+        with path.open("rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def contents(path: Path, *topics: str) -> Iterator[Delivered | Metadata]:
+    """Yield metadata and messages, of ``topics`` or of all, in the order they were written in.
+
+    An unfinished file is read up to its last good byte.
+
+    Raises:
+        FileError: It cannot be read, or is no MCAP file, or a finished one is damaged.
+    """
+    finished = is_finished(path)
+    try:
+        with path.open("rb") as stream:
+            if finished and topics:
+                yield from _indexed(stream, topics)
+                return
+            yield from (each for each in _scanned(stream) if _wanted(each, topics))
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    except _BROKEN as error:
+        raise FileError(
+            f"{path} is damaged ({error}); save what is left: twin session recover {path.parent}"
+        ) from None
+
+
+def _wanted(each: Delivered | Metadata, topics: tuple[str, ...]) -> bool:
+    return not topics or isinstance(each, Metadata) or each.topic in topics
+
+
+def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[Delivered | Metadata]:
+    """Yield by the index of a finished file."""
+    reader = make_reader(stream, validate_crcs=True)
+    yield from reader.iter_metadata()
+    for schema, channel, message in reader.iter_messages(topics, log_time_order=False):
+        assert schema is not None
+        yield _delivered(schema, channel, message)
+
+
+def _scanned(stream: IO[bytes]) -> Iterator[Delivered | Metadata]:
+    """Yield from the start up to where the file is no longer sound."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    for record in _sound_records(stream):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Metadata):
+            yield record
+        elif isinstance(record, Message):
+            channel = channels[record.channel_id]
+            yield _delivered(schemas[channel.schema_id], channel, record)
+
+
+def _delivered(schema: Schema, channel: Channel, message: Message) -> Delivered:
+    latched = "offered_qos_profiles" in channel.metadata
+    return Delivered(channel.topic, schema.name, latched, message.log_time, message.data)
+
+
+def _sound_records(stream: IO[bytes]) -> Iterator[McapRecord]:
+    """Yield what chunks hold, and metadata, each only if all of it is there."""
+    size = stream.seek(0, os.SEEK_END)
+    place = stream.seek(len(_MAGIC))
+    while place + 9 <= size:
+        opcode, length = struct.unpack("<BQ", stream.read(9))
+        place += 9 + length
+        if place > size or opcode == Opcode.DATA_END:
+            return
+        if opcode not in (Opcode.CHUNK, Opcode.METADATA):
+            stream.seek(place)
+            continue
+        try:
+            records = _parsed(opcode, stream.read(length))
+        except _BROKEN:
+            return
+        yield from records
+
+
+def _parsed(opcode: int, data: bytes) -> list[McapRecord]:
+    stream = ReadDataStream(BytesIO(data))
+    if opcode == Opcode.METADATA:
+        return [Metadata.read(stream)]
+    return breakup_chunk(Chunk.read(stream), validate_crc=True)
+
+
+def copy_contents(source: Path, target: McapFile) -> None:
+    """Write everything of the file ``source`` that can be read to ``target``.
+
+    Raises:
+        FileError: One cannot be read, the other cannot be written.
+    """
+    for each in contents(source):
+        if isinstance(each, Metadata):
+            target.metadata(each.name, each.metadata)
+        else:
+            target.write_bytes(
+                each.topic, each.name, each.nanoseconds, each.data, latched=each.latched
+            )

@@ -1,0 +1,127 @@
+"""A session as a log of what changed, and back, bit by bit.
+
+Sessions are immutable and share what did not change, so that the log grows by what is new: a view
+when it was taken, its pose alone when an alignment has moved it. A ``mark`` record closes each
+change; what comes after the last mark, where a run was killed, does not count.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field, is_dataclass, replace
+from functools import cache
+from typing import Any, get_args, get_origin, get_type_hints
+
+from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording.exact import Packed, pack, pack_fields, unpack, unpack_fields
+
+Record = tuple[str, int, Packed]
+"""Kind, index among its kind, and the value."""
+SESSION, MARK = "session", "mark"
+"""Kinds of records besides the names of the lists."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Where a run was when all that was logged before belonged together.
+
+    Attributes:
+        stamp: On the robot's clock [s].
+        path: Length of its way so far [m].
+        turn: Sum of its turns so far [rad].
+    """
+
+    stamp: float = 0.0
+    path: float = 0.0
+    turn: float = 0.0
+
+
+@cache
+def _lists() -> dict[str, Any]:
+    """Return the fields of a session that are lists of things, and the type of a thing."""
+    hints = get_type_hints(Session)
+    return {
+        name: get_args(hint)[0]
+        for name, hint in hints.items()
+        if get_origin(hint) is tuple and get_args(hint)[1:] == (Ellipsis,)
+    }
+
+
+class SessionLog:
+    """Tells what is new in each next state of a session."""
+
+    def __init__(self) -> None:
+        self._last: Session | None = None
+
+    def changes(self, session: Session, mark: Mark) -> Iterator[Record]:
+        """Yield the records that lead from the last session to this one, the mark at the end."""
+        last, self._last = self._last, session
+        for name in _lists():
+            before = () if last is None else getattr(last, name)
+            yield from _item_changes(name, getattr(session, name), before)
+        nothing: dict[str, Any] = dict.fromkeys(_lists(), ())
+        yield SESSION, 0, pack(replace(session, **nothing))
+        lengths = {name: len(getattr(session, name)) for name in _lists()}
+        text, _ = pack(mark)
+        yield MARK, 0, (json.dumps({**json.loads(text), "lengths": lengths}), b"")
+
+
+def _item_changes(name: str, items: Any, before: Any) -> Iterator[Record]:
+    for index, item in enumerate(items):
+        old = before[index] if index < len(before) else None
+        if old is item:
+            continue
+        yield name, index, pack_fields(item, old) if is_dataclass(item) else pack(item)
+
+
+@dataclass
+class SessionState:
+    """A session as it is put together from its log."""
+
+    mark: Mark | None = None
+    session: Session | None = None
+    _open: list[Record] = field(default_factory=list)
+    _items: dict[str, dict[int, Any]] = field(default_factory=dict)
+
+    def take(self, record: Record) -> None:
+        """Take in the next ``record``.
+
+        Raises:
+            FileError: It does not fit.
+        """
+        self._open.append(record)
+        if record[0] == MARK:
+            records, self._open = self._open, []
+            self._close(records)
+
+    def _close(self, records: list[Record]) -> None:
+        """Bring the session up to date with all ``records`` since the last mark."""
+        base = self.session
+        for kind, index, packed in records[:-1]:
+            if kind == SESSION:
+                base = unpack(Session, packed)
+            elif kind in _lists():
+                items = self._items.setdefault(kind, {})
+                items[index] = _item(_lists()[kind], items.get(index), packed)
+        if base is None:
+            raise FileError("no valid session in the file: it begins in the middle")
+        text = records[-1][2][0]
+        lengths = json.loads(text)["lengths"]
+        lists: dict[str, Any] = {
+            name: tuple(self._items.get(name, {})[k] for k in range(lengths.get(name, 0)))
+            for name in _lists()
+        }
+        self.session, self.mark = replace(base, **lists), unpack(Mark, (text, b""))
+
+
+def _item(hint: Any, old: Any, packed: Packed) -> Any:
+    if not is_dataclass(hint):
+        return unpack(hint, packed)
+    assert isinstance(hint, type)
+    fields = unpack_fields(hint, packed)
+    try:
+        return hint(**fields) if old is None else replace(old, **fields)
+    except TypeError as error:
+        raise FileError(f"no valid {hint.__name__} in the file: {error}") from None
