@@ -2,12 +2,15 @@
 
 ``register`` works on the grids the sweeps were taken on: plane surfels (``surfels``), projective
 association and whitened residuals (``point_to_plane``), maximum a posteriori steps with a test for
-degeneracy (``gauss_newton``), several starts judged by free space (``multistart``). ``icp`` is the
-paper's plain point-to-point ICP, kept for the faithful preset.
+degeneracy (``gauss_newton``), several starts judged by free space (``multistart``). Clouds that
+have lost their grid go point to plane (``clouds``). ``icp`` is the paper's plain point-to-point
+ICP, kept for the faithful preset.
 """
 
 from __future__ import annotations
 
+from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.registration.clouds import Cloud, prepare_cloud, register_clouds
 from scan3d_twin.core.registration.gauss_newton import Criteria, Dof
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.pose_prior import PosePrior
@@ -15,12 +18,21 @@ from scan3d_twin.core.registration.scan_noise import ScanNoise
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid, prepare
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, RegistrationResult
 
-__all__ = ["Criteria", "PosePrior", "ScanNoise", "SurfelGrid", "prepare", "register"]
+__all__ = [
+    "Cloud",
+    "Criteria",
+    "PosePrior",
+    "ScanNoise",
+    "SurfelGrid",
+    "prepare",
+    "prepare_cloud",
+    "register",
+]
 
 
 def register(
-    target: RangeImage | SurfelGrid,
-    source: RangeImage | SurfelGrid,
+    target: RangeImage | SurfelGrid | Cloud | FloatArray,
+    source: RangeImage | SurfelGrid | Cloud | FloatArray,
     *,
     init_T_target_source: Pose2 | FloatArray | None = None,
     prior: PosePrior | None = None,
@@ -28,31 +40,42 @@ def register(
     criteria: Criteria | None = None,
     starts: int = 1,
 ) -> RegistrationResult:
-    """Lay the sweep ``source`` on the sweep ``target``.
+    """Lay the scan ``source`` on the scan ``target``.
 
     Args:
-        target: A sweep, or what ``prepare`` made of it (for several registrations).
+        target: A sweep, or what ``prepare`` made of it (for several registrations); or a cloud
+            (n, 3) [m] seen from its origin, or what ``prepare_cloud`` made of it.
         source: Likewise.
         init_T_target_source: First guess; the prior's mean, or identity without one.
         prior: What is known beforehand; it decides where the scans do not.
         dof: ``planar`` estimates x, y and theta, ``se3`` all six.
         criteria: Widest gate, and when to stop.
-        starts: Starts spread over the prior; several find the right one of several basins.
+        starts: Starts spread over the prior; several find the right one of several basins (sweeps
+            only, as clouds do not know where space is free).
 
     Returns:
         Pose, covariance, what stayed undetermined and how ambiguous the basins are.
 
     Raises:
-        ConfigError: A pose, an option or an image's shape is wrong.
+        ConfigError: A pose, an option or an array's shape is wrong.
         RegistrationError: A scan shows too little surface, or the two do not overlap.
     """
     init = init_T_target_source
-    return register_grids(
-        target if isinstance(target, SurfelGrid) else prepare(target),
-        source if isinstance(source, SurfelGrid) else prepare(source),
-        init_T_target_source=init.matrix() if isinstance(init, Pose2) else init,
-        prior=prior,
-        dof=dof,
-        criteria=criteria,
-        starts=starts,
+    init = init.matrix() if isinstance(init, Pose2) else init
+    if isinstance(target, RangeImage | SurfelGrid) and isinstance(source, RangeImage | SurfelGrid):
+        return register_grids(
+            target if isinstance(target, SurfelGrid) else prepare(target),
+            source if isinstance(source, SurfelGrid) else prepare(source),
+            init_T_target_source=init,
+            prior=prior,
+            dof=dof,
+            criteria=criteria,
+            starts=starts,
+        )
+    if isinstance(target, RangeImage | SurfelGrid) or isinstance(source, RangeImage | SurfelGrid):
+        raise ConfigError("cannot register a sweep and a cloud: give two sweeps or two clouds")
+    if starts != 1:
+        raise ConfigError(f"clouds are registered from one start, got starts = {starts}")
+    return register_clouds(
+        target, source, init_T_target_source=init, prior=prior, dof=dof, criteria=criteria
     )

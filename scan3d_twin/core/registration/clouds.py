@@ -1,0 +1,280 @@
+"""Registration of unorganised clouds, for scans that come without their lines and beams.
+
+Point to plane: source points p against the planes through the k nearest neighbours of target
+points (centroid c, unit normal n), maximum a posteriori as in ``gauss_newton``:
+
+    e = n . (R p + t - c),   J = (n, a x n),  a = R p,
+    w = (c^2 / (c^2 + e^2 / s^2))^2 / (2 s^2),
+
+with s the robust spread of the residuals (1.4826 MAD), which a cloud cannot tell beforehand; twice,
+because each target point errs as much and is in the planes of as many pairs as it has neighbours.
+The normal of a plane fit errs by s^2 / (k l) with l its spread along the tangents, and the
+information which that fakes is left out as there. That such normals lean towards the ray is not
+known here, so the covariance is a lower bound; sweeps do better on their grid.
+
+Neighbours come from small_gicp where it is installed (extra ``fast``), from scipy elsewhere: the
+same neighbours, the same result.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Criteria, Dof, determined
+from scan3d_twin.core.registration.point_to_plane import MIN_NORMAL_COSINE, faked_information
+from scan3d_twin.core.registration.pose_prior import (
+    PLANAR,
+    PosePrior,
+    about_target,
+    displaced,
+    spread,
+)
+from scan3d_twin.core.types import FloatArray, IntArray, RegistrationResult, read_only
+
+NEIGHBOURS = 20
+"""Points a plane is fitted to; the default of small_gicp and of PCL's tutorials."""
+MIN_POINTS = 50
+"""Fewer points than this are no surface."""
+ROBUST = 3.0
+"""c of the weights [s]; wider than on grids, as s is estimated with the outliers."""
+MIN_SPREAD = 1e-4
+"""Least s [m]: perfect clouds keep finite weights."""
+SHRINK = 0.7
+"""Factor of the gate from one step to the next ..."""
+LAST_GATE = 6.0
+"""... down to this many s."""
+
+Search = Callable[[FloatArray, int], tuple[FloatArray, IntArray]]
+"""Returns squared distances and indices (n, k) of the k nearest neighbours of points (n, 3)."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points with the planes they lie on.
+
+    Attributes:
+        points: (n, 3) [m].
+        centroids: Of each point's neighbours (n, 3) [m].
+        normals: Unit normals, towards the origin, the viewpoint (n, 3).
+        tilt: Variance of each normal per variance of the range noise (n,) [rad2/m2].
+        search: Finds neighbours among ``points``.
+    """
+
+    points: FloatArray
+    centroids: FloatArray
+    normals: FloatArray
+    tilt: FloatArray
+    search: Search
+
+
+def prepare_cloud(points: FloatArray, *, num_threads: int = 1) -> Cloud:
+    """Return the planes of a cloud (n, 3) [m] seen from its origin; NaN rows are left out.
+
+    Raises:
+        ConfigError: The array has another shape.
+        RegistrationError: Too few finite points.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ConfigError(f"a cloud has shape (n, 3), got {points.shape}")
+    points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
+    if len(points) < MIN_POINTS:
+        raise RegistrationError(
+            f"the cloud has {len(points)} finite points, {MIN_POINTS} are needed"
+        )
+    search = _search(points, num_threads)
+    around = points[search(points, NEIGHBOURS)[1]]
+    centroids = around.mean(axis=1)
+    around -= centroids[:, None]
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / NEIGHBOURS)
+    normals = vectors[..., 0]
+    normals *= np.where(np.sum(normals * points, axis=1) > 0, -1.0, 1.0)[:, None]
+    tilt = 1.0 / (NEIGHBOURS * np.maximum(values[:, 1] - values[:, 0], 1e-9))
+    return Cloud(points, centroids, normals, tilt, search)
+
+
+def _search(points: FloatArray, num_threads: int) -> Search:
+    if importlib.util.find_spec("small_gicp") is None:
+        tree = cKDTree(points)
+        return lambda wanted, k: _by_scipy(tree, wanted, k, num_threads)
+    import small_gicp
+
+    cloud = small_gicp.PointCloud(points)
+    fast = small_gicp.KdTree(cloud, num_threads=num_threads)
+
+    def neighbours(wanted: FloatArray, k: int) -> tuple[FloatArray, IntArray]:
+        index, square = fast.batch_knn_search(wanted, k, num_threads=num_threads)
+        return np.reshape(square, (-1, k)), np.reshape(index, (-1, k)).astype(np.int64)
+
+    return neighbours
+
+
+def _by_scipy(
+    tree: cKDTree, wanted: FloatArray, k: int, num_threads: int
+) -> tuple[FloatArray, IntArray]:
+    distance, index = tree.query(wanted, k, workers=num_threads)
+    return np.reshape(distance, (-1, k)) ** 2, np.reshape(index, (-1, k))
+
+
+def register_clouds(
+    target: Cloud | FloatArray,
+    source: Cloud | FloatArray,
+    *,
+    init_T_target_source: FloatArray | None = None,
+    prior: PosePrior | None = None,
+    dof: Dof = "planar",
+    criteria: Criteria | None = None,
+) -> RegistrationResult:
+    """Lay the cloud ``source`` on the cloud ``target``.
+
+    Args:
+        target: Points (n, 3) [m] from their viewpoint, or what ``prepare_cloud`` made of them.
+        source: Likewise (m, 3).
+        init_T_target_source: First guess (4, 4); the prior's mean, or identity without one.
+        prior: What is known beforehand; it decides where the clouds do not.
+        dof: ``planar`` estimates x, y and theta, ``se3`` all six.
+        criteria: Widest gate, and when to stop.
+
+    Raises:
+        ConfigError: A pose or a shape is wrong.
+        RegistrationError: A cloud is too small, or the two do not overlap.
+    """
+    criteria = criteria or Criteria()
+    if dof not in ("planar", "se3"):
+        raise ConfigError(f"dof must be planar or se3, got {dof!r}")
+    pair = _Pair(_prepared(target), _prepared(source), prior, dof)
+    T, gate = _first_guess(init_T_target_source, prior), criteria.max_correspondence_distance
+    iterations, settled = 0, False
+    while not settled and iterations < criteria.max_iterations:
+        step = pair.step(T, gate)
+        T = displaced(T, step.motion)
+        last = LAST_GATE * step.spread
+        settled = gate <= last and _small(step.motion, criteria)
+        gate, iterations = min(gate, max(last, SHRINK * gate)), iterations + 1
+    return pair.result(T, step, iterations, settled)
+
+
+def _prepared(cloud: Cloud | FloatArray) -> Cloud:
+    return cloud if isinstance(cloud, Cloud) else prepare_cloud(cloud)
+
+
+def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
+    if init is None:
+        return np.eye(4) if prior is None else prior.T
+    if init.shape != (4, 4) or not np.all(np.isfinite(init)):
+        raise ConfigError("init_T_target_source must be a finite (4, 4) transform")
+    return init
+
+
+def _small(motion: FloatArray, criteria: Criteria) -> bool:
+    return (
+        float(np.linalg.norm(motion[:3])) < criteria.translation_epsilon
+        and float(np.linalg.norm(motion[3:])) < criteria.rotation_epsilon
+    )
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A Gauss-Newton step and what is known there.
+
+    Attributes:
+        motion: Of x y z rx ry rz about the viewpoint (6,).
+        information: Less what is faked (6, 6).
+        degenerate: Directions that the clouds do not determine (k, 6).
+        pairs: Number of pairs.
+        spread: Of their residuals, robust [m].
+        rmse: Of their residuals [m].
+    """
+
+    motion: FloatArray
+    information: FloatArray
+    degenerate: FloatArray
+    pairs: int
+    spread: float
+    rmse: float
+
+
+@dataclass(frozen=True)
+class _Pair:
+    target: Cloud
+    source: Cloud
+    prior: PosePrior | None
+    dof: Dof
+
+    def step(self, T: FloatArray, gate: float) -> _Step:
+        """Return the step at ``T`` (4, 4) from pairs within ``gate`` [m]."""
+        a, n, e, tilt = self._pairs(T, gate)
+        scale = max(MIN_SPREAD, 1.4826 * float(np.median(np.abs(e - np.median(e)))))
+        w = (ROBUST**2 / (ROBUST**2 + (e / scale) ** 2)) ** 2 / (2 * scale**2)
+        J = np.concatenate([n, np.cross(a, n)], axis=1)
+        dims = PLANAR if self.dof == "planar" else tuple(range(6))
+        rows, block = list(dims), np.ix_(dims, dims)
+        H, g = ((J * w[:, None]).T @ J)[block], (J.T @ (w * e))[rows]
+        faked = faked_information(w * tilt * scale**2, a, J)[block]
+        reach = math.sqrt(float(np.mean(np.sum(a * a, axis=1))))
+        kept, honest, dropped = determined(H, faked, reach, self.dof)
+        prior, pull = self._prior(T, dims)
+        motion, information = np.zeros(6), np.zeros((6, 6))
+        motion[rows] = -_inverse(kept @ H @ kept.T + prior) @ (kept @ g + pull)
+        information[block] = honest @ H @ honest.T + prior
+        degenerate = np.zeros((len(dropped), 6))
+        degenerate[:, rows] = dropped
+        return _Step(motion, information, degenerate, len(e), scale, math.sqrt(np.mean(e * e)))
+
+    def _prior(self, T: FloatArray, dims: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+        """Return the prior's information (k, k) and its pull at ``T`` (k,); 0 without one."""
+        if self.prior is None:
+            return np.zeros((len(dims), len(dims))), np.zeros(len(dims))
+        information = self.prior.information(dims)
+        return information, information @ self.prior.deviation(T)[list(dims)]
+
+    def _pairs(self, T: FloatArray, gate: float) -> tuple[FloatArray, ...]:
+        """Return lever arms, normals, residuals and normal variances of the pairs."""
+        a = self.source.points @ T[:3, :3].T
+        moved = a + T[:3, 3]
+        square, index = (column[:, 0] for column in self.target.search(moved, 1))
+        n = self.target.normals[index]
+        alike = np.sum(n * (self.source.normals @ T[:3, :3].T), axis=1) > MIN_NORMAL_COSINE
+        paired = alike & (square < gate * gate)
+        if np.count_nonzero(paired) < MIN_PAIRS:
+            raise RegistrationError(
+                f"no overlap: only {np.count_nonzero(paired)} pairs of points within {gate:.3g} m, "
+                f"{MIN_PAIRS} are needed; give a better init_T_target_source"
+            )
+        index = index[paired]
+        e = np.sum(n[paired] * (moved[paired] - self.target.centroids[index]), axis=1)
+        return a[paired], n[paired], e, self.target.tilt[index]
+
+    def result(
+        self, T: FloatArray, step: _Step, iterations: int, settled: bool
+    ) -> RegistrationResult:
+        """Return the result at ``T``, with covariances about the target's origin."""
+        shift = about_target(T)
+        back = np.linalg.inv(shift)
+        covariance = _inverse(step.information)
+        return RegistrationResult(
+            T_target_source=read_only(T),
+            covariance=read_only(shift @ covariance @ shift.T),
+            information=read_only(back.T @ step.information @ back),
+            fitness=step.pairs / len(self.source.points),
+            inlier_rmse=step.rmse,
+            predicted_rmse=spread(self.source.points @ T[:3, :3].T, covariance),
+            num_inliers=step.pairs,
+            iterations=iterations,
+            converged=settled,
+            degenerate_directions=read_only(step.degenerate @ shift.T),
+            ambiguity_gap=1.0,
+        )
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Return the inverse; 0 on the directions that nothing determines."""
+    inverse = np.linalg.pinv(information, rcond=1e-9, hermitian=True)
+    return np.asarray(inverse, dtype=np.float64)
