@@ -44,6 +44,12 @@ class RobotErrorConfig:
     """Unevenness of plane floors, standard deviation of the height [m]."""
     uneven_length: float = 0.3
     """Length over which an uneven floor changes [m]; assumption, parquet and carpet edges."""
+    mount_lateral: float = 0.0
+    """The lidar sits this far to the left of where it should [m]."""
+    mount_roll: float = 0.0
+    """It leans to its right by this, about the axis ahead [rad]."""
+    mount_pitch: float = 0.0
+    """It looks down by this, about the axis to the left [rad]."""
     battery_life: float = 7200.0
     """Time in which the battery is drained [s]; about 2 h, as in the paper."""
     reckoning: Reckoning = "driver"
@@ -59,6 +65,9 @@ class RobotErrorConfig:
     def __post_init__(self) -> None:
         within("errors.uneven", self.uneven, 0.0, 0.01)
         within("errors.uneven_length", self.uneven_length, 0.1, 2.0)
+        within("errors.mount_lateral", self.mount_lateral, -0.05, 0.05)
+        within("errors.mount_roll", self.mount_roll, -0.2, 0.2)
+        within("errors.mount_pitch", self.mount_pitch, -0.2, 0.2)
         within("errors.battery_life", self.battery_life, 1.0, 1e9)
         within("errors.angle_gain", self.angle_gain, 0.0, 2.0)
         within("errors.wheel_radius", self.wheel_radius, 0.0, 0.05)

@@ -41,6 +41,7 @@ class RobotErrors:
         cogging: Amplitude of the cogging torque [N m].
         cogging_phase: Phase of the left and right wheel's cogging (2,) [rad].
         floor: Heights of an uneven floor on a square grid (n, n) [m]; None is an even one.
+        mount: Of the lidar: to the left [m], roll and pitch [rad] (3,).
     """
 
     wheel_radius: FloatArray
@@ -49,6 +50,7 @@ class RobotErrors:
     cogging: float
     cogging_phase: FloatArray
     floor: FloatArray | None = None
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @staticmethod
     def draw(config: RobotErrorConfig, rng: np.random.Generator) -> RobotErrors:
@@ -60,6 +62,7 @@ class RobotErrors:
             cogging=config.cogging,
             cogging_phase=read_only(rng.uniform(0.0, 2 * np.pi, 2)),
             floor=uneven_floor(config, rng) if config.uneven > 0 else None,
+            mount=(config.mount_lateral, config.mount_roll, config.mount_pitch),
         )
 
 
@@ -117,6 +120,13 @@ def _apply_errors(spec: Any, errors: RobotErrors) -> None:
         mount.pos = np.array(mount.pos) * (1, 1 + errors.wheel_base, 1)
         motor = spec.actuator(f"{side}_cogging")
         motor.biasprm[0], motor.biasprm[2] = errors.cogging, errors.cogging_phase[index]
+    if any(errors.mount):
+        lateral, roll, pitch = errors.mount
+        site = spec.site("lidar")
+        site.pos[1] += lateral
+        half = np.array([roll, pitch]) / 2
+        (cr, cp), (sr, sp) = np.cos(half), np.sin(half)
+        site.quat = [cp * cr, cp * sr, sp * cr, -sp * sr]  # about y after about x
 
 
 def _set_options(option: Any) -> None:
