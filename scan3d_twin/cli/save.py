@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scan3d_twin.core.evaluate import Truth, evaluate
-from scan3d_twin.core.model import fuse
+import numpy as np
+
+from scan3d_twin.core.evaluate import Distances, Truth, evaluate, mesh_accuracy
+from scan3d_twin.core.mesh import build_mesh
+from scan3d_twin.core.model import build_model, fuse
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.folder import write_file
 from scan3d_twin.recording.ply import ply_bytes
 from scan3d_twin.recording.report import Effort, Journey, Report, build_report, report_json
-from scan3d_twin.recording.settings import Settings
+from scan3d_twin.recording.settings import Settings, settings_toml
 from scan3d_twin.recording.views import view_bytes, view_path
+from scan3d_twin.viz.report_page import Pictures, report_page
 from scan3d_twin.viz.top_view import top_view
 
 
@@ -23,14 +27,25 @@ def save_run(
     journey: Journey,
     effort: Effort,
     truth: Truth | None = None,
+    scene_picture: bytes | str = "",
 ) -> Report:
     """Write the files of ``session`` to ``folder`` and return the report.
 
     The views are written once more, because the last alignment may have moved them.
+    ``scene_picture`` is a PNG of the scene, or why there is none; empty where nobody can have one.
     """
     points, view = fuse(session)
     evaluation = evaluate(session, truth) if truth is not None and len(points) else None
-    report = build_report(scene, settings, session, journey, effort, len(points), evaluation)
+    report = build_report(
+        scene,
+        settings,
+        session,
+        journey,
+        effort,
+        len(points),
+        evaluation,
+        None if truth is None else _mesh_accuracy(session, truth),
+    )
     for index, each in enumerate(session.views):
         write_file(view_path(folder, index), view_bytes(each))
     picture = top_view(
@@ -44,7 +59,21 @@ def save_run(
     write_file(folder / "model.ply", ply_bytes(points, view))
     write_file(folder / "top_view.svg", picture)
     write_file(folder / "report.json", report_json(report))
+    if isinstance(scene_picture, bytes):
+        write_file(folder / "scene.png", scene_picture)
+    pictures = Pictures(picture, scene_picture)
+    options, model = settings_toml(settings), build_model(session)
+    page = report_page(report, options, session, model, pictures, evaluation)
+    write_file(folder / "report.html", page)
     return report
+
+
+def _mesh_accuracy(session: Session, truth: Truth) -> Distances | None:
+    """Return the distance of the target's mesh to the truth; None if it has no triangles."""
+    mesh = build_mesh(session)
+    if len(mesh.faces) == 0:
+        return None
+    return mesh_accuracy(mesh, session, truth, np.random.default_rng(session.seed))
 
 
 def _title(report: Report) -> str:

@@ -14,6 +14,8 @@ from typing import Any
 
 from scan3d_twin.core.evaluate import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import wrap
+from scan3d_twin.recording.findings import findings
 from scan3d_twin.recording.settings import Settings
 
 Report = dict[str, Any]
@@ -57,6 +59,7 @@ def build_report(
     effort: Effort,
     points: int,
     evaluation: Evaluation | None = None,
+    mesh_accuracy: Distances | None = None,
 ) -> Report:
     """Return the report of ``session``; without ``evaluation`` what needs the truth is null."""
     return {
@@ -81,6 +84,8 @@ def build_report(
         "real_time_factor": _number(journey.duration / max(effort.wall_time, 1e-9), 2),
         "peak_memory_mb": _number(effort.peak_memory / 1e6, 1),
         "points": points,
+        "mesh_accuracy_mm": _distances(mesh_accuracy) if mesh_accuracy else None,
+        "warnings": findings(session, evaluation),
     }
 
 
@@ -154,6 +159,7 @@ def _registrations(session: Session, evaluation: Evaluation | None) -> Report:
 def _registration(session: Session, k: int, pair: PairError | None) -> Report:
     """Return the row of view ``k``: what was planned for it, and what came of it."""
     plan, result = session.plans[k - 1], session.views[k].registration
+    moved, turned = correction(session, k)
     return {
         "view": k,
         "overlap": _number(plan.overlap, 4),
@@ -161,11 +167,21 @@ def _registration(session: Session, k: int, pair: PairError | None) -> Report:
         "error_mm": _mm(pair.error) if pair else None,
         "pose_error_mm": _mm(pair.pose_error) if pair else None,
         "odometry_error_mm": _mm(pair.odometry_error) if pair else None,
+        "correction_mm": _mm(moved),
+        "correction_deg": _number(math.degrees(turned), 3),
         "fitness": _number(result.fitness, 4) if result else None,
         "inlier_rmse_mm": _mm(result.inlier_rmse) if result else None,
         "converged": result is not None and result.converged,
         "fell_back": plan.fell_back,
     }
+
+
+def correction(session: Session, k: int) -> tuple[float, float]:
+    """Return how far registration moved [m] and turned [rad] view ``k`` from odometry's place."""
+    previous, view = session.views[k - 1], session.views[k]
+    odometry = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
+    registered = previous.T_world_scan.inverse() @ view.T_world_scan
+    return odometry.distance(registered), abs(wrap(registered.yaw - odometry.yaw))
 
 
 def _mm(metres: float) -> float | None:

@@ -19,6 +19,7 @@ from scan3d_twin.recording.settings import Settings
 
 EVALUATION = Evaluation(
     coverage=0.9312345,
+    coverage_by_view=(0.7, 0.9312345),
     accuracy=Distances(0.005, 0.004, 0.011),
     completeness=Distances(0.006, 0.005, 0.021),
     f_score={0.010: 0.7, 0.020: 0.9, 0.030: 0.95},

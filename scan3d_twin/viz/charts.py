@@ -1,0 +1,174 @@
+"""Small line charts as inline SVG; colours and fonts come from the page's style sheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from xml.sax.saxutils import escape
+
+LEFT, RIGHT, TOP, BOTTOM = 46.0, 12.0, 12.0, 40.0
+"""Room round the plot [units of the picture]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """A point of a chart.
+
+    Attributes:
+        x: In data units.
+        y: In data units; a value above the axis is drawn on its upper edge, as an arrow.
+        colour: As #rrggbb.
+        label: A few letters beside it; none if empty.
+        filled: Whether it is filled, or a ring.
+        title: What a pointer that rests on it is told.
+    """
+
+    x: float
+    y: float
+    colour: str
+    label: str = ""
+    filled: bool = True
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """A chart with one line and its dots.
+
+    Attributes:
+        title: For readers who cannot see it.
+        x_label: With its unit.
+        y_label: With its unit.
+        x_range: Of the axis.
+        y_range: Of the axis.
+        dots: From left to right, joined by a line where ``y`` is finite.
+        limit: A dashed horizontal line; None for none.
+        limit_label: What it means.
+        percent: The axes on which ticks are shares: any of "x", "y".
+        width: [units of the picture]
+        height: [units of the picture]
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    dots: Sequence[Dot]
+    limit: float | None = None
+    limit_label: str = ""
+    percent: str = ""
+    width: float = 420.0
+    height: float = 250.0
+    colour: str = field(default="")
+
+    def x(self, value: float) -> float:
+        """Return where ``value`` lies in the picture, from the left."""
+        low, high = self.x_range
+        return LEFT + (value - low) / (high - low) * (self.width - LEFT - RIGHT)
+
+    def y(self, value: float) -> float:
+        """Return where ``value`` lies in the picture, from the top, not outside the plot."""
+        low, high = self.y_range
+        share = min(1.0, max(0.0, (value - low) / (high - low)))
+        return self.height - BOTTOM - share * (self.height - TOP - BOTTOM)
+
+
+def svg(chart: Chart) -> str:
+    """Return ``chart`` as an SVG element to be put into a page."""
+    parts = [
+        f'<svg class="chart" viewBox="0 0 {chart.width:g} {chart.height:g}" role="img">',
+        f"<title>{escape(chart.title)}</title>",
+        *_axes(chart),
+        *_limit(chart),
+        *_line(chart),
+        *(_dot(chart, dot) for dot in chart.dots if not math.isnan(dot.y)),
+        "</svg>",
+    ]
+    return "".join(parts)
+
+
+def round_up(value: float) -> float:
+    """Return the smallest of 1, 2, 2.5, 4, 5 times a power of ten that is at least ``value``."""
+    if not value > 0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    factors = (1.0, 2.0, 2.5, 4.0, 5.0, 10.0)
+    return next(factor * power for factor in factors if factor * power >= value * (1 - 1e-9))
+
+
+def _axes(chart: Chart) -> list[str]:
+    left, right = LEFT, chart.width - RIGHT
+    bottom = chart.height - BOTTOM
+    parts = []
+    for value in _ticks(chart.y_range):
+        y = chart.y(value)
+        words = f"{value:.0%}" if "y" in chart.percent else f"{value:g}"
+        parts.append(f'<path class="grid" d="M{left:g} {y:.1f}H{right:g}"/>')
+        parts.append(
+            f'<text class="tick" x="{left - 6:g}" y="{y + 4:.1f}" text-anchor="end">{words}</text>'
+        )
+    for value in _ticks(chart.x_range):
+        words = f"{value:.0%}" if "x" in chart.percent else f"{value:g}"
+        parts.append(
+            f'<text class="tick" x="{chart.x(value):.1f}" y="{bottom + 16:g}" '
+            f'text-anchor="middle">{words}</text>'
+        )
+    middle = (left + right) / 2
+    parts.append(f'<path class="axis" d="M{left:g} {bottom:g}H{right:g}"/>')
+    parts.append(
+        f'<text x="{middle:g}" y="{chart.height - 6:g}" text-anchor="middle">'
+        f"{escape(chart.x_label)}</text>"
+    )
+    parts.append(
+        f'<text transform="translate(11 {(TOP + bottom) / 2:g}) rotate(-90)" '
+        f'text-anchor="middle">{escape(chart.y_label)}</text>'
+    )
+    return parts
+
+
+def _ticks(limits: tuple[float, float]) -> list[float]:
+    """Return about four round values within ``limits``."""
+    low, high = limits
+    step = round_up((high - low) / 5)
+    return [
+        round(k * step, 9) for k in range(math.ceil(low / step), math.floor(high / step + 1e-9) + 1)
+    ]
+
+
+def _limit(chart: Chart) -> list[str]:
+    if chart.limit is None or not chart.y_range[0] <= chart.limit <= chart.y_range[1]:
+        return []
+    y, right = chart.y(chart.limit), chart.width - RIGHT
+    return [
+        f'<path class="limit" d="M{LEFT:g} {y:.1f}H{right:g}"/>',
+        f'<text class="tick" x="{right:g}" y="{y - 5:.1f}" text-anchor="end">'
+        f"{escape(chart.limit_label)}</text>",
+    ]
+
+
+def _line(chart: Chart) -> list[str]:
+    known = [dot for dot in chart.dots if not math.isnan(dot.y)]
+    if len(known) < 2:
+        return []
+    path = "L".join(f"{chart.x(dot.x):.1f} {chart.y(dot.y):.1f}" for dot in known)
+    style = f' style="stroke:{chart.colour}"' if chart.colour else ""
+    return [f'<path class="line" d="M{path}"{style}/>']
+
+
+def _dot(chart: Chart, dot: Dot) -> str:
+    x, y = chart.x(dot.x), chart.y(dot.y)
+    title = f"<title>{escape(dot.title)}</title>" if dot.title else ""
+    label = (
+        f'<text class="label" x="{x:.1f}" y="{y - 9:.1f}" text-anchor="middle">'
+        f"{escape(dot.label)}</text>"
+        if dot.label
+        else ""
+    )
+    fill = dot.colour if dot.filled else "var(--page)"
+    if dot.y > chart.y_range[1]:
+        shape = f'<path d="M{x - 5:.1f} {y + 9:.1f}h10l-5 -9z" '
+    else:
+        shape = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{4.5 if dot.filled else 3.5}" '
+    return f'<g>{title}{shape}fill="{fill}" stroke="{dot.colour}" stroke-width="1.6"/>{label}</g>'

@@ -1,0 +1,169 @@
+"""``report.html``: a run on one page that needs nothing else, to be mailed, printed, kept.
+
+The page fetches nothing and holds all it shows; its model turns in any browser with WebGL, others
+show a still picture. Neither this module nor the page needs more than numpy: the robot's own small
+computer writes it too.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+from scan3d_twin.core.evaluate import Evaluation
+from scan3d_twin.core.model import Model
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording.report import Report
+from scan3d_twin.viz import cloud, sections
+from scan3d_twin.viz.top_view import colour
+
+ROBOT_HEIGHT = 0.30
+"""Height at which a viewpoint is drawn: that of the lidar [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """What the page shows besides the model.
+
+    Attributes:
+        top_view: An SVG document.
+        scene: A rendered picture of the scene as PNG, or in words why there is none.
+    """
+
+    top_view: str
+    scene: bytes | str
+
+
+def report_page(
+    report: Report,
+    settings_toml: str,
+    session: Session,
+    model: Model,
+    pictures: Pictures,
+    evaluation: Evaluation | None = None,
+) -> str:
+    """Return the page as one HTML document.
+
+    Args:
+        report: The numbers, as in ``report.json``.
+        settings_toml: The effective options.
+        session: The run.
+        model: Its target, as ``build_model`` gives it without voxels.
+        pictures: Drawn before.
+        evaluation: Against the truth; None if nobody knows it.
+    """
+    title = f"{report['scene']}: {report['views']} views"
+    parts = [
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f"<title>{escape(title)}</title><style>{_asset('report.css')}</style></head><body><main>",
+        sections.head(report),
+        sections.warnings(report["warnings"]),
+        _model(session, model),
+        sections.top_view(pictures.top_view),
+        sections.views(report, session),
+        sections.overlap_curves(session),
+        sections.coverage(session, evaluation),
+        sections.scene(pictures.scene),
+        sections.options(settings_toml),
+        sections.foot(report),
+        "</main></body></html>\n",
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _model(session: Session, model: Model) -> str:
+    """Return the section with the interactive model; the still picture until that is drawn."""
+    if len(model) == 0:
+        return "<h2>Model</h2><p>No view shows anything of the target: there is no model.</p>"
+    viewpoints = [view.T_world_scan for view in session.views]
+    camera = cloud.camera_of(model.points, viewpoints)
+    packed = cloud.pack(model, len(session.views), cloud.surroundings(session), camera)
+    picture = base64.b64encode(cloud.still(model, camera)).decode()
+    data = base64.b64encode(packed.data).decode()
+    return f"""<h2>Model</h2>
+<figure>
+<div class="frame" id="model">
+<img alt="The model, coloured by view" width="{cloud.STILL_WIDTH}" height="{cloud.STILL_HEIGHT}"
+ src="data:image/png;base64,{picture}">
+<canvas tabindex="0" aria-label="The model in 3D: drag to turn, two fingers to zoom"></canvas>
+</div>
+{_controls(session)}
+<figcaption class="screen">Drag to turn, shift-drag to move, click and scroll or pinch to zoom,
+double-click to return. Every view has its colour; the lines show where it was taken.</figcaption>
+</figure>
+<script type="application/json" id="meta">{_meta(session, model, packed, camera)}</script>
+<script type="text/plain" id="cloud">{data}</script>
+<script>{_asset("report.js")}</script>"""
+
+
+def _controls(session: Session) -> str:
+    """Return the buttons below the model, hidden until it is drawn."""
+    last = len(session.views) - 1
+    views = "".join(
+        f'<label><input type="checkbox" data-view="{k}" checked>'
+        f'<span class="swatch" style="background:{colour(k)}"></span>{k}</label>'
+        for k in range(last + 1)
+    )
+    return f"""<div class="controls" id="controls">
+<label>Views <input type="range" id="upto" min="0" max="{last}" value="{last}" step="1">
+<span id="told"></span></label>
+{views}
+<label><input type="checkbox" id="around">surroundings</label>
+<label>Colour <select id="colouring"><option value="view">by view</option>
+<option value="height">by height</option></select></label>
+<button type="button" id="reset">Reset view</button>
+</div>"""
+
+
+def _meta(session: Session, model: Model, packed: cloud.Packed, camera: cloud.Camera) -> str:
+    """Return what the script needs besides the points, as JSON."""
+    heights = model.points[:, 2]
+    meta: dict[str, Any] = {
+        "ranges": packed.ranges,
+        "low": [round(float(v), 6) for v in packed.low],
+        "extent": round(packed.extent, 6),
+        "heights": [round(float(heights.min()), 4), round(float(heights.max()), 4)],
+        "colours": [colour(k) for k in range(len(session.views))],
+        "grey": cloud.GREY,
+        "lines": _viewpoint_lines(session),
+        "camera": {
+            "middle": [round(float(v), 4) for v in camera.middle],
+            "distance": round(camera.distance, 4),
+            "azimuth": round(camera.azimuth, 5),
+            "elevation": round(camera.elevation, 5),
+            "fov": cloud.FIELD_OF_VIEW,
+            "aspect": cloud.STILL_WIDTH / cloud.STILL_HEIGHT,
+        },
+    }
+    return json.dumps(meta, separators=(",", ":")).replace("</", "<\\/")
+
+
+def _viewpoint_lines(session: Session) -> list[float]:
+    """Return ends of lines, each x, y, z, r, g, b, view: a mast and an arrow at each viewpoint."""
+    numbers: list[float] = []
+    for k, view in enumerate(session.views):
+        pose = view.T_world_scan
+        rgb = [round(int(colour(k)[i : i + 2], 16) / 255, 3) for i in (1, 3, 5)]
+        half = min(session.config.sweep.width, math.pi) / 2
+        tip = (pose.x, pose.y, ROBOT_HEIGHT)
+        ends = [((pose.x, pose.y, 0.0), tip)]
+        for turn in (half, -half):
+            yaw = pose.yaw + turn
+            ends.append(
+                (tip, (pose.x + 0.3 * math.cos(yaw), pose.y + 0.3 * math.sin(yaw), ROBOT_HEIGHT))
+            )
+        ends.append((ends[1][1], ends[2][1]))
+        for pair in ends:
+            for place in pair:
+                numbers += [*(round(value, 4) for value in place), *rgb, k]
+    return numbers
+
+
+def _asset(name: str) -> str:
+    return (files("scan3d_twin.viz") / name).read_text(encoding="utf-8")

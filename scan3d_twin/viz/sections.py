@@ -1,0 +1,280 @@
+"""The sections of ``report.html``, each a function from a run to a piece of HTML."""
+
+from __future__ import annotations
+
+import base64
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from html import escape
+from typing import Any
+
+from scan3d_twin.core.evaluate import Evaluation
+from scan3d_twin.core.model import scanned_share
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan
+from scan3d_twin.recording.report import Report
+from scan3d_twin.viz.charts import Chart, Dot, round_up, svg
+from scan3d_twin.viz.top_view import colour
+
+TALLEST = 5.0
+"""Charts of errors end at this many times epsilon; what is above is an arrow at the edge."""
+
+
+def head(report: Report) -> str:
+    """Return the title, the end of the run in words and its key figures."""
+    figures = [
+        ("Views", f"{report['views']}", ""),
+        *_quality(report),
+        ("Wanted error ε", f"{report['epsilon_mm']:g}", "mm"),
+        ("Points", f"{report['points']:,}".replace(",", "\N{THIN SPACE}"), ""),
+        ("Driven", f"{report['path_m']:.1f}", "m"),
+        ("Robot's time", _duration(report["sim_time_s"]), ""),
+    ]
+    cells = "".join(
+        f"<div><dt>{escape(name)}</dt><dd>{escape(value)} <small>{escape(unit)}</small></dd></div>"
+        for name, value, unit in figures
+    )
+    return (
+        f"<header><h1>{escape(report['scene'])}</h1>"
+        f'<p class="lead">{escape(_capital(report["stop_reason"]))}. '
+        f"Planner {escape(report['planner'])}, preset {escape(report['preset'])}, "
+        f"robot {escape(report['robot'])}, seed {report['seed']}.</p>"
+        f'<dl class="figures">{cells}</dl></header>'
+    )
+
+
+def _quality(report: Report) -> list[tuple[str, str, str]]:
+    """Return the figures that only the twin knows."""
+    if report["coverage_20mm"] is None:
+        return []
+    figures = [
+        ("Covered (20 mm)", f"{report['coverage_20mm']:.0%}", ""),
+        ("Accuracy (median)", f"{report['accuracy_mm']['median']:.1f}", "mm"),
+    ]
+    worst = report["max_registration_error_mm"]
+    if worst is not None:
+        figures.append(("Worst registration", f"{worst:.1f}", "mm"))
+    return figures
+
+
+def warnings(found: Sequence[str]) -> str:
+    """Return what people should know before they trust the model."""
+    if not found:
+        return '<p class="fine">Nothing to warn of: all views are registered as wanted.</p>'
+    items = "".join(f"<li>{escape(each)}</li>" for each in found)
+    return (
+        f'<div class="warnings"><strong>Before you trust this model</strong><ul>{items}</ul></div>'
+    )
+
+
+def top_view(document: str) -> str:
+    """Return the top view; its style sheet is kept to itself by being a picture of its own."""
+    data = base64.b64encode(document.encode()).decode()
+    return (
+        "<h2>Top view</h2><figure>"
+        f'<div class="frame"><img class="tall" alt="Top view of the run" src="data:image/svg+xml;base64,{data}">'
+        "</div><figcaption>Points coloured by view, a numbered star at each viewpoint, its scan "
+        "sector dashed.</figcaption></figure>"
+    )
+
+
+def views(report: Report, session: Session) -> str:
+    """Return the table of views: what was planned, what came of it."""
+    if not session.views:
+        return ""
+    known = report["coverage_20mm"] is not None
+    rows = {row["view"]: row for row in report["registration"]}
+    names = ["View", "Points", "Overlap", "Predicted error"]
+    names += ["Realised error", "By odometry alone"] if known else []
+    names += ["Odometry corrected by", "Fitness"]
+    header = "".join(f"<th>{name}</th>" for name in names) + '<th class="words">Note</th>'
+    body = "".join(_row(k, session, rows.get(k), known=known) for k in range(len(session.views)))
+    return (
+        '<h2>Views</h2><div class="scroll"><table>'
+        f"<thead><tr>{header}</tr></thead><tbody>{body}</tbody></table></div>"
+        '<p class="note">Errors are root mean square over the view\'s target points, against the '
+        "view before; orange is more than ε. Predicted by the planner before the move"
+        + (", realised as only a simulator can know." if known else ".")
+        + "</p>"
+    )
+
+
+def _row(k: int, session: Session, row: dict[str, Any] | None, *, known: bool) -> str:
+    dash = "\N{EN DASH}"
+    epsilon = 1e3 * session.config.planning.epsilon
+    points = f"{len(session.views[k].target):,}".replace(",", "\N{THIN SPACE}")
+    first = f'<span class="swatch" style="background:{colour(k)}"></span>{k}'
+    if row is None:
+        blanks = "".join(f"<td>{dash}</td>" for _ in range(6 if known else 4))
+        return f"<tr><td>{first}</td><td>{points}</td>{blanks}<td class='words'>the first</td></tr>"
+
+    def cell(value: float | None, form: str = "{:.1f} mm", *, judged: bool = False) -> str:
+        if value is None:
+            return f"<td>{dash}</td>"
+        style = ' class="over"' if judged and value > epsilon else ""
+        return f"<td{style}>{form.format(value)}</td>"
+
+    cells = [cell(row["overlap"], "{:.0%}"), cell(row["predicted_rmse_mm"], judged=True)]
+    if known:
+        cells += [cell(row["error_mm"], judged=True), cell(row["odometry_error_mm"])]
+    moved, turned = row["correction_mm"], row["correction_deg"]
+    corrected = f"<td>{moved:.1f} mm, {turned:.2f}°</td>"
+    cells += [corrected, cell(row["fitness"], "{:.0%}")]
+    return (
+        f"<tr><td>{first}</td><td>{points}</td>{''.join(cells)}"
+        f'<td class="words">{escape(_note(row))}</td></tr>'
+    )
+
+
+def _note(row: dict[str, Any]) -> str:
+    notes = [] if row["converged"] else ["not registered: placed by odometry"]
+    return "; ".join(notes + (["default overlap"] if row["fell_back"] else []))
+
+
+def overlap_curves(session: Session) -> str:
+    """Return a chart E(eta) for each planning step that predicted errors."""
+    epsilon = 1e3 * session.config.planning.epsilon
+    steps = [
+        (k, plan)
+        for k, plan in enumerate(session.plans)
+        if any(not math.isnan(c.predicted_rmse) for c in plan.candidates)
+    ]
+    if not steps:
+        return ""
+    finite = [
+        1e3 * c.predicted_rmse
+        for _, plan in steps
+        for c in plan.candidates
+        if math.isfinite(c.predicted_rmse)
+    ]
+    top = round_up(min(TALLEST * epsilon, 1.1 * max([epsilon, *finite])))
+    charts = "".join(
+        _overlap_curve(k, plan, epsilon, top) for k, plan in steps if len(plan.candidates) > 1
+    )
+    at_once = "; ".join(
+        f"view {k} to {k + 1}: {plan.overlap:.0%} at {_millimetres(plan.predicted_rmse)}"
+        for k, plan in steps
+        if len(plan.candidates) == 1
+    )
+    return (
+        "<h2>How the overlaps were chosen</h2><p>For each step the planner predicts the "
+        "registration error E of growing overlaps η and takes the smallest that stays within ε "
+        "(filled dot); if none does, the default.</p>"
+        f'<div class="charts">{charts}</div>'
+        + (f"<p>The first overlap tried was enough for {at_once}.</p>" if at_once else "")
+    )
+
+
+def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
+    chosen = plan.viewpoint is not None
+    dots = [
+        Dot(
+            c.overlap,
+            1e3 * c.predicted_rmse,
+            colour(k),
+            filled=chosen and abs(c.overlap - plan.overlap) < 1e-9,
+            title=f"overlap {c.overlap:.0%}: {_millimetres(c.predicted_rmse)}",
+        )
+        for c in sorted(plan.candidates, key=lambda c: c.overlap)
+        if not math.isnan(c.predicted_rmse)
+    ]
+    words = f"{plan.overlap:.0%}" + (" (default)" if plan.fell_back else "")
+    title = f"View {k} to {k + 1}: {words}" if chosen else f"View {k}: the last"
+    chart = Chart(
+        f"{title}: predicted error against overlap",
+        "overlap η",
+        "E [mm]",
+        (0.0, 1.0),
+        (0.0, top),
+        dots,
+        limit=epsilon,
+        limit_label=f"ε = {epsilon:g} mm",
+        percent="x",
+        width=330,
+        height=220,
+        colour=colour(k),
+    )
+    return f"<figure><h3>{escape(title)}</h3>{svg(chart)}</figure>"
+
+
+def coverage(session: Session, evaluation: Evaluation | None) -> str:
+    """Return the chart of coverage against time, each view a numbered dot."""
+    if not session.views:
+        return ""
+    if evaluation is not None:
+        shares: Sequence[float] = evaluation.coverage_by_view
+        what = "Share of the coverable surface with a model point within 20 mm"
+    else:
+        shares = [
+            scanned_share(replace(session, views=session.views[: k + 1]))
+            for k in range(len(session.views))
+        ]
+        what = "Share of the target's outline, as far as the robot knows it, that was scanned"
+    times = [float(view.observation.image.stamps.max()) for view in session.views]
+    scale, unit = (1.0, "s") if times[-1] < 600 else (60.0, "min")
+    dots = [
+        Dot(time / scale, share, colour(k), f"{k}", title=f"after view {k}: {share:.1%}")
+        for k, (time, share) in enumerate(zip(times, shares, strict=True))
+    ]
+    chart = Chart(
+        "Coverage against time",
+        f"time on the robot's clock [{unit}]",
+        "covered",
+        (0.0, round_up(1.05 * times[-1] / scale)),
+        (0.0, 1.0),
+        dots,
+        percent="y",
+        width=520,
+        height=260,
+    )
+    return (
+        f'<h2>Coverage</h2><figure class="wide">{svg(chart)}<figcaption>{what}, at the end of each '
+        "view, which is numbered.</figcaption></figure>"
+    )
+
+
+def scene(picture: bytes | str) -> str:
+    """Return the rendered picture of the scene, or why there is none; nothing for no words."""
+    if not picture:
+        return ""
+    if isinstance(picture, str):
+        return f'<h2>Scene</h2><p class="note">No picture of the scene: {escape(picture)}.</p>'
+    data = base64.b64encode(picture).decode()
+    return (
+        '<h2>Scene</h2><figure><div class="frame"><img alt="The scene with the robot at its start"'
+        f' src="data:image/png;base64,{data}"></div>'
+        "<figcaption>The twin's scene, with the robot where it started.</figcaption></figure>"
+    )
+
+
+def options(settings_toml: str) -> str:
+    """Return the effective options, folded away on a screen."""
+    return (
+        "<h2>Options</h2><details><summary>All effective options, to run it again</summary>"
+        f"<pre>{escape(settings_toml)}</pre></details>"
+    )
+
+
+def foot(report: Report) -> str:
+    """Return what made the page."""
+    return (
+        f"<footer>scan3d_twin {escape(report['version'])}; all lengths in metres unless said "
+        "otherwise; the numbers are in report.json, the cloud in model.ply.</footer>"
+    )
+
+
+def _millimetres(metres: float) -> str:
+    return f"{1e3 * metres:.1f} mm" if math.isfinite(metres) else "no registration"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d} min" if minutes else f"{rest} s"
+
+
+def _capital(text: str) -> str:
+    """Return ``text`` with a capital first letter, on one line, without its full stop."""
+    text = re.sub(r"\s+", " ", text).rstrip(".")
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,86 @@
+import math
+import shutil
+
+import numpy as np
+import pytest
+import synthetic
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.digitize import integrate
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Candidate, Plan, Pose2
+
+HINT = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
+
+
+def plan(overlap, errors, *, fell_back=False, last=False):
+    """Return a plan that tried 20 %, 40 %, ... with ``errors`` [m]."""
+    there = Pose2(-0.4, -0.3, 0.0)
+    candidates = tuple(
+        Candidate(there, round(0.2 * (k + 1), 9), error, True) for k, error in enumerate(errors)
+    )
+    chosen = next((c.predicted_rmse for c in candidates if c.overlap == overlap), math.nan)
+    return Plan(None if last else there, overlap, chosen, fell_back, candidates, "for a test")
+
+
+@pytest.fixture(scope="session")
+def session() -> Session:
+    """Three noisy views of three boxes; one planned at once, one by default, the last one ends."""
+    rng = np.random.default_rng(0)
+    session = Session(Config(), 7, HINT, np.array([-1.0, 0.0]))
+    plans = [
+        plan(0.6, [0.012, 0.011, 0.008]),
+        plan(0.8, [math.inf, 0.090, 0.030, 0.015], fell_back=True),
+        plan(0.0, [], last=True),
+    ]
+    for y, each in zip((0.6, 0.1, -0.5), plans, strict=True):
+        seen = synthetic.observe(Pose2(-0.4, y, 0.0), sigma=0.004, rng=rng)
+        session = integrate(session, seen).with_plan(each)
+    return session.ended("front complete")
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium that finds nothing but this machine."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+    path = shutil.which("chromium")
+    if path is None:
+        pytest.skip("needs Chromium (Debian: apt install chromium)")
+    blocked = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", blocked]
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=path, args=arguments)
+        yield opened
+        opened.close()
+
+
+class Watched:
+    """A page with what went wrong on it and what it asked of other machines."""
+
+    def __init__(self, page):
+        self.page, self.errors, self.asked = page, [], []
+        page.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("request", lambda request: self._note(request.url))
+
+    def _note(self, url):
+        local = ("data:", "blob:", "file:", "http://127.0.0.1", "ws://127.0.0.1", "about:")
+        if not url.startswith(local):
+            self.asked.append(url)
+
+
+@pytest.fixture
+def open_page(browser):
+    """Open a page of a size and colour scheme, watched."""
+    contexts = []
+
+    def opening(url, *, width=1000, height=800, **options):
+        context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        contexts.append(context)
+        watched = Watched(context.new_page())
+        watched.page.goto(url)
+        return watched
+
+    yield opening
+    for context in contexts:
+        context.close()
