@@ -95,7 +95,9 @@ class Journal:
         Raises:
             FileError: The disk is full.
         """
-        data = (to_json(record) + "\n").encode()
+        self._write((to_json(record) + "\n").encode())
+
+    def _write(self, data: bytes) -> None:
         try:
             while data:
                 data = data[os.write(self._file, data) :]

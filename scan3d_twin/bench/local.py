@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 from collections.abc import Collection, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -79,12 +78,7 @@ class LocalEngine:
             ) from None
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["scan3d_twin.bench.work"])
-        return ProcessPool(max_workers=self._jobs, initializer=_begin, context=context)
-
-
-def _begin() -> None:
-    """Leave Ctrl-C to the bench, which ends its workers itself."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+        return ProcessPool(max_workers=self._jobs, context=context)
 
 
 def _pass_on(inner: Future[Done], outer: Future[Done], timeout: float) -> None:

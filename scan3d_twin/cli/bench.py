@@ -7,13 +7,14 @@ import os
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, ScanError
+from scan3d_twin.recording.settings import Options, merge
 from scan3d_twin.sim.config import TwinConfig
 
 if TYPE_CHECKING:
@@ -46,6 +47,14 @@ class BenchOptions:
     """Number of seeds; all planners meet the same ones (default 10, or the file's)."""
     first_seed: int | None = None
     """The first seed (default 0, or the file's)."""
+    epsilon: float | None = None
+    """Wanted registration error of all runs, root mean square [mm] (default 10)."""
+    tour: Literal["front", "full"] | None = None
+    """Scan the front only, or all round (default: the scene's)."""
+    max_views: int | None = None
+    """All runs stop after this many views (default 20)."""
+    world: str | None = None
+    """Errors of robot, lidar and floor: ideal, typical or harsh (default typical)."""
     jobs: int | None = None
     """Workers on this computer (default: its processors)."""
     timeout: float = 900.0
@@ -83,7 +92,8 @@ def bench(
     """
     from scan3d_twin.bench.spec import shard_of, tasks
 
-    experiment = _experiment(file, options).with_options({} if dotted is None else stated(dotted))
+    common = _common(options, {} if dotted is None else stated(dotted))
+    experiment = _experiment(file, options).with_options(common)
     number, count = shard = _shard(options.shard)
     folder = options.out or Path("runs") / f"bench-{experiment.name}"
     _require_store()
@@ -140,6 +150,17 @@ def _experiment(file: Path | None, options: BenchOptions) -> Experiment:
     else:
         raise ConfigError("nothing to run; give a FILE, --suite smoke, or --planners NAME ...")
     return found.with_seeds(options.seeds, options.first_seed)
+
+
+def _common(options: BenchOptions, sections: Options) -> Options:
+    """Return what is stated for all runs, in the shape of a configuration file."""
+    top = {"tour": options.tour, "max_views": options.max_views}
+    flat: dict[str, Any] = {name: value for name, value in top.items() if value is not None}
+    if options.world is not None:
+        flat["run"] = {"world": options.world}
+    if options.epsilon is not None:
+        flat["planning"] = {"epsilon": options.epsilon / 1e3}
+    return merge([flat, sections])
 
 
 def _engine(options: BenchOptions) -> AbstractContextManager[Engine]:

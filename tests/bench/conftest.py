@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from scan3d_twin.bench.record import Record, Step
+from scan3d_twin.bench.spec import experiment_of, tasks
+from scan3d_twin.bench.task import Task
+
+Make = Callable[..., Record]
+
+
+def quick_tasks(seeds: int, views: int = 1) -> list[Task]:
+    """Return tasks of about a second each, without pictures."""
+    experiment = experiment_of(["shiny_cylinder"], [], ["paper"]).with_seeds(seeds, 0)
+    chosen = tasks(experiment.with_options({"max_views": views}))
+    return [replace(task, picture=False) for task in chosen]
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that ``pid`` began."""
+    listed = Path(f"/proc/{pid}/task/{pid}/children")
+    return [int(each) for each in listed.read_text().split()] if listed.exists() else []
+
+
+def busy(pid: int) -> float:
+    """Return the processor time of ``pid`` [s]; 0 when it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / 100
+
+
+@pytest.fixture(scope="session")
+def a_task() -> Task:
+    return quick_tasks(1)[0]
+
+
+@pytest.fixture(scope="session")
+def make(a_task: Task) -> Make:
+    """Make up the record of a run: its views, their errors [m] and what else is stated."""
+
+    def made(
+        variant: str = "a",
+        seed: int = 0,
+        errors: tuple[float, ...] = (0.004, 0.008),
+        **stated: object,
+    ) -> Record:
+        steps = tuple(_step(k, error) for k, error in enumerate((None, *errors)))
+        record = replace(
+            a_task.blank(),
+            key=f"{variant}-{seed}",
+            variant=variant,
+            seed=seed,
+            status="done",
+            stop="front complete",
+            complete=True,
+            views=len(steps),
+            success=max(errors, default=1.0) <= 0.010,
+            max_error=max(errors, default=None),
+            coverage=0.9,
+            f20=0.95,
+            path=1.0,
+            turn=2.0,
+            duration=60.0 + seed,
+            plan_cpu=0.1,
+            steps=steps,
+        )
+        return replace(record, **stated)
+
+    return made
+
+
+def _step(k: int, error: float | None) -> Step:
+    step = Step(
+        view=k, x=0.1 * k, y=0.5 * k, yaw=0.2, path=float(k), turn=0.1, time=30.0 * (k + 1),
+        coverage=0.3 * (k + 1), plan_cpu=0.02, feature=0.05 * (k + 1),
+    )  # fmt: skip
+    if error is None:
+        return step
+    return replace(
+        step, overlap=0.2 + 0.1 * k, predicted=0.5 * error, error=error, pose_error=error,
+        odometry_error=0.03, fitness=0.8, converged=True, fell_back=False, candidates=3,
+    )  # fmt: skip
