@@ -16,10 +16,13 @@ NOTHING = np.zeros((3, 3))
 
 
 class KinematicBase:
-    """A ``DriveBase`` without inertia; ``hazard`` may be set at any time."""
+    """A ``DriveBase``, by default without inertia; ``hazard`` may be set at any time."""
 
-    def __init__(self, spec: BaseSpec = CREATE2) -> None:
+    def __init__(self, spec: BaseSpec = CREATE2, acceleration: float = math.inf) -> None:
+        """Make it; ``acceleration`` is that of its wheels' rims [m/s2]."""
         self.spec = spec
+        self.acceleration = acceleration
+        self.wheels = (0.0, 0.0)
         self.hazard = Hazards()
         self.speed = (0.0, 0.0)
         self._samples = [Odometry(0.0, Pose2(), NOTHING)]
@@ -40,10 +43,23 @@ class KinematicBase:
 
     def advance(self) -> None:
         """Move on by one sample period."""
-        linear, angular = (speed * self.spec.sample_period for speed in self.speed)
+        linear, angular = (speed * self.spec.sample_period for speed in self._followed())
         last = self._samples[-1]
         stamp = len(self._samples) * self.spec.sample_period
         self._samples.append(Odometry(stamp, last.T_odom_base @ arc(linear, angular), NOTHING))
+
+    def _followed(self) -> tuple[float, float]:
+        """Return the (linear, angular) speed of the wheels, which follow the command."""
+        if math.isinf(self.acceleration):
+            return self.speed
+        width, step = self.spec.wheel_base, self.acceleration * self.spec.sample_period
+        told = [self.speed[0] + side * self.speed[1] * width / 2 for side in (-1, 1)]
+        left, right = (
+            now + max(-step, min(step, end - now))
+            for now, end in zip(self.wheels, told, strict=True)
+        )
+        self.wheels = (left, right)
+        return (left + right) / 2, (right - left) / width
 
 
 class JumpingClock:

@@ -71,4 +71,4 @@ class ProtocolError(LinkError):
 
 
 class HazardError(TwinError):
-    """The robot stopped: bump, cliff, wheel drop, overcurrent or low battery."""
+    """The robot stopped: bump, cliff, wheel drop, overcurrent, low battery or a silent base."""

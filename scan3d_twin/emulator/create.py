@@ -64,6 +64,7 @@ class CreateEmulator:
         outputs: What it shows.
         wheels_mm: Wheel speeds (right, left) it obeys now [mm/s].
         asleep: Whether it needs ``wake`` before it listens again.
+        began: See ``Device``.
     """
 
     def __init__(
@@ -80,7 +81,8 @@ class CreateEmulator:
         self._parser = CommandParser(model)
         self._stamp = base.odometry().stamp
         self._now = self._heard = self._stamp
-        self._out: list[bytes] = []
+        self._out: deque[tuple[int, float, bytes]] = deque()
+        self.began = 0.0
         self._later: deque[tuple[float, bytes]] = deque()
         self._deaf_until = 0.0
         self._stream: list[int] = []
@@ -95,7 +97,7 @@ class CreateEmulator:
     @property
     def baud(self) -> int:
         """See ``Device.baud``."""
-        return self._baud
+        return self._out[0][0] if self._out else self._baud
 
     def receive(self, data: bytes, now: float) -> None:
         """See ``Device.receive``."""
@@ -111,9 +113,17 @@ class CreateEmulator:
     def transmit(self, now: float) -> bytes:
         """See ``Device.transmit``."""
         self._advance(now)
-        out = b"".join(self._out)
-        self._out.clear()
-        return b"" if self._quirks.silent else out
+        if self._quirks.silent:
+            self._out.clear()
+        if not self._out:
+            return b""
+        _, self.began, data = self._out.popleft()
+        return data
+
+    def _put(self, data: bytes, now: float) -> None:
+        """Put ``data`` on the line at ``now`` [s]."""
+        if data:
+            self._out.append((self._baud, now, data))
 
     def wake(self) -> None:
         """Press the power button, or pulse the BRC line."""
@@ -131,7 +141,8 @@ class CreateEmulator:
                 self._tick(sample)
         self._now = max(self._now, now)
         while self._later and self._later[0][0] <= now:
-            self._out.append(self._later.popleft()[1])
+            due, text = self._later.popleft()
+            self._put(text, due)
         self._run_script()
         idle = self.mode <= Mode.PASSIVE and not self.body.charger
         if idle and self._model is not oi.CREATE1 and now - self._heard > SLEEP_AFTER:
@@ -148,7 +159,7 @@ class CreateEmulator:
         if self._streaming and self.mode is not Mode.OFF:
             summed = self._quirks.header_summed
             frame = oi.encode_frame(self._stream, self._values(self._stream), header_summed=summed)
-            self._out.append(frame)
+            self._put(frame, self._now)
 
     def _unsafe(self) -> bool:
         """Tell whether Safe mode must be left; page 6."""
@@ -308,7 +319,7 @@ class CreateEmulator:
         """Send packets once; nothing at all if there is one it does not know."""
         known = [n for n in numbers if n in self._model.packets and size_of(n)]
         if len(known) == len(numbers):
-            self._out.append(encode_packets(known, self._values(known)))
+            self._put(encode_packets(known, self._values(known)), self._now)
 
     def _start_stream(self, command: Command) -> None:
         known = [n for n in command.data[1:] if n in self._model.packets and size_of(n)]
@@ -329,7 +340,7 @@ class CreateEmulator:
 
     def _show_script(self, _: Command) -> None:
         self._streaming = False
-        self._out.append(bytes([len(self._script)]) + self._script)
+        self._put(bytes([len(self._script)]) + self._script, self._now)
 
     def _run_script(self) -> None:
         """Go on with the script until it waits."""

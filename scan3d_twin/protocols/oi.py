@@ -275,12 +275,17 @@ class StreamParser:
     the data, so a candidate that fails costs one byte and the search goes on behind it. Which of
     the two sums the base uses is learnt from the first ``LOCK`` good frames in a row, which are not
     given out.
+
+    Attributes:
+        bad: Frames with a wrong sum.
+        skipped: Bytes that belonged to no frame.
+        header_summed: Which sum the base uses, once known.
     """
 
     LOCK = 3
 
     def __init__(self, packets: Sequence[int]) -> None:
-        self.bad = 0
+        self.bad = self.skipped = 0
         self.header_summed: bool | None = None
         self._packets = list(packets)
         self._size = frame_size(packets)
@@ -293,7 +298,7 @@ class StreamParser:
         self._buffer += data
         frames = []
         while (start := self._candidate()) is not None:
-            del self._buffer[:start]
+            self._skip(start)
             if len(self._buffer) < self._size:
                 break
             frame = bytes(self._buffer[: self._size])
@@ -301,7 +306,7 @@ class StreamParser:
             if summed is None:
                 self.bad += 1
                 self._runs = {True: 0, False: 0}
-                del self._buffer[0]
+                self._skip(1)
                 continue
             del self._buffer[: self._size]
             if self.header_summed is not None:
@@ -317,8 +322,12 @@ class StreamParser:
             known = len(buffer) - start
             if all(buffer[start + at] == mark for at, mark in self._marks if at < known):
                 return start
-        buffer.clear()
+        self._skip(len(buffer))
         return None
+
+    def _skip(self, count: int) -> None:
+        self.skipped += count
+        del self._buffer[:count]
 
     def _convention(self, frame: bytes) -> bool | None:
         """Return whether the header is in the sum of ``frame``; None if the sum is wrong."""

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Protocol
 
-from scan3d_twin.core.errors import HazardError, LinkError, LinkTimeoutError
+from scan3d_twin.core.errors import HazardError, LinkError
 from scan3d_twin.core.hal import BaseSpec, Clock
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.core.wheels import wheel_speeds
@@ -43,6 +43,7 @@ from scan3d_twin.real.create_reckoning import (
     Reckoning,
     SampleTimes,
 )
+from scan3d_twin.real.create_sieve import Sieve
 from scan3d_twin.real.transport import Transport
 
 log = logging.getLogger(__name__)
@@ -57,8 +58,9 @@ ASKS_AT_ONE_SPEED = 10
 """Requests in vain before other speeds are tried: garbage may have changed the base's."""
 LISTENING = 0.03
 """Longest time between two looks at the port that counts as listening [s]."""
-AWAY = 0.5
-"""Bytes that waited longer than this for ``service`` are stale [s]."""
+AWAY, AWAY_IN_DOUBT = 0.5, 0.1
+"""Bytes that waited longer than this for ``service`` are stale [s]: on a line that garbles them
+nobody can tell from their number how old they are."""
 REST = 0.2
 """The wheels stand so long after the command [s]; they slow down with 1.8 m/s2."""
 LOW_BATTERY = 0.1
@@ -116,6 +118,7 @@ class CreateBase:
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
         self._reckoning: Reckoning | None = None
+        self._sieve, self._gap = Sieve(), False
         while not self._history:
             clock.sleep(oi.PERIOD / 3)
             self._receive(clock.now())
@@ -160,9 +163,9 @@ class CreateBase:
         """Take in what has arrived, and stop the wheels if something is wrong.
 
         Raises:
-            HazardError: A new hazard, or the robot drives on into an old one; the wheels stand.
-            LinkTimeoutError: The base is silent; it was told to stop.
-            LinkError: The port is gone.
+            HazardError: A new hazard, or the robot drives on into an old one, or the base is silent
+                while it drives; the wheels stand.
+            LinkError: The base is silent while it stands, or the port is gone.
         """
         before = self._hazards
         fresh = self._receive(now)
@@ -191,13 +194,16 @@ class CreateBase:
     def _receive(self, now: float) -> bool:
         """Take in what has arrived; tell whether there were readings."""
         away = now - self._serviced
-        if away > AWAY:
+        if away > (AWAY_IN_DOUBT if self._sieve.doubts(now) else AWAY):
             self._transport.discard_input()
         # Who does not listen hears nothing: only the time in which we listened counts.
         self._heard = min(now, self._heard + max(0.0, away - LISTENING))
         self._serviced = now
         readings = self._source.take(self._transport.read(0.0), now)
-        for stamp, values in zip(self._times.stamps(len(readings), now), readings, strict=True):
+        self._gap |= self._sieve.line(self._source.broken, now)
+        stamps = self._times.stamps(len(readings), now, gap=self._gap)
+        for stamp, values in zip(stamps, readings, strict=True):
+            self._gap = False
             self._take(stamp, now, values)
         return bool(readings)
 
@@ -207,21 +213,24 @@ class CreateBase:
             return
         if self._reckoning is None:
             self._reckoning = _reckoning(self.spec, stamp, values)
-        doubtful = self._source.bad and Packet.ANGLE in values
-        if doubtful and isinstance(self._reckoning, CommandedReckoning):
-            self._reckoning.lost_reading()
-        odometry = self._reckoning.take(stamp, values)
-        if odometry is None:
+        doubtful = self._sieve.doubts(now)
+        believed = self._sieve.take(values, now)
+        odometry = self._reckoning.take(stamp, values, doubtful=doubtful)
+        if odometry is not None:
+            self._keep(odometry, now)
+        elif doubtful or not self._history:
             return
+        self._values = believed
+        self.mode = Mode(believed[Packet.MODE] - self.contact.mode_offset)
+        self._hazards = hazards_of(believed)
+        if isinstance(self._source, Stream):
+            self._summed = self._source.header_summed
+
+    def _keep(self, odometry: Odometry, now: float) -> None:
         self._heard, self._asks = now, 0
-        self._values = values
         self._history.append(odometry)
         if len(self._history) > 2 * HISTORY:
             del self._history[:HISTORY]
-        self.mode = Mode(values[Packet.MODE] - self.contact.mode_offset)
-        self._hazards = hazards_of(values)
-        if isinstance(self._source, Stream):
-            self._summed = self._source.header_summed
 
     # Driving.
 
@@ -293,10 +302,10 @@ class CreateBase:
             self._ask_again(now)
         if silent > (SILENCE if self._moving else SILENCE_AT_REST):
             self._heard = now
+            drove = self._moving
             self._drive(0, 0)
-            raise LinkTimeoutError(
-                f"stopped: the base has been silent for {silent:.1f} s; check its cable and battery"
-            )
+            words = f"the base has been silent for {silent:.1f} s; check its cable and battery"
+            raise HazardError(f"stopped: {words}") if drove else LinkError(words)
 
     def _ask_again(self, now: float) -> None:
         """Make a base speak that stands and is silent: it may have missed or misread anything."""
@@ -308,7 +317,9 @@ class CreateBase:
             self.contact = replace(self.contact, baud=speed)
             self._transport.set_baud(speed)
         self._transport.write(pad + oi.command(Op.START))
+        heard = self._heard
         self._source = self._ask(self._packets)
+        self._heard = heard  # asking is not hearing
         self._asked_at = now + ASK_AGAIN + len(pad) * 10 / self.contact.baud
 
     def _rest(self, now: float) -> None:

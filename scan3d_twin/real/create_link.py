@@ -135,6 +135,11 @@ class Source(Protocol):
         """Number of broken answers so far."""
         ...
 
+    @property
+    def broken(self) -> int:
+        """Number of signs so far that bytes are garbled on the way."""
+        ...
+
     def take(self, data: bytes, now: float) -> list[Values]:
         """Return the readings that ``data``, arrived by ``now`` [s], completes, oldest first."""
         ...
@@ -158,6 +163,8 @@ class Stream:
     ) -> None:
         self._parser = StreamParser(packets)
         self._parser.header_summed = header_summed
+        self._heard = False
+        self._before_lock = 0
         transport.write(oi.stream(packets))
 
     @property
@@ -166,17 +173,31 @@ class Stream:
         return self._parser.bad
 
     @property
+    def broken(self) -> int:
+        """Bytes that made no sense, once the base's checksum is known."""
+        return self._parser.skipped - self._before_lock
+
+    @property
     def header_summed(self) -> bool | None:
         """Which checksum the base uses, once known."""
         return self._parser.header_summed
 
     def take(self, data: bytes, now: float) -> list[Values]:
         """See ``Source.take``."""
-        return self._parser.feed(data)
+        values = self._parser.feed(data)
+        if not (values or self._heard):
+            self._before_lock = self._parser.skipped
+        self._heard = self._heard or bool(values)
+        return values
 
 
 class Poll:
     """The driver asks, the base answers without a checksum; for slow lines."""
+
+    @property
+    def broken(self) -> int:
+        """Answers that were too long or too late."""
+        return self.bad
 
     def __init__(self, transport: Transport, packets: Sequence[int]) -> None:
         self.bad = 0

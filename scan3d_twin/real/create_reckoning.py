@@ -27,10 +27,11 @@ MAX_LAG = 4
 """Periods behind the arrivals after which the rhythm is taken anew."""
 MAX_SPEED = 0.6
 """Wheels faster than this are a wrong reading [m/s]; the base does .5."""
-SPARE_COUNTS = 10
-"""Allowed on top of that [counts]: jitter of the stamps; assumption."""
-RESTARTED = 5
-"""So many wrong readings in a row, and the base has begun to count anew."""
+SPARE_COUNTS, SPARE_SHARE = 10, 0.15
+"""Allowed on top of what was commanded, and of that speed [counts, and share of the way]: jitter of
+the stamps, and wheels that follow their command a little later; assumption."""
+RESTARTED = 20
+"""So many wrong readings in a row, 0.3 s of them, and the base has begun to count anew."""
 COMMAND_ERROR = 0.05
 """Of a turn that was only commanded, not measured, standard deviation [rad/rad]; assumption."""
 
@@ -43,8 +44,16 @@ class SampleTimes:
         self._latency = latency
         self._last = -math.inf
 
-    def stamps(self, count: int, now: float) -> list[float]:
-        """Return the times [s] of ``count`` readings that had all arrived by ``now``, in order."""
+    def stamps(self, count: int, now: float, *, gap: bool = False) -> list[float]:
+        """Return the times [s] of ``count`` readings that had all arrived by ``now``, in order.
+
+        Args:
+            count: How many.
+            now: [s].
+            gap: Whether readings were lost before, so that the arrival alone tells the time.
+        """
+        if gap:
+            self._last = max(self._last, now - self._latency - count * self._period)
         return [self._stamp(now - (count - 1 - k) * self._period) for k in range(count)]
 
     def _stamp(self, arrival: float) -> float:
@@ -59,8 +68,14 @@ class SampleTimes:
 class Reckoning(Protocol):
     """How readings become odometry."""
 
-    def take(self, stamp: float, values: Values) -> Odometry | None:
-        """Return the odometry at ``stamp`` [s]; None if the readings cannot be true."""
+    def take(self, stamp: float, values: Values, *, doubtful: bool = False) -> Odometry | None:
+        """Return the odometry at ``stamp`` [s]; None if the readings cannot be true, or not yet.
+
+        Args:
+            stamp: When they were measured.
+            values: The readings.
+            doubtful: Whether the line garbles bytes.
+        """
         ...
 
     def drive(self, stamp: float, linear: float, angular: float) -> None:
@@ -68,46 +83,105 @@ class Reckoning(Protocol):
         ...
 
 
+class CommandedWheels:
+    """Where the wheels should be by their commands, as fast as they can follow them."""
+
+    def __init__(self, spec: BaseSpec, stamp: float) -> None:
+        self._wheel_base = spec.wheel_base
+        self._stamp = stamp
+        self._speeds = self._told = (0.0, 0.0)
+
+    def drive(self, linear: float, angular: float) -> None:
+        """Take a command [m/s, rad/s], in force from the time the wheels are at."""
+        side = angular * self._wheel_base / 2
+        self._told = (linear - side, linear + side)
+
+    def advance(self, stamp: float) -> tuple[float, float]:
+        """Return how far the (left, right) wheel got [m] since the call before, by ``stamp``."""
+        passed = max(0.0, stamp - self._stamp)
+        self._stamp = max(stamp, self._stamp)
+        left, right = (
+            ramped(speed, told, passed)
+            for speed, told in zip(self._speeds, self._told, strict=True)
+        )
+        self._speeds = (left[1], right[1])
+        return left[0], right[0]
+
+
 class EncoderReckoning:
-    """Odometry from the encoder counts, which are known modulo 2^16 only."""
+    """Odometry from the encoder counts, which are known modulo 2^16 only.
+
+    Counts far from what was commanded are believed when the next reading goes on from there: a
+    wheel is blocked, or the robot pushed. Counts no wheel can reach need several such readings: the
+    base was switched off and on, and counts anew.
+    """
 
     def __init__(self, spec: BaseSpec, stamp: float, values: Values) -> None:
         self._counts_per_metre = spec.counts_per_turn / (math.pi * spec.wheel_diameter)
         self._reckoning = DeadReckoning(spec, 0, 0)
+        self._wheels = CommandedWheels(spec, stamp)
+        self._expected = [0.0, 0.0]
         self._total = [0, 0]
         self._raw = self._read(values)
-        self._strange: list[int] | None = None
+        self._strange: tuple[float, list[int]] | None = None
         self._odd = 0
         self._stamp = stamp
 
-    def take(self, stamp: float, values: Values) -> Odometry | None:
+    def take(self, stamp: float, values: Values, *, doubtful: bool = False) -> Odometry | None:
         """See ``Reckoning.take``."""
         raw = self._read(values)
-        allowed = SPARE_COUNTS + MAX_SPEED * (stamp - self._stamp) * self._counts_per_metre
+        self._advance(stamp)
         steps = _steps(self._raw, raw)
-        if max(map(abs, steps)) > allowed:
-            if not self._restarted(raw):
+        if not self._as_commanded(steps):
+            confirmed = self._goes_on(stamp, raw)
+            self._strange = (stamp, raw)
+            if not self._reachable(steps, stamp - self._stamp):
+                if self._odd < RESTARTED:
+                    return None
+                log.warning("the base counts its wheels anew: it was switched off and on")
+                steps = [0, 0]
+            elif not confirmed:
                 return None
-            steps = [0, 0]
-        self._raw, self._stamp, self._strange, self._odd = raw, stamp, None, 0
+        else:
+            self._strange, self._odd = None, 0
+        self._raw, self._stamp, self._expected = raw, stamp, [0.0, 0.0]
         self._total = [total + step for total, step in zip(self._total, steps, strict=True)]
         return self._reckoning.update(stamp, *self._total)
 
     def drive(self, stamp: float, linear: float, angular: float) -> None:
-        """See ``Reckoning.drive``; the encoders know."""
+        """See ``Reckoning.drive``."""
+        self._advance(stamp)
+        self._wheels.drive(linear, angular)
+
+    def _advance(self, stamp: float) -> None:
+        ways = self._wheels.advance(stamp)
+        self._expected = [
+            counts + way * self._counts_per_metre
+            for counts, way in zip(self._expected, ways, strict=True)
+        ]
 
     def _read(self, values: Values) -> list[int]:
         return [values[Packet.LEFT_COUNTS], values[Packet.RIGHT_COUNTS]]
 
-    def _restarted(self, raw: list[int]) -> bool:
-        """Tell whether the counts jumped and went on from there."""
-        near = self._strange is not None and max(map(abs, _steps(self._strange, raw))) < 64
+    def _as_commanded(self, steps: list[int]) -> bool:
+        """Tell whether the wheels went ``steps`` [counts], as they were told."""
+        return all(
+            abs(step - expected) <= SPARE_COUNTS + SPARE_SHARE * abs(expected)
+            for step, expected in zip(steps, self._expected, strict=True)
+        )
+
+    def _reachable(self, steps: list[int], passed: float) -> bool:
+        """Tell whether wheels can turn by ``steps`` [counts] in the time ``passed`` [s]."""
+        return max(map(abs, steps)) <= SPARE_COUNTS + MAX_SPEED * passed * self._counts_per_metre
+
+    def _goes_on(self, stamp: float, raw: list[int]) -> bool:
+        """Tell whether ``raw`` goes on from the strange reading before; count how often."""
+        near = False
+        if self._strange is not None:
+            before, counts = self._strange
+            near = self._reachable(_steps(counts, raw), stamp - before)
         self._odd = self._odd + 1 if near else 1
-        self._strange = raw
-        if self._odd < RESTARTED:
-            return False
-        log.warning("the base counts its wheels anew: it was switched off and on")
-        return True
+        return near
 
 
 def _steps(before: list[int], after: list[int]) -> list[int]:
@@ -126,8 +200,7 @@ class CommandedReckoning:
 
     def __init__(self, spec: BaseSpec, stamp: float) -> None:
         self._reckoning = DeadReckoning(spec, 0, 0)
-        self._stamp = stamp
-        self._speeds = self._told = (0.0, 0.0)
+        self._wheels = CommandedWheels(spec, stamp)
         self._wheel_base = spec.wheel_base
         self._way = self._turn = 0.0
         self._variance = 0.0
@@ -138,38 +211,27 @@ class CommandedReckoning:
         """Whether the base has moved since its packets were read."""
         return bool(self._way or self._turn) or not self._read_once
 
-    def take(self, stamp: float, values: Values) -> Odometry:
-        """See ``Reckoning.take``."""
+    def take(self, stamp: float, values: Values, *, doubtful: bool = False) -> Odometry:
+        """See ``Reckoning.take``; a reading in doubt changes nothing: what was commanded stands."""
         self._advance(stamp)
         if Packet.ANGLE in values:
-            if self._read_once:
+            if doubtful:
+                self._variance += (COMMAND_ERROR * self._turn) ** 2
+            elif self._read_once:
                 self._correct(stamp, values[Packet.DISTANCE], values[Packet.ANGLE])
             self._way = self._turn = 0.0
             self._read_once = True
         return self._odometry(stamp)
 
-    def lost_reading(self) -> None:
-        """Note that a reading went astray: what was commanded stands."""
-        self._variance += (COMMAND_ERROR * self._turn) ** 2
-        self._way = self._turn = 0.0
-        self._read_once = True
-
     def drive(self, stamp: float, linear: float, angular: float) -> None:
         """See ``Reckoning.drive``."""
         self._advance(stamp)
-        side = angular * self._wheel_base / 2
-        self._told = (linear - side, linear + side)
+        self._wheels.drive(linear, angular)
 
     def _advance(self, stamp: float) -> None:
-        """Follow the commands up to ``stamp`` [s], as fast as the wheels can."""
-        passed = max(0.0, stamp - self._stamp)
-        self._stamp = max(stamp, self._stamp)
-        left, right = (
-            ramped(speed, told, passed)
-            for speed, told in zip(self._speeds, self._told, strict=True)
-        )
-        self._speeds = (left[1], right[1])
-        way, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / self._wheel_base
+        """Follow the commands up to ``stamp`` [s]."""
+        left, right = self._wheels.advance(stamp)
+        way, turn = (left + right) / 2, (right - left) / self._wheel_base
         self._way, self._turn = self._way + way, self._turn + turn
         self._reckoning.advance(stamp, way, turn)
 

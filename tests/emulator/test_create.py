@@ -32,7 +32,10 @@ class Bench:
 
     def hear(self, seconds=0.0):
         self.clock.sleep(seconds)
-        return self.device.transmit(self.clock.now())
+        heard = b""
+        while data := self.device.transmit(self.clock.now()):
+            heard += data
+        return heard
 
     def ask(self, *packets):
         self.hear()

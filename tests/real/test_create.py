@@ -1,11 +1,14 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from kinematic import CREATE2 as KINEMATIC
 from kinematic import JumpingClock, KinematicBase, turned
 
-from scan3d_twin.core.errors import ConfigError, HazardError, LinkTimeoutError
+from scan3d_twin.core.errors import ConfigError, HazardError, LinkError, LinkTimeoutError
 from scan3d_twin.core.types import Hazards, Pose2
+from scan3d_twin.core.wheels import ACCELERATION
 from scan3d_twin.emulator.create import CreateEmulator
 from scan3d_twin.emulator.create_body import Quirks
 from scan3d_twin.emulator.line import NO_FAULTS, Faults, Line, Wire
@@ -13,6 +16,7 @@ from scan3d_twin.protocols import oi
 from scan3d_twin.protocols.oi import CREATE1, CREATE2, Op
 from scan3d_twin.protocols.oi_packets import Mode, Packet
 from scan3d_twin.real.create import open_create
+from scan3d_twin.real.create_link import watched
 
 SLICE = 0.005
 
@@ -30,8 +34,9 @@ class Recorded:
 class Rig:
     """The real driver on an emulated base."""
 
-    def __init__(self, model=CREATE2, faults=NO_FAULTS, before=b"", **quirks):
-        self.base = KinematicBase()
+    def __init__(self, model=CREATE2, faults=NO_FAULTS, before=b"", *, inert=False, **quirks):
+        spec = replace(KINEMATIC, wheel_base=model.wheel_base_mm / 1000)
+        self.base = KinematicBase(spec, ACCELERATION) if inert else KinematicBase()
         self.clock = JumpingClock(self.base)
         self.device = CreateEmulator(self.base, model, Quirks(**quirks))
         self.line = Line(self.device, faults, seed=1)
@@ -337,13 +342,21 @@ def test_a_base_that_falls_silent_is_told_to_stop(rig):
     rig.wait(0.5)
     rig.line.faults = Faults(stalls=1e6, stall=60.0)
     before = rig.clock.now()
-    with pytest.raises(LinkTimeoutError, match=r"silent for 0\.3 s"):
+    with pytest.raises(HazardError, match=r"stopped: the base has been silent for 0\.3 s"):
         rig.wait(1.0)
     assert rig.clock.now() - before < 0.4
     assert rig.written[-1][1] == oi.drive_direct(0, 0)
     rig.clock.sleep(SLICE)
     rig.line._push(rig.clock.now())
     assert rig.base.speed == (0.0, 0.0)
+
+
+def test_a_base_that_is_silent_while_it_stands_is_an_error_of_the_link(rig):
+    rig.line.faults = Faults(stalls=1e6, stall=60.0)
+    with pytest.raises(LinkError, match=r"silent for 3\.0 s") as caught:
+        rig.wait(5.0)
+    # Not one that a sweep takes for a lidar that is late.
+    assert not isinstance(caught.value, LinkTimeoutError)
 
 
 def test_at_rest_the_stream_is_asked_for_again(rig):
@@ -427,7 +440,7 @@ def test_a_bad_line_never_gives_a_wrong_pose(rig, faults):
             rig.driver.set_velocity((-1) ** k * 0.1, 0.0)
             rig.wait(1.0)
             rig.driver.set_velocity(0.0, 0.0)
-        except (HazardError, LinkTimeoutError):
+        except (HazardError, LinkError):
             rig.line.faults = Faults()
             rig.wait(0.3)
             rig.line.faults = faults
@@ -471,22 +484,29 @@ def test_a_create_1_that_is_turned_by_hand_notices(rig):
     assert abs(rig.pose.yaw) > 0.7
 
 
-def corrupted(data, rng):
-    """Flip, drop and insert about one byte in five hundred each."""
+def corrupted(data, rng, share=0.01):
+    """Flip, drop and insert about that share of the bytes each."""
     out = bytearray()
     for byte, (flip, drop, insert) in zip(data, rng.random((len(data), 3)).tolist(), strict=True):
-        if drop > 0.002:
-            out.append(byte ^ (1 << int(4000 * flip)) if flip < 0.002 else byte)
-        if insert < 0.002:
-            out.append(int(256 * insert / 0.002))
+        if drop > share:
+            out.append(byte ^ (1 << int(8 * flip / share)) if flip < share else byte)
+        if insert < share:
+            out.append(int(256 * insert / share))
     return bytes(out)
 
 
-@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
-def test_half_a_million_corrupted_bytes(model):
-    # Nothing but our own errors, and never a position that the base was not at.
-    rig = Rig(model).open()
-    read, rng, passed, errors = rig.wire.read, np.random.default_rng(5), 0, 0
+NAMES = ["create1", "create2"]
+COMMANDS = ((0.2, 0.0), (-0.2, 0.0), (0.05, 0.6), (0.05, -0.6))
+
+
+@pytest.mark.parametrize(("model", "limit"), [(CREATE1, math.inf), (CREATE2, 0.03)], ids=NAMES)
+def test_a_million_corrupted_bytes(model, limit):
+    """Nothing but our own errors, never a jump, and never a position that the base was not at.
+
+    A Create 1 is where its commands lead, which drifts with or without corrupted bytes.
+    """
+    rig = Rig(model, inert=True).open()
+    read, rng, passed = rig.wire.read, np.random.default_rng(5), 0
 
     def worse(timeout):
         nonlocal passed
@@ -495,20 +515,55 @@ def test_half_a_million_corrupted_bytes(model):
         return data
 
     rig.wire.read = worse
-    k = 0
-    while passed < 500_000:
+    before, k, told = rig.driver.odometry(), 0, []
+    while passed < 1_000_000:
         k += 1
         try:
-            rig.driver.set_velocity((-1) ** k * 0.2, 0.0)
+            rig.driver.set_velocity(*COMMANDS[k % 4])
             for _ in range(100):
                 rig.clock.sleep(0.03)
                 rig.driver.service(rig.clock.now())
                 place = rig.driver.odometry()
+                way = place.T_odom_base.distance(before.T_odom_base)
+                assert way < 0.25 * (place.stamp - before.stamp) + 0.01
+                before = place
                 (near, *_) = rig.base.odometry_since(place.stamp)
-                assert place.T_odom_base.distance(near.T_odom_base) < 0.03
-        except (HazardError, LinkTimeoutError):
-            errors += 1
+                assert place.T_odom_base.distance(near.T_odom_base) < limit
+        except HazardError as error:
+            told.append(str(error))
             rig.driver.set_velocity(0.0, 0.0)
             rig.clock.sleep(0.5)
     assert rig.driver.bad > 100
-    assert errors <= 5
+    assert len(told) <= 15
+    assert all("silent" in words for words in told)
+
+
+def test_on_a_bad_line_a_hazard_is_believed_when_it_is_read_twice(rig):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.2)
+    rig.line._arrived += bytes(range(100))
+    rig.wait(0.1)
+    bump = oi.encode_frame(list(watched(rig.driver.contact)), bumped(rig), header_summed=True)
+    rig.line._arrived += bump
+    rig.wait(0.1)
+    assert not rig.driver.hazards().active()
+    rig.base.hazard = HAZARDS["bump right"]
+    before = rig.clock.now()
+    with pytest.raises(HazardError, match="bump right"):
+        rig.wait(0.2)
+    assert rig.clock.now() - before < 0.05
+
+
+def bumped(rig):
+    """Return what the base reads now, and a bump."""
+    return rig.driver._values | {Packet.BUMPS_DROPS: 2}
+
+
+def test_a_wheel_that_is_blocked_is_where_its_counts_say(rig):
+    rig.driver.set_velocity(0.3, 0.0)
+    rig.wait(0.3)
+    rig.base.speed = (0.0, 0.0)
+    rig.wait(0.5)
+    assert rig.pose.distance(rig.base.odometry().T_odom_base) < 0.001
+    stamps = [sample.stamp for sample in rig.driver.odometry_since(rig.clock.now() - 0.4)]
+    assert max(np.diff(stamps)) < 0.02
