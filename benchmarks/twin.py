@@ -31,7 +31,7 @@ from scan3d_twin.sim.casters import MujocoCaster, choose_caster
 from scan3d_twin.sim.config import LidarModelConfig, TwinConfig
 from scan3d_twin.sim.noise import Draws
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scanner import CHUNK, Scanner
+from scan3d_twin.sim.scanner import CHUNK, Scanner, lidar_spec
 from scan3d_twin.sim.scene import Scene, load_scene
 
 LINES = 40
@@ -88,7 +88,9 @@ def images(scene: Scene) -> dict[str, Task]:
     for rays in (1, 5):
         config = LidarModelConfig(sub_rays=rays)
         rng = np.random.default_rng(0)
-        scanner = Scanner(scene.model, "create2", "usb", config, choose_caster(scene.model), rng)
+        scanner = Scanner(
+            scene.model, "create2", lidar_spec("usb"), config, choose_caster(scene.model), rng
+        )
         tasks[f"image_{rays}ray"] = lambda scanner=scanner: image(scanner)
     tasks["image_multiray"] = multiray(scene, scanner)
     return tasks
@@ -135,7 +137,7 @@ def casters(scene: Scene) -> dict[str, Task]:
     scanner = Scanner(
         scene.model,
         "create2",
-        "usb",
+        lidar_spec("usb"),
         LidarModelConfig(),
         choose_caster(scene.model),
         np.random.default_rng(0),

@@ -67,13 +67,21 @@ class Costmap:
         way, before = csgraph.dijkstra(graph, indices=np.array([start]), return_predecessors=True)
         return way[0], before[0].astype(np.int64)
 
+    def ways(self, places: FloatArray) -> FloatArray:
+        """Return the length of the way (n,) [m] from the start to ``places`` (n, 2); inf for none.
+
+        All from the one search, so that a planner can weigh any number of viewpoints.
+        """
+        cells = np.floor((places - self.origin) / RESOLUTION).astype(np.int64)
+        inside = np.all((cells >= 0) & (cells < self.cells.shape), axis=1)
+        ways = np.full(len(places), np.inf)
+        index = np.ravel_multi_index(tuple(cells[inside].T), self.cells.shape)
+        ways[inside] = self._search[0][index]
+        return ways
+
     def feasible(self, x: float, y: float) -> bool:
         """Tell whether the robot can get to (x, y) [m] and stand there."""
-        cell = self._cell(np.array([x, y]))
-        if not self._inside(cell):
-            return False
-        way, _ = self._search
-        return bool(np.isfinite(way[np.ravel_multi_index(tuple(cell), self.cells.shape)]))
+        return bool(np.isfinite(self.ways(np.array([[x, y]]))[0]))
 
     def path(self, x: float, y: float) -> FloatArray | None:
         """Return the waypoints (n, 2) of a short way from the start to (x, y) [m], or None."""
@@ -110,9 +118,6 @@ class Costmap:
     def _cell(self, point: FloatArray) -> IntArray:
         return np.floor((point - self.origin) / RESOLUTION).astype(np.int64)
 
-    def _inside(self, cell: IntArray) -> bool:
-        return bool(np.all(cell >= 0) and np.all(cell < self.cells.shape))
-
     def _disc(self, centre: FloatArray, radius: float) -> BoolArray:
         """Return the cells whose middle is within ``radius`` [m] of ``centre``."""
         offset = _centres(self.origin, self.cells.shape) - centre
@@ -136,6 +141,26 @@ def build_costmap(observations: Sequence[Observation], config: Config, start: Po
         _mark(cells, origin, observation, config)
     radius = config.motion.robot_radius + config.motion.clearance
     return Costmap(origin, cells, radius, np.array([start.x, start.y]))
+
+
+def extended(costmap: Costmap, observation: Observation, config: Config, start: Pose2) -> Costmap:
+    """Return ``costmap`` after one more ``observation``: what ``build_costmap`` gives of all.
+
+    Args:
+        costmap: Of the observations before.
+        observation: The newest.
+        config: As for ``build_costmap``.
+        start: Where the robot stands in ``odom``.
+    """
+    reach, place = config.target.max_range + RESOLUTION, observation.T_odom_scan
+    here = np.array([place.x, place.y]) - costmap.origin
+    shape = np.array(costmap.cells.shape)
+    before = np.maximum(0, -np.floor((here - reach) / RESOLUTION + 1e-9)).astype(np.int64)
+    after = np.maximum(0, np.ceil((here + reach) / RESOLUTION - 1e-9) - shape).astype(np.int64)
+    cells = np.pad(costmap.cells, np.stack([before, after], axis=1), constant_values=UNKNOWN)
+    origin = costmap.origin - before * RESOLUTION
+    _mark(cells, origin, observation, config)
+    return Costmap(origin, cells, costmap.radius, np.array([start.x, start.y]))
 
 
 def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config: Config) -> None:

@@ -6,11 +6,14 @@ real robot, replay and tests all run the same algorithm.
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from typing import Protocol
+
 import numpy as np
 
 from scan3d_twin.core.alignment import closed, concluded
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.costmap import build_costmap
+from scan3d_twin.core.costmap import Costmap, build_costmap
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.gaps import fill_gaps
 from scan3d_twin.core.hal import Robot
@@ -67,18 +70,67 @@ def digitize(
         ScanError, HazardError, LinkError: From the robot; the wheels are stopped, and the observer
             has seen all finished views.
     """
-    viewpoint: Pose2 | None
-    session, viewpoint = begin(robot, config, seed, observer, target)
-    while viewpoint is not None:
-        observation = observe(robot, viewpoint, session, observer)
-        session = integrate(session, observation)
+    loop = views(_Watched(robot, observer), *begin(robot, config, seed, observer, target))
+    session = next(loop)
+    while True:
         observer.on_view(session)
-        session = _plan(robot, planner, session, observer)
-        observer.on_plan(session)
-        viewpoint = _next_in_odom(session) if _go_on(robot, observer) else None
-    last = session.plans[-1]
-    reason = last.reason if last.viewpoint is None else "stopped by the user"
-    return conclude(session, observer).ended(reason)
+        session, plan = _plan(planner, session, loop)
+        planned = session.with_plan(plan)
+        observer.on_plan(planned)
+        if plan.viewpoint is None or not _go_on(robot, observer):
+            break
+        session = loop.send(plan)
+    reason = plan.reason if plan.viewpoint is None else "stopped by the user"
+    return conclude(planned, observer).ended(reason)
+
+
+class Scout(Protocol):
+    """Takes the images that the loop asks for, by whatever means."""
+
+    def look(self, session: Session) -> Observation:
+        """Return a look around from where the robot stands."""
+        ...
+
+    def observe(self, viewpoint: Pose2, session: Session) -> Observation:
+        """Go to ``viewpoint`` in ``odom`` and return a sweep from there."""
+        ...
+
+
+def views(scout: Scout, session: Session, viewpoint: Pose2) -> Generator[Session, Plan, None]:
+    """The loop of Fig. 5, the decisions left open: yield the session after each view, take a plan.
+
+    A plan that needs a look gets the session with it, and another plan is due. The loop has no end:
+    whoever drives it stops when a plan has no viewpoint.
+
+    Args:
+        scout: Takes the sweeps and looks.
+        session: So far, as ``begin`` returns it.
+        viewpoint: The next one in ``odom``.
+    """
+    while True:
+        session = integrate(session, scout.observe(viewpoint, session))
+        plan = yield session
+        if plan.needs_look:
+            session = session.with_look(scout.look(session))
+            plan = yield session
+        session = session.with_plan(plan)
+        viewpoint = _in_odom(session, plan)
+
+
+class _Watched:
+    """The scout that drives a robot while an observer watches."""
+
+    def __init__(self, robot: Robot, observer: Observer) -> None:
+        self._robot, self._observer = robot, observer
+
+    def look(self, session: Session) -> Observation:
+        """See ``Scout``."""
+        self._observer.on_event("looking around for free space")
+        return look_around(self._robot, session.config, self._observer.on_line)
+
+    def observe(self, viewpoint: Pose2, session: Session) -> Observation:
+        """See ``Scout``."""
+        return observe(self._robot, viewpoint, session, self._observer)
 
 
 def begin(
@@ -91,8 +143,21 @@ def begin(
     """Look around for the target; return an empty session and the first viewpoint in ``odom``."""
     observer.on_event("looking around for the target")
     look = look_around(robot, config, observer.on_line)
+    return start(look, robot.base.odometry().T_odom_base, config, seed, target)
+
+
+def start(
+    look: Observation,
+    here: Pose2,
+    config: Config,
+    seed: int,
+    target: tuple[float, float] | None,
+) -> tuple[Session, Pose2]:
+    """Return an empty session and the first viewpoint in ``odom``, from a look around.
+
+    Pure, as ``integrate``. The robot stands ``here`` in ``odom``.
+    """
     hint = find_target(look, target, config)
-    here = robot.base.odometry().T_odom_base
     contour = look_contour(here.inverse().apply(hint))
     session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, look),))
     costmap = build_costmap(session.observations(), config, here)
@@ -115,13 +180,19 @@ def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer
     """Drive to ``viewpoint`` in ``odom``, around obstacles, and sweep there."""
     config = session.config
     here = robot.base.odometry().T_odom_base
-    path = build_costmap(session.observations(), config, here).path(viewpoint.x, viewpoint.y)
-    if path is None:
-        raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
+    path = find_path(build_costmap(session.observations(), config, here), viewpoint)
     observer.on_event(f"driving to viewpoint {len(session.views)}")
     follow(robot, path, config.motion)
     observer.on_event(f"scanning view {len(session.views)}")
     return sweep(robot, viewpoint.yaw, config, observer.on_line)
+
+
+def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
+    """Return the waypoints (n, 2) in ``odom`` [m] to ``viewpoint``, around obstacles."""
+    path = costmap.path(viewpoint.x, viewpoint.y)
+    if path is None:
+        raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
+    return path
 
 
 def integrate(session: Session, observation: Observation) -> Session:
@@ -169,26 +240,28 @@ def _known_target(session: Session) -> FloatArray:
     return np.concatenate([session.hint, *seen])
 
 
-def _plan(robot: Robot, planner: Planner, session: Session, observer: Observer) -> Session:
+def _plan(
+    planner: Planner, session: Session, loop: Generator[Session, Plan, None]
+) -> tuple[Session, Plan]:
     """Plan; if the way is not known to be free, look around once and plan again."""
-    plan = _ask(planner, session)
+    plan = ask(planner, session)
     if plan.needs_look:
-        observer.on_event("looking around for free space")
-        session = session.with_look(look_around(robot, session.config, observer.on_line))
-        plan = _ask(planner, session)
-    return session.with_plan(plan)
+        session = loop.send(plan)
+        plan = ask(planner, session)
+    return session, plan
 
 
-def _ask(planner: Planner, session: Session) -> Plan:
+def ask(planner: Planner, session: Session) -> Plan:
+    """Return what ``planner`` wants after the latest view, by the run's own chance."""
     rng = np.random.default_rng([session.seed, len(session.views) - 1, PLANNING])
     return planner.plan(session, rng)
 
 
-def _next_in_odom(session: Session) -> Pose2 | None:
+def _in_odom(session: Session, plan: Plan) -> Pose2:
     """Return the planned viewpoint in ``odom``, relative to the latest view: drift cancels."""
-    plan, view = session.plans[-1], session.views[-1]
     if plan.viewpoint is None:
-        return None
+        raise ScanError("a plan without a viewpoint ends the run")
+    view = session.views[-1]
     return view.observation.T_odom_scan @ view.T_world_scan.inverse() @ plan.viewpoint
 
 

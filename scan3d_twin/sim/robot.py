@@ -14,7 +14,7 @@ from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.lidar import SimLidar
 from scan3d_twin.sim.profiles import PROFILES
-from scan3d_twin.sim.scanner import Scanner
+from scan3d_twin.sim.scanner import Scanner, lidar_spec
 from scan3d_twin.sim.scene import Scene, load_scene
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, World, build_model
@@ -49,7 +49,8 @@ def open_sim(
     base = SimBase(world, PROFILES[config.robot], config.errors)
     caster = choose_caster(scene.model)
     surfaces = np.random.default_rng([seed, _SURFACE_STREAM])
-    scanner = Scanner(scene.model, config.robot, config.lidar_link, config.lidar, caster, surfaces)
+    spec = lidar_spec(config.lidar_link)
+    scanner = Scanner(scene.model, config.robot, spec, config.lidar, caster, surfaces)
     lidar = SimLidar(world, clock, scanner, [seed, _LIDAR_STREAM])
     clock.attach(lidar, base)
     try:

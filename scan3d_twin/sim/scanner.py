@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import mujoco
@@ -40,14 +41,15 @@ def beam_directions(elevations: FloatArray) -> FloatArray:
     return np.stack([np.cos(elevations), np.zeros_like(elevations), np.sin(elevations)], axis=-1)
 
 
-def own_housing(robot: RobotName, elevations: FloatArray) -> Hits:
+@cache
+def own_housing(robot: RobotName, elevations: tuple[float, ...]) -> Hits:
     """Return what the beams see of the robot itself; it moves with the lidar, so it is constant."""
     model = robot_spec(robot).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     n = len(elevations)
     geoms, distances, normals = np.zeros(n, np.int32), np.zeros(n), np.zeros(3 * n)
-    rays = beam_directions(elevations).ravel()
+    rays = beam_directions(np.array(elevations)).ravel()
     origin, mast = data.site("lidar").xpos, model.body("mast").id
     mujoco.mj_multiRay(
         model, data, origin, rays, None, True, mast, geoms, distances, normals, n, 10.0
@@ -99,18 +101,18 @@ class Scanner:
         self,
         scene_model: Any,
         robot: RobotName,
-        link: str,
+        spec: LidarSpec,
         config: LidarModelConfig,
         caster: RayCaster,
         rng: np.random.Generator,
     ) -> None:
-        self.spec = lidar_spec(link)
+        self.spec = spec
         self.config = config
         self.caster = caster
         self.materials = Materials.of(scene_model, config)
         self.surface_bias = config.surface_bias * rng.standard_normal(scene_model.ngeom + 1)
         self.beams = read_only(beam_directions(self.spec.elevations))
-        own = own_housing(robot, self.spec.elevations)
+        own = own_housing(robot, tuple(self.spec.elevations.tolist()))
         cosines = np.abs(np.einsum("ni,ni->n", own.normals, self.beams))
         self._own = Light(
             own.distances[None],

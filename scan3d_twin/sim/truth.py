@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -13,10 +14,21 @@ from scan3d_twin.sim.casters import RayCaster
 from scan3d_twin.sim.scanner import Evidence
 from scan3d_twin.sim.scene import Scene
 from scan3d_twin.sim.surface import corners, sample_geom
-from scan3d_twin.sim.world import World
 
 ON_FLOOR = 0.002
 """Faces that look down from less than this above the floor lie on it [m]."""
+
+
+class Whereabouts(Protocol):
+    """Where things were; ``World`` with physics, ``KinematicWorld`` without."""
+
+    def base_pose(self, time: float) -> Pose2:
+        """Return ``T_map_base`` at ``time`` [s]."""
+        ...
+
+    def scene_qpos(self) -> FloatArray:
+        """Return the positions of the scene's moving objects."""
+        ...
 
 
 class Truth:
@@ -25,7 +37,7 @@ class Truth:
     def __init__(
         self,
         scene: Scene,
-        world: World,
+        world: Whereabouts,
         caster: RayCaster,
         evidence: Callable[[], Evidence | None],
     ) -> None:

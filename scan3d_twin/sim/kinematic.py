@@ -1,0 +1,228 @@
+"""A robot without physics: it is where its odometry says, but for the errors of each move.
+
+The lidar is the twin's own (``scanner.py``), with fewer beams and lines. The errors of a move are
+those that the planners expect (``motion_prior``), whose constants lambda, gamma and drift
+``benchmarks/motion_error.py`` fits to the robots of the physics. What is missing: the inertia, the
+wheels' slip within a sweep, the mast's vibration, bumps and cliffs. A sweep takes milliseconds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.hal import default_mount
+from scan3d_twin.core.placing import motion_prior
+from scan3d_twin.core.registration.pose_prior import PLANAR
+from scan3d_twin.core.types import (
+    FloatArray,
+    IntArray,
+    LidarSpec,
+    Observation,
+    Pose2,
+    RangeImage,
+    read_only,
+    wrap,
+)
+from scan3d_twin.sim.casters import RayCaster
+from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.noise import Draws
+from scan3d_twin.sim.scanner import Scanner, lidar_spec
+from scan3d_twin.sim.scene import Scene
+from scan3d_twin.sim.truth import Truth
+
+
+@dataclass(frozen=True, slots=True)
+class Thinning:
+    """How much of the lidar is simulated: of its steps and lines only every n-th.
+
+    Attributes:
+        beams: Every n-th step; 3 are 1.06 deg, which sees an unbroken floor up to 2.7 m away.
+        lines: Every n-th line of a sweep; 2 are 1 deg at 5 deg/s.
+        looks: Every n-th line of a look around; 2 are 4 deg at 20 deg/s.
+        lowest: Lower beams are left out [rad]; these see only the floor under the robot.
+        highest: Higher beams are left out [rad]; the window of the target ends at 37.5 deg.
+    """
+
+    beams: int = 3
+    lines: int = 2
+    looks: int = 1
+    lowest: float = math.radians(-62.0)
+    highest: float = math.radians(45.0)
+
+
+def thin_spec(spec: LidarSpec, thinning: Thinning) -> LidarSpec:
+    """Return the geometry of the lines that are left of ``spec``."""
+    steps = np.arange(spec.n_beams)[:: thinning.beams]
+    elevations = spec.elevations[steps]
+    kept = steps[(elevations >= thinning.lowest) & (elevations <= thinning.highest)]
+    return replace(
+        spec,
+        elevations=read_only(spec.elevations[kept]),
+        beam_times=read_only(spec.beam_times[kept]),
+    )
+
+
+def thin_config(config: Config, thinning: Thinning) -> Config:
+    """Return ``config`` with the counts of points that fewer beams and lines leave."""
+    share = thinning.beams * thinning.lines
+    target = replace(config.target, min_points=max(4, config.target.min_points // share))
+    return replace(config, target=target)
+
+
+class KinematicWorld:
+    """The true poses of the base over time: knots, straight in between."""
+
+    def __init__(self, start: Pose2) -> None:
+        self._knots = [(0.0, start.x, start.y, start.yaw)]
+
+    @property
+    def time(self) -> float:
+        """Since the robot was opened [s]."""
+        return self._knots[-1][0]
+
+    @property
+    def pose(self) -> Pose2:
+        """``T_map_base`` now."""
+        return Pose2(*self._knots[-1][1:])
+
+    def add(self, seconds: float, pose: Pose2, turn: float | None = None) -> None:
+        """Let ``seconds`` pass, at whose end the base is at ``pose``.
+
+        Args:
+            seconds: [s].
+            pose: ``T_map_base``.
+            turn: Angle turned on the way [rad]; None is the short way.
+        """
+        time, _, _, yaw = self._knots[-1]
+        by = wrap(pose.yaw - yaw) if turn is None else turn
+        self._knots.append((time + seconds, pose.x, pose.y, yaw + by))
+
+    def base_pose(self, time: float) -> Pose2:
+        """Return ``T_map_base`` at ``time`` [s]; clamped to what was recorded."""
+        knots = np.array(self._knots)
+        x, y, yaw = (float(np.interp(time, knots[:, 0], knots[:, k])) for k in (1, 2, 3))
+        return Pose2(x, y, yaw)
+
+    def scene_qpos(self) -> FloatArray:
+        """Return the positions of the scene's moving objects: there are none."""
+        return np.empty(0)
+
+
+class KinematicRobot:
+    """Looks around and sweeps in a static scene, and knows how far it erred."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        caster: RayCaster,
+        rng: np.random.Generator,
+        twin: TwinConfig,
+        config: Config,
+        thinning: Thinning,
+    ) -> None:
+        # Beams that are no neighbours share neither light nor the firmware's repeats; a beam of
+        # one ray has no mixed pixels.
+        lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1, line_loss=0.0)
+        spec = thin_spec(lidar_spec(twin.lidar_link), thinning)
+        self._scanner = Scanner(scene.model, twin.robot, spec, lidar, caster, rng)
+        self._rng, self._config, self._thinning = rng, config, thinning
+        self._yaw_scale = 1 + twin.errors.wheel_base * float(rng.standard_normal())
+        self.world = KinematicWorld(scene.spawn)
+        self.here = Pose2()
+        self.truth = Truth(scene, self.world, caster, lambda: None)
+        self.path = 0.0
+
+    def look(self) -> Observation:
+        """Return a coarse sweep all round from where the robot stands."""
+        sweep = self._config.sweep
+        return self._sweep(self.here.yaw, math.pi, sweep.look_rate, self._thinning.looks)
+
+    def observe(self, path: FloatArray, yaw: float) -> Observation:
+        """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep about the heading ``yaw`` there."""
+        for place in path:
+            self._drive(float(place[0]), float(place[1]))
+        sweep = self._config.sweep
+        self._turn(yaw)
+        half = sweep.width / 2 + sweep.margin
+        return self._sweep(yaw, half, sweep.yaw_rate, self._thinning.lines)
+
+    def _drive(self, x: float, y: float) -> None:
+        """Turn to (x, y) in ``odom`` and drive there; what is really driven errs."""
+        here, motion = self.here, self._config.motion
+        near = self._rng.uniform(-motion.position_tolerance, motion.position_tolerance, 2)
+        x, y = x + float(near[0]) / 2, y + float(near[1]) / 2
+        there = Pose2(x, y, math.atan2(y - here.y, x - here.x))
+        length = here.distance(there)
+        self.path += length
+        self._move(there, length / motion.speed)
+
+    def _turn(self, yaw: float) -> None:
+        self._move(Pose2(self.here.x, self.here.y, yaw), 0.0)
+
+    def _move(self, there: Pose2, seconds: float) -> None:
+        """Move to ``there`` in ``odom`` by turn, drive and turn; the true pose errs as fitted."""
+        move = self.here.inverse() @ there
+        prior = motion_prior(move, self._config.planning)
+        C = prior.covariance[np.ix_(PLANAR, PLANAR)]
+        e = np.linalg.cholesky(C) @ self._rng.standard_normal(3)
+        true = Pose2(move.x + e[0], move.y + e[1], move.yaw + e[2])
+        turns = abs(move.yaw) / self._config.motion.turn_rate
+        self.world.add(seconds + turns, self.world.pose @ true)
+        self.here = there
+
+    def _sweep(self, yaw: float, half: float, rate: float, every: int) -> Observation:
+        """Turn right from ``half`` to -``half`` about the heading ``yaw``, reading lines."""
+        spec, scale = self._scanner.spec, self._yaw_scale
+        period = spec.line_period * every
+        first = half - rate * period * float(self._rng.random())
+        count = math.floor((first + half) / (rate * period)) + 1
+        yaws = first - rate * (period * np.arange(count)[:, None] + spec.beam_times)
+        started = self._turn_through(half, rate, yaw) + (half - first) / rate
+        true = self.world.pose
+        ranges, codes = self._measure(true, scale * yaws)
+        image = RangeImage(
+            stamps=read_only(started + period * np.arange(count)),
+            yaws=read_only(yaws),
+            ranges=read_only(ranges),
+            codes=read_only(codes, np.int64),
+            spec=spec,
+            T_base_lidar=default_mount(),
+        )
+        return Observation(image, Pose2(self.here.x, self.here.y, yaw))
+
+    def _turn_through(self, half: float, rate: float, yaw: float) -> float:
+        """Let the time of a sweep pass and return its start [s]; the robot ends in its middle."""
+        world, motion = self.world, self._config.motion
+        if abs(wrap(self.here.yaw - yaw)) > 1e-9:
+            self._turn(yaw)
+        middle, scaled = world.pose, half * self._yaw_scale
+        left = Pose2(middle.x, middle.y, middle.yaw + scaled)
+        world.add(half / motion.turn_rate + self._config.sweep.settle, left, scaled)
+        started = world.time
+        right = Pose2(middle.x, middle.y, middle.yaw - scaled)
+        world.add(2 * half / rate, right, -2 * scaled)
+        world.add(half / motion.turn_rate, middle, scaled)
+        return started
+
+    def _measure(self, true: Pose2, yaws: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return ranges [m] and codes (m, n) of beams at ``yaws`` (m, n) about the true pose."""
+        m, n = yaws.shape
+        angles = true.yaw + yaws
+        c, s = np.cos(angles), np.sin(angles)
+        ahead, up = default_mount()[0, 3], default_mount()[2, 3]
+        positions = np.stack([true.x + ahead * c, true.y + ahead * s, np.full_like(c, up)], axis=-1)
+        rotations = np.zeros((m, n, 3, 3))
+        rotations[..., 0, 0] = rotations[..., 1, 1] = c
+        rotations[..., 1, 0], rotations[..., 0, 1] = s, -s
+        rotations[..., 2, 2] = 1.0
+        draws = Draws(
+            self._rng.standard_normal((m, n), dtype=np.float32),
+            self._rng.standard_normal((m, n)),
+            self._rng.random((m, n)),
+        )
+        readings = self._scanner.measure(np.empty(0), positions, rotations, draws, np.zeros(m))
+        return readings.ranges, readings.codes
