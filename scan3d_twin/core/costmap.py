@@ -158,7 +158,7 @@ def extended(costmap: Costmap, observation: Observation, config: Config, start: 
     before = np.maximum(0, -np.floor((here - reach) / RESOLUTION + 1e-9)).astype(np.int64)
     after = np.maximum(0, np.ceil((here + reach) / RESOLUTION - 1e-9) - shape).astype(np.int64)
     cells = np.pad(costmap.cells, np.stack([before, after], axis=1), constant_values=UNKNOWN)
-    origin = costmap.origin - before * RESOLUTION
+    origin = (np.rint(costmap.origin / RESOLUTION) - before) * RESOLUTION
     _mark(cells, origin, observation, config)
     return Costmap(origin, cells, costmap.radius, np.array([start.x, start.y]))
 
