@@ -2,37 +2,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from benches import quick_tasks
 
 from scan3d_twin.bench.record import Record, Step
-from scan3d_twin.bench.spec import experiment_of, tasks
 from scan3d_twin.bench.task import Task
 
 Make = Callable[..., Record]
-
-
-def quick_tasks(seeds: int, views: int = 1) -> list[Task]:
-    """Return tasks of about a second each, without pictures."""
-    experiment = experiment_of(["shiny_cylinder"], [], ["paper"]).with_seeds(seeds, 0)
-    chosen = tasks(experiment.with_options({"max_views": views}))
-    return [replace(task, picture=False) for task in chosen]
-
-
-def children(pid: int) -> list[int]:
-    """Return the processes that ``pid`` began."""
-    listed = Path(f"/proc/{pid}/task/{pid}/children")
-    return [int(each) for each in listed.read_text().split()] if listed.exists() else []
-
-
-def busy(pid: int) -> float:
-    """Return the processor time of ``pid`` [s]; 0 when it is gone."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / 100
 
 
 @pytest.fixture(scope="session")
