@@ -100,7 +100,7 @@ def commands(path: Path, until: float) -> Iterator[tuple[float, float, float]]:
     In the order in which it was sent.
     """
     for each in contents(path, COMMANDS):
-        if isinstance(each, Delivered) and each.nanoseconds <= round(until * 1e9):
+        if isinstance(each, Delivered) and each.nanoseconds / 1e9 <= until + 1e-9:
             twist = _decoded(each).twist
             yield each.nanoseconds / 1e9, float(twist.linear.x), float(twist.angular.z)
 

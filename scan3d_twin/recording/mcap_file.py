@@ -20,10 +20,19 @@ FLUSH_PERIOD = 0.5
 """Longest time, on the robot's clock and on ours, for which messages are held back [s]."""
 CHUNK_SIZE = 256 * 1024
 """Messages are held back up to this size [bytes]: half a second of lines and raw bytes is less."""
-LATCHED = (
-    "- durability: transient_local\n  reliability: reliable\n  history: keep_last\n  depth: 1\n"
-)
-"""Quality of service of a message that late listeners need too, as rosbag2 writes it."""
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+LATCHED = f"""- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {_FOREVER}
+  lifespan: {_FOREVER}
+  liveliness: 1
+  liveliness_lease_duration: {_FOREVER}
+  avoid_ros_namespace_conventions: false
+"""
+"""Quality of service of a message that late listeners need too, as rosbag2 writes it (durability 1
+is transient_local)."""
 
 
 class Sink:
