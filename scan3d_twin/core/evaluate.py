@@ -135,7 +135,7 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
     """
     if not any(len(view.target) for view in session.views):
         raise ScanError("no view shows anything of the target: there is no model to evaluate")
-    T_map_world = _map_of_world(session, truth)
+    T_map_world = map_of_world(session, truth)
     model = T_map_world.apply(fuse(session)[0])
     surface, normals, spacing = _samples(truth)
     coverable = coverable_surface(surface, normals, truth, session.config)
@@ -173,11 +173,11 @@ def mesh_accuracy(
     if len(points) == 0:
         raise ScanError("the mesh has no triangles: there is nothing to evaluate")
     surface, normals, spacing = _samples(truth)
-    on_truth = _map_of_world(session, truth).apply(points)
+    on_truth = map_of_world(session, truth).apply(points)
     return Distances.of(surface_distance(on_truth, surface, normals, spacing))
 
 
-def _map_of_world(session: Session, truth: Truth) -> Pose2:
+def map_of_world(session: Session, truth: Truth) -> Pose2:
     """Return ``T_map_world``: the model is laid on the truth by its first pose alone."""
     return true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
 
@@ -260,12 +260,12 @@ def coverable_surface(
     in between. Feasible means: the robot fits and can get there from the spawn; for the tour
     ``front`` also: on the front side.
     """
-    places = _feasible_places(surface, truth, config)
+    places = feasible_places(surface, truth, config)
     eyes = np.column_stack([places, np.full(len(places), EYE_HEIGHT)])
     unseen = np.flatnonzero(_faced(surface, normals, eyes))
     seen = np.zeros(len(surface), dtype=bool)
     for eye in eyes:
-        now = unseen[_visible(eye, surface[unseen], normals[unseen], truth, config)]
+        now = unseen[visible(eye, surface[unseen], normals[unseen], truth, config)]
         seen[now] = True
         unseen = unseen[~seen[unseen]]
     return seen
@@ -280,25 +280,25 @@ def _faced(surface: FloatArray, normals: FloatArray, eyes: FloatArray) -> BoolAr
     return np.asarray(farthest > np.einsum("ij,ij->i", normals, surface))
 
 
-def _visible(
+def visible(
     eye: FloatArray, surface: FloatArray, normals: FloatArray, truth: Truth, config: Config
 ) -> BoolArray:
     """Tell which samples (n,) the lidar sees from ``eye`` (3,)."""
     rays = surface - eye
     distance = np.linalg.norm(rays, axis=1)
     slope = np.tan(config.target.window / 2)
-    visible = distance <= config.target.max_range
-    visible &= np.abs(rays[:, 2]) <= slope * np.hypot(rays[:, 0], rays[:, 1])
-    visible &= -np.einsum("ij,ij->i", rays, normals) > MIN_COSINE * distance
-    index = np.flatnonzero(visible)
+    seen = distance <= config.target.max_range
+    seen &= np.abs(rays[:, 2]) <= slope * np.hypot(rays[:, 0], rays[:, 1])
+    seen &= -np.einsum("ij,ij->i", rays, normals) > MIN_COSINE * distance
+    index = np.flatnonzero(seen)
     if len(index):
         directions = rays[index] / distance[index, None]
         hits = truth.first_hits(np.broadcast_to(eye, (len(index), 3)), directions)
-        visible[index] = hits >= distance[index] - HIT_TOLERANCE
-    return np.asarray(visible)
+        seen[index] = hits >= distance[index] - HIT_TOLERANCE
+    return np.asarray(seen)
 
 
-def _feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatArray:
+def feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatArray:
     """Return the grid places (n, 2) [m] where the robot fits, connected with its spawn."""
     low = surface[:, :2].min(axis=0) - config.target.max_range
     high = surface[:, :2].max(axis=0) + config.target.max_range

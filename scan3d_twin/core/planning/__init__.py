@@ -20,7 +20,13 @@ from scan3d_twin.core.evaluate import Truth
 from scan3d_twin.core.planning.curvature import CurvaturePlanner
 from scan3d_twin.core.planning.fisher import FisherPlanner
 from scan3d_twin.core.planning.fixed import FixedPlanner
+from scan3d_twin.core.planning.frontier2d import Frontier2dPlanner
+from scan3d_twin.core.planning.ig import IgPlanner
+from scan3d_twin.core.planning.oracle import OraclePlanner
 from scan3d_twin.core.planning.pito import PitoPlanner
+from scan3d_twin.core.planning.random_view import RandomPlanner
+from scan3d_twin.core.planning.roberts import RobertsPlanner
+from scan3d_twin.core.planning.see import SeePlanner
 from scan3d_twin.core.planning.siicp import SiicpPlanner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
@@ -73,7 +79,13 @@ _OWN: dict[str, Entry] = {
     "fixed20": _fixed(20),
     "fixed50": _fixed(50),
     "fixed80": _fixed(80),
+    "frontier2d": Entry.of(Frontier2dPlanner),
+    "ig": Entry.of(IgPlanner),
+    "oracle": Entry.of(OraclePlanner),
     "pito": Entry.of(PitoPlanner),
+    "random": Entry.of(RandomPlanner),
+    "roberts": Entry.of(RobertsPlanner),
+    "see": Entry.of(SeePlanner),
     "siicp": Entry.of(SiicpPlanner),
 }
 

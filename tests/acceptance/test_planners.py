@@ -1,0 +1,51 @@
+"""Every planner in the closed loop on the twin, for a few views."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.evaluate import evaluate
+from scan3d_twin.core.observer import Unobserved
+from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.presets import preset
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording.settings import settings
+from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.scene import load_scene
+
+RIVALS = ("frontier2d", "ig", "pito", "random", "roberts", "see")
+
+
+def config(tour: str, **changes: object) -> Config:
+    own = settings([{"tour": tour}, preset("best")]).config
+    return dataclasses.replace(own, **changes)  # type: ignore[arg-type]
+
+
+def run(name: str, max_views: int) -> tuple[Session, float]:
+    """Digitise the front of the three boxes; return the session and the coverage."""
+    scene = load_scene("three_boxes")
+    effective = config(scene.tour, max_views=max_views)
+    with open_sim(scene, 3) as (robot, truth):
+        planner = make_planner(name, truth)
+        session = digitize(robot, planner, effective, 3, Unobserved())
+        return session, evaluate(session, truth).coverage
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_two_views_with_every_planner(name: str) -> None:
+    session, coverage = run(name, max_views=2)
+    assert len(session.views) == 2
+    assert all(plan.reason for plan in session.plans)
+    assert all(plan.viewpoint is not None for plan in session.plans[:-1])
+    assert coverage > 0.3
+
+
+def test_the_oracle_needs_few_views() -> None:
+    session, coverage = run("oracle", max_views=8)
+    assert session.stop_reason.startswith("front complete")
+    assert len(session.views) <= 5
+    assert coverage > 0.85
