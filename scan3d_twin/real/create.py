@@ -14,11 +14,11 @@ from dataclasses import replace
 from typing import Protocol
 
 from scan3d_twin.core.errors import HazardError, LinkError
-from scan3d_twin.core.hal import BaseSpec, Clock
+from scan3d_twin.core.hal import Clock
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.core.wheels import wheel_speeds
 from scan3d_twin.protocols import oi
-from scan3d_twin.protocols.oi import CREATE1, Op
+from scan3d_twin.protocols.oi import Op
 from scan3d_twin.protocols.oi_packets import Mode, Packet
 from scan3d_twin.real.create_hazards import blocking, hazards_of, why_not_safe
 from scan3d_twin.real.create_link import (
@@ -26,12 +26,12 @@ from scan3d_twin.real.create_link import (
     HALF_ANYTHING,
     HALF_DRIVE,
     MODE_SETTLE,
-    POLL_PERIOD,
     Contact,
     Source,
     Stream,
     Values,
     at_rest,
+    base_spec,
     find_base,
     open_source,
     plausible,
@@ -39,9 +39,9 @@ from scan3d_twin.real.create_link import (
 )
 from scan3d_twin.real.create_reckoning import (
     CommandedReckoning,
-    EncoderReckoning,
     Reckoning,
     SampleTimes,
+    make_reckoning,
 )
 from scan3d_twin.real.create_sieve import Sieve
 from scan3d_twin.real.transport import Transport
@@ -49,9 +49,14 @@ from scan3d_twin.real.transport import Transport
 log = logging.getLogger(__name__)
 
 SILENCE = 0.3
-"""A base that is silent for so long while it drives is lost [s]; 20 periods."""
+"""A base that is silent for so long while it drives is told to stop [s]; 20 periods."""
+LOST = 1.0
+"""One that is silent for so long although it drove is lost [s]; if it speaks again before, it was
+the computer or the cable that was busy, and it drives on; assumption."""
 SILENCE_AT_REST = 3.0
-"""The same while it stands [s]; its stream is asked for again meanwhile."""
+"""One that stands is lost after this [s]; its stream is asked for again meanwhile."""
+HANG = 0.25
+"""Nobody has serviced a base that drives for so long: the guard has stopped it, or will [s]."""
 ASK_AGAIN = 0.1
 """Time between two such requests, and between two repeated drive commands [s]."""
 ASKS_AT_ONE_SPEED = 10
@@ -108,13 +113,14 @@ class CreateBase:
         self._heard = self._serviced = clock.now()
         self._packets: tuple[Packet, ...] = ()
         self._source = self._ask(at_rest(contact))
-        self.spec = _spec(contact.model, isinstance(self._source, Stream))
+        self.spec = base_spec(contact.model, streams=isinstance(self._source, Stream))
         self._patience = ASK_AGAIN if isinstance(self._source, Stream) else 3 * ASK_AGAIN
         latency = oi.frame_size(self._packets) * 10 / contact.baud
         self._times = SampleTimes(self.spec.sample_period, latency)
         self._sent = (0, 0)
         self._sent_at = self._asked_at = -math.inf
         self._asks = 0
+        self._halted_at = -math.inf
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
         self._reckoning: Reckoning | None = None
@@ -167,9 +173,11 @@ class CreateBase:
                 while it drives; the wheels stand.
             LinkError: The base is silent while it stands, or the port is gone.
         """
-        before = self._hazards
+        before, away = self._hazards, now - self._serviced
         fresh = self._receive(now)
         self._guard.beat(self._moving)
+        if self._moving and away > HANG:
+            self._halt(now)
         if fresh:
             self._watch(before, now)
         self._listen(now)
@@ -190,6 +198,13 @@ class CreateBase:
         self._packets = packets
         self._heard = max(self._heard, self._clock.now() - SILENCE / 2)
         return open_source(self._transport, self.contact, packets, self._summed)
+
+    def _ask_anew(self) -> Source:
+        """Ask for the same; asking is not hearing."""
+        heard = self._heard
+        source = self._ask(self._packets)
+        self._heard = heard
+        return source
 
     def _receive(self, now: float) -> bool:
         """Take in what has arrived; tell whether there were readings."""
@@ -212,7 +227,7 @@ class CreateBase:
         if not plausible(values, self.contact):
             return
         if self._reckoning is None:
-            self._reckoning = _reckoning(self.spec, stamp, values)
+            self._reckoning = make_reckoning(self.spec, stamp, values)
         doubtful = self._sieve.doubts(now)
         believed = self._sieve.take(values, now)
         odometry = self._reckoning.take(stamp, values, doubtful=doubtful)
@@ -280,16 +295,27 @@ class CreateBase:
             names.append(f"low battery ({self._hazards.battery:.0%})")
         since = now - self._sent_at
         if self._moving and not self._safe() and since > 3 * self.spec.sample_period:
-            names += why_not_safe(self._values, self._hazards)
+            names += self._make_safe(now)
         if names:
             self._drive(0, 0)
             raise HazardError(f"stopped: {', '.join(dict.fromkeys(names))} at {now:.2f} s")
-        if self._told() != self._sent and since > ASK_AGAIN:
+        if self._told() != self._sent and since > ASK_AGAIN and self._safe():
             self._drive(*self._sent)
 
     def _safe(self) -> bool:
         """Tell whether the base would obey drive commands."""
         return self.mode >= Mode.SAFE
+
+    def _make_safe(self, now: float) -> list[str]:
+        """Return why the base left Safe mode; after a halt ask it back there instead."""
+        why = why_not_safe(self._values, self._hazards)
+        unknown = not (self._hazards.active() or self.charging)
+        if not (unknown and now - self._halted_at < LOST):
+            return why
+        if now > self._asked_at:
+            self._transport.write(oi.command(Op.SAFE))
+            self._asked_at = now + ASK_AGAIN
+        return []
 
     def _told(self) -> tuple[int, int]:
         """Return the wheel speeds (right, left) that the base says it was told [mm/s]."""
@@ -300,12 +326,25 @@ class CreateBase:
         silent = now - self._heard
         if not self._moving and silent > self._patience and now > self._asked_at:
             self._ask_again(now)
-        if silent > (SILENCE if self._moving else SILENCE_AT_REST):
+        if self._moving and silent > SILENCE and now > self._asked_at:
+            self._halt(now)
+        if silent > (LOST if self._moving else SILENCE_AT_REST):
             self._heard = now
             drove = self._moving
             self._drive(0, 0)
             words = f"the base has been silent for {silent:.1f} s; check its cable and battery"
             raise HazardError(f"stopped: {words}") if drove else LinkError(words)
+
+    def _halt(self, now: float) -> None:
+        """Stop the wheels, but drive on if the base speaks, and is safe, before it is lost."""
+        if now - self._halted_at > LOST:
+            log.warning("halted: the base, its cable or this computer was too busy")
+        self._transport.write(STOP)
+        if self._reckoning is not None:
+            self._reckoning.drive(now, 0.0, 0.0)
+        self._source = self._ask_anew()
+        self._sent_at = self._halted_at = now
+        self._asked_at = now + ASK_AGAIN
 
     def _ask_again(self, now: float) -> None:
         """Make a base speak that stands and is silent: it may have missed or misread anything."""
@@ -317,9 +356,7 @@ class CreateBase:
             self.contact = replace(self.contact, baud=speed)
             self._transport.set_baud(speed)
         self._transport.write(pad + oi.command(Op.START))
-        heard = self._heard
-        self._source = self._ask(self._packets)
-        self._heard = heard  # asking is not hearing
+        self._source = self._ask_anew()
         self._asked_at = now + ASK_AGAIN + len(pad) * 10 / self.contact.baud
 
     def _rest(self, now: float) -> None:
@@ -333,24 +370,3 @@ class CreateBase:
             and self._packets == watched(self.contact)
         ):
             self._source = self._ask(at_rest(self.contact))
-
-
-def _reckoning(spec: BaseSpec, stamp: float, values: Values) -> Reckoning:
-    if Packet.LEFT_COUNTS in values:
-        return EncoderReckoning(spec, stamp, values)
-    return CommandedReckoning(spec, stamp)
-
-
-def _spec(model: oi.Model, streams: bool) -> BaseSpec:
-    diameter = model.wheel_diameter_mm / 1000
-    # Packet 19 of a Create 1 counts whole millimetres.
-    whole_mm = math.pi * model.wheel_diameter_mm
-    return BaseSpec(
-        name=model.name,
-        radius=0.165,  # create_robot URDF; both generations
-        wheel_base=model.wheel_base_mm / 1000,
-        wheel_diameter=diameter,
-        counts_per_turn=whole_mm if model is CREATE1 else model.counts_per_turn,
-        max_wheel_speed=oi.MAX_WHEEL_SPEED_MM / 1000,
-        sample_period=oi.PERIOD if streams else POLL_PERIOD,
-    )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle, product
 from typing import Protocol
 
 from scan3d_twin.core.errors import LinkTimeoutError
-from scan3d_twin.core.hal import Clock
+from scan3d_twin.core.hal import BaseSpec, Clock
 from scan3d_twin.protocols import oi
 from scan3d_twin.protocols.oi import CREATE1, CREATE2, Model, Op, StreamParser
 from scan3d_twin.protocols.oi_packets import Mode, Packet, decode_packets, size_of
@@ -256,3 +257,19 @@ def plausible(values: Values, contact: Contact) -> bool:
         **dict.fromkeys(range(Packet.CLIFF_LEFT, Packet.VIRTUAL_WALL), lambda v: v < 2),
     }
     return all(limits[packet](value) for packet, value in values.items() if packet in limits)
+
+
+def base_spec(model: Model, *, streams: bool) -> BaseSpec:
+    """Return what a base of that generation can do, which streams or is polled."""
+    diameter = model.wheel_diameter_mm / 1000
+    # Packet 19 of a Create 1 counts whole millimetres.
+    whole_mm = math.pi * model.wheel_diameter_mm
+    return BaseSpec(
+        name=model.name,
+        radius=0.165,  # create_robot URDF; both generations
+        wheel_base=model.wheel_base_mm / 1000,
+        wheel_diameter=diameter,
+        counts_per_turn=whole_mm if model is CREATE1 else model.counts_per_turn,
+        max_wheel_speed=oi.MAX_WHEEL_SPEED_MM / 1000,
+        sample_period=oi.PERIOD if streams else POLL_PERIOD,
+    )

@@ -249,3 +249,10 @@ class CommandedReckoning:
         extra = self._variance + (COMMAND_ERROR * self._turn) ** 2
         covariance = plain.covariance + np.diag([0.0, 0.0, extra])
         return Odometry(stamp, plain.T_odom_base, read_only(covariance))
+
+
+def make_reckoning(spec: BaseSpec, stamp: float, values: Values) -> Reckoning:
+    """Return the odometry of a base that sends ``values``, at rest at ``stamp`` [s]."""
+    if Packet.LEFT_COUNTS in values:
+        return EncoderReckoning(spec, stamp, values)
+    return CommandedReckoning(spec, stamp)

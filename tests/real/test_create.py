@@ -15,8 +15,8 @@ from scan3d_twin.emulator.line import NO_FAULTS, Faults, Line, Wire
 from scan3d_twin.protocols import oi
 from scan3d_twin.protocols.oi import CREATE1, CREATE2, Op
 from scan3d_twin.protocols.oi_packets import Mode, Packet
-from scan3d_twin.real.create import open_create
-from scan3d_twin.real.create_link import watched
+from scan3d_twin.real.create import FAREWELL, open_create
+from scan3d_twin.real.create_link import HALF_DRIVE, watched
 
 SLICE = 0.005
 
@@ -342,13 +342,61 @@ def test_a_base_that_falls_silent_is_told_to_stop(rig):
     rig.wait(0.5)
     rig.line.faults = Faults(stalls=1e6, stall=60.0)
     before = rig.clock.now()
-    with pytest.raises(HazardError, match=r"stopped: the base has been silent for 0\.3 s"):
-        rig.wait(1.0)
-    assert rig.clock.now() - before < 0.4
+    with pytest.raises(HazardError, match=r"stopped: the base has been silent for 1\.0 s"):
+        rig.wait(2.0)
+    assert rig.clock.now() - before < 1.1
+    stops = [stamp for stamp, data in rig.written if data == oi.drive_direct(0, 0)]
+    assert 0.29 < stops[0] - before < 0.35
     assert rig.written[-1][1] == oi.drive_direct(0, 0)
     rig.clock.sleep(SLICE)
     rig.line._push(rig.clock.now())
     assert rig.base.speed == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
+def test_a_base_that_is_silent_for_a_moment_stands_and_drives_on(model):
+    rig = Rig(model, inert=True).open()
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.line.faults = Faults(stalls=1e6, stall=0.7)
+    rig.wait(0.05)
+    rig.line.faults = NO_FAULTS
+    stood = []
+    for _ in range(20):
+        rig.wait(0.05)
+        stood.append(rig.base.wheels == (0.0, 0.0))
+    assert any(stood)
+    assert rig.base.wheels == pytest.approx((0.2, 0.2))
+    assert rig.pose.distance(rig.base.odometry().T_odom_base) < 0.02
+
+
+def test_after_a_hang_in_which_the_guard_stopped_it_the_base_drives_on(rig):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.clock.sleep(0.3)
+    rig.device.receive(HALF_DRIVE + FAREWELL, rig.clock.now())
+    rig.clock.sleep(0.1)
+    assert (rig.device.mode, rig.base.speed) == (Mode.PASSIVE, (0.0, 0.0))
+    rig.wait(0.5)
+    assert (rig.device.mode, rig.base.speed) == (Mode.SAFE, (0.2, 0.0))
+
+
+def test_after_a_hang_a_hazard_is_still_one(rig):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.base.hazard = HAZARDS["wheel drop right"]
+    rig.clock.sleep(0.4)
+    with pytest.raises(HazardError, match="wheel drop right"):
+        rig.wait(0.2)
+    assert rig.base.speed == (0.0, 0.0)
+
+
+def test_a_base_that_leaves_safe_mode_without_a_hang_is_an_error(rig):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.device.receive(oi.command(Op.START), rig.clock.now())
+    with pytest.raises(HazardError, match="left Safe mode"):
+        rig.wait(0.2)
 
 
 def test_a_base_that_is_silent_while_it_stands_is_an_error_of_the_link(rig):
