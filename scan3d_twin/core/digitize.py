@@ -7,6 +7,7 @@ real robot, replay and tests all run the same algorithm.
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -51,6 +52,7 @@ def digitize(
     seed: int,
     observer: Observer,
     target: tuple[float, float] | None = None,
+    earlier: Session | None = None,
 ) -> Session:
     """Digitise a target: look around, then observe, integrate, plan and move until it is done.
 
@@ -61,6 +63,8 @@ def digitize(
         seed: The run's one seed.
         observer: Sees every step.
         target: Place (x, y) in ``odom`` [m] of the target; the most salient thing by default.
+        earlier: A session of this robot to go on from, by ``config``: it plans again after the
+            latest view. Its odometry must have gone on since.
 
     Returns:
         The session, with the reason why it ended.
@@ -70,10 +74,16 @@ def digitize(
         ScanError, HazardError, LinkError: From the robot; the wheels are stopped, and the observer
             has seen all finished views.
     """
-    loop = views(_Watched(robot, observer), *begin(robot, config, seed, observer, target))
+    scout = _Watched(robot, observer)
+    if earlier is None:
+        loop = views(scout, *begin(robot, config, seed, observer, target))
+    else:
+        loop = views(scout, unplanned(replace(earlier, config=config)), None)
+    known = 0 if earlier is None else len(earlier.views)
     session = next(loop)
     while True:
-        observer.on_view(session)
+        if len(session.views) > known:
+            observer.on_view(session)
         session, plan = _plan(planner, session, loop)
         planned = session.with_plan(plan)
         observer.on_plan(planned)
@@ -96,7 +106,14 @@ class Scout(Protocol):
         ...
 
 
-def views(scout: Scout, session: Session, viewpoint: Pose2) -> Generator[Session, Plan, None]:
+def unplanned(session: Session) -> Session:
+    """Return ``session`` as it was when its latest view had been taken and no plan made yet."""
+    return replace(session, plans=session.plans[: max(0, len(session.views) - 1)], stop_reason="")
+
+
+def views(
+    scout: Scout, session: Session, viewpoint: Pose2 | None
+) -> Generator[Session, Plan, None]:
     """The loop of Fig. 5, the decisions left open: yield the session after each view, take a plan.
 
     A plan that needs a look gets the session with it, and another plan is due. The loop has no end:
@@ -105,10 +122,11 @@ def views(scout: Scout, session: Session, viewpoint: Pose2) -> Generator[Session
     Args:
         scout: Takes the sweeps and looks.
         session: So far, as ``begin`` returns it.
-        viewpoint: The next one in ``odom``.
+        viewpoint: The next one in ``odom``; None when a plan is due after the latest view.
     """
     while True:
-        session = integrate(session, scout.observe(viewpoint, session))
+        if viewpoint is not None:
+            session = integrate(session, scout.observe(viewpoint, session))
         plan = yield session
         if plan.needs_look:
             session = session.with_look(scout.look(session))

@@ -12,7 +12,7 @@ import numpy as np
 from scan3d_twin.core import evaluate
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.hal import Clock, DriveBase, Robot
+from scan3d_twin.core.hal import DriveBase, Robot
 from scan3d_twin.core.motion import travelled
 from scan3d_twin.core.observer import Observer, Observers, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
@@ -56,8 +56,26 @@ class Loop:
     ended: BaseException | None
 
 
+@dataclass(frozen=True)
+class Earlier:
+    """The part of a run that is done when another one goes on from there.
+
+    Attributes:
+        session: Its views and plans.
+        journey: What the robot has done.
+    """
+
+    session: Session
+    journey: Journey
+
+
 def close_loop(
-    robot: Robot, truth: Truth | None, settings: Settings, observer: Observer, timer: Timer
+    robot: Robot,
+    truth: Truth | None,
+    settings: Settings,
+    observer: Observer,
+    timer: Timer,
+    earlier: Earlier | None = None,
 ) -> Loop:
     """Digitise with an open robot, whatever ends it.
 
@@ -67,17 +85,24 @@ def close_loop(
         settings: The effective ones.
         observer: Sees every step.
         timer: Times the planner.
+        earlier: What to go on from.
 
     Raises:
         BaseException: Whatever ended the loop before there was a view.
     """
     planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
-    log = _Log(Odometer(robot.base), robot.clock)
+    log = _Log(robot, earlier)
     target = _target(settings.run.target, truth)
     ended: BaseException | None = None
     try:
         session = digitize(
-            robot, planner, settings.config, settings.run.seed, Observers(log, observer), target
+            robot,
+            planner,
+            settings.config,
+            settings.run.seed,
+            Observers(log, observer),
+            target,
+            None if earlier is None else earlier.session,
         )
     except BaseException as error:
         if log.session is None:
@@ -105,12 +130,16 @@ class TimedPlanner:
 
 
 class Odometer:
-    """The way of a base since it was opened; to be read before the base forgets its odometry."""
+    """The way of a base; to be read before the base forgets its odometry.
 
-    def __init__(self, base: DriveBase) -> None:
-        self.path, self.turn = 0.0, 0.0
+    Counts from when the base was opened, or goes on from an ``earlier`` journey.
+    """
+
+    def __init__(self, base: DriveBase, earlier: Journey | None = None) -> None:
+        earlier = Journey(0.0, 0.0, 0.0) if earlier is None else earlier
+        self.path, self.turn = earlier.path, earlier.turn
         self._base = base
-        self._stamp = 0.0
+        self._stamp = earlier.duration
 
     def read(self) -> None:
         """Add the way since the last reading to ``path`` [m] and ``turn`` [rad]."""
@@ -125,11 +154,11 @@ class Odometer:
 class _Log(Unobserved):
     """Keeps the last session at hand and notes the way by the end of each view."""
 
-    def __init__(self, odometer: Odometer, clock: Clock) -> None:
-        self.session: Session | None = None
+    def __init__(self, robot: Robot, earlier: Earlier | None) -> None:
+        self.session = None if earlier is None else earlier.session
         self.journeys: list[Journey] = []
-        self._odometer = odometer
-        self._clock = clock
+        self._odometer = Odometer(robot.base, None if earlier is None else earlier.journey)
+        self._clock = robot.clock
 
     def journey(self) -> Journey:
         """Return what the robot did so far."""
