@@ -19,9 +19,9 @@ def quick_tasks(seeds: int, views: int = 1) -> list[Task]:
 
 
 def children(pid: int) -> list[int]:
-    """Return the processes that ``pid`` began."""
-    listed = Path(f"/proc/{pid}/task/{pid}/children")
-    return [int(each) for each in listed.read_text().split()] if listed.exists() else []
+    """Return the processes that any thread of ``pid`` began."""
+    listed = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [int(each) for text in listed for each in text.split()]
 
 
 def busy(pid: int) -> float:

@@ -38,18 +38,18 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
             "the cluster's client is not installed; pip install 'scan3d-twin[cluster]'"
         ) from None
     try:
-        client: Any = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout=CONNECT_TIMEOUT)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise LinkError(
             f"no Dask scheduler answers at {address}; start one with `dask scheduler`"
         ) from error
     with client:
-        _check(client, address)
+        _check(client, address, code_hash())
         yield ClusterEngine(client, address, timeout)
 
 
-def _check(client: Any, address: str) -> None:
-    """Raise if there are no workers, or some that would compute something else."""
+def _check(client: Any, address: str, here: str) -> None:
+    """Raise if there are no workers, or some whose sources have another hash than ``here``."""
     try:
         client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
     except TimeoutError as error:
@@ -63,10 +63,10 @@ def _check(client: Any, address: str) -> None:
             f"a worker of {address} cannot run scan3d_twin ({error}); install this version there"
         ) from error
     for worker, code in codes.items():
-        if code != code_hash():
+        if code != here:
             raise ConfigError(
                 f"the worker {worker} runs other sources of scan3d_twin ({code}) than those here "
-                f"({code_hash()}); install this version there"
+                f"({here}); install this version there"
             )
 
 
