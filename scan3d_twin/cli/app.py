@@ -36,6 +36,10 @@ app.command("scan3d_twin.cli.scan:scan", name="scan", help="Take one 3D image fr
 app.command(
     "scan3d_twin.cli.doctor:doctor", name="doctor", help="Look for what is wrong with the robot."
 )
+app.command("scan3d_twin.cli.mesh:mesh", name="mesh", help="Write a run's target as triangles.")
+app.command(
+    "scan3d_twin.cli.export:export", name="export", help="Write a run's model for other programs."
+)
 app.command("scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.")
 app.command("scan3d_twin.cli.listing:planners", name="planners", help="List the planners.")
 app.command(

@@ -13,7 +13,7 @@ from scan3d_twin.core.model import Model, voxel_thin
 from scan3d_twin.core.png import png_bytes
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
-from scan3d_twin.viz.top_view import colour
+from scan3d_twin.recording.colours import rgb
 
 MOST_POINTS = 300_000
 """Points of the target in a page: 8 bytes each, 3.2 MB as text."""
@@ -168,7 +168,5 @@ def _project(points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray
 
 def _colours(view: IntArray, light: FloatArray) -> npt.NDArray[np.uint8]:
     """Return the opaque colours (n, 4) of points by view, darker where ``light`` (n,) is less."""
-    names = [colour(k) for k in range(int(view.max(initial=0)) + 1)]
-    table = np.array([[int(name[i : i + 2], 16) for i in (1, 3, 5)] for name in names])
-    rgb = table[view] * (0.55 + 0.6 * light[:, None])
-    return np.column_stack([np.minimum(rgb, 255), np.full(len(view), 255)]).astype(np.uint8)
+    lit = rgb(view) * (0.55 + 0.6 * light[:, None])
+    return np.column_stack([np.minimum(lit, 255), np.full(len(view), 255)]).astype(np.uint8)

@@ -18,9 +18,9 @@ from typing import Any
 from scan3d_twin.core.evaluate import Evaluation
 from scan3d_twin.core.model import Model
 from scan3d_twin.core.session import Session
+from scan3d_twin.recording.colours import colour
 from scan3d_twin.recording.report import Report
 from scan3d_twin.viz import cloud, sections
-from scan3d_twin.viz.top_view import colour
 
 ROBOT_HEIGHT = 0.30
 """Height at which a viewpoint is drawn: that of the lidar [m]."""

@@ -14,9 +14,9 @@ from scan3d_twin.core.evaluate import Evaluation
 from scan3d_twin.core.model import scanned_share
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
+from scan3d_twin.recording.colours import colour
 from scan3d_twin.recording.report import Report
 from scan3d_twin.viz.charts import Chart, Dot, round_up, svg
-from scan3d_twin.viz.top_view import colour
 
 TALLEST = 5.0
 """Charts of errors end at this many times epsilon; what is above is an arrow at the edge."""
@@ -74,7 +74,8 @@ def top_view(document: str) -> str:
     data = base64.b64encode(document.encode()).decode()
     return (
         "<h2>Top view</h2><figure>"
-        f'<div class="frame"><img class="tall" alt="Top view of the run" src="data:image/svg+xml;base64,{data}">'
+        '<div class="frame"><img class="tall" alt="Top view of the run" '
+        f'src="data:image/svg+xml;base64,{data}">'
         "</div><figcaption>Points coloured by view, a numbered star at each viewpoint, its scan "
         "sector dashed.</figcaption></figure>"
     )

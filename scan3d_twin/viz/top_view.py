@@ -14,6 +14,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
+from scan3d_twin.recording.colours import colour
 
 WIDTH, MARGIN, TITLE_HEIGHT = 900.0, 60.0, 34.0
 """Of the picture, in its own units."""
@@ -21,11 +22,6 @@ MIN_HEIGHT, MAX_HEIGHT = 320.0, 1200.0
 POINT_SIZE = 2.2
 MAX_POINTS = 60_000
 """Keeps the file well under 2 MB."""
-COLOURS = (
-    "#2f7ed8", "#e8710a", "#1f9d55", "#d6336c", "#8250df",
-    "#b08800", "#0c8599", "#c2410c", "#5f7d1f", "#a61e9b",
-)  # fmt: skip
-"""By view, in turn; mid lightness, so that each reads on white and on black."""
 STYLE = """
 svg { background: #ffffff; font: 13px system-ui, "Helvetica Neue", Arial, sans-serif; }
 .paper { fill: #ffffff; } .frame { fill: none; stroke: #57606a; }
@@ -100,11 +96,6 @@ def top_view(
         "</svg>",
     ]
     return "\n".join(parts) + "\n"
-
-
-def colour(view: int) -> str:
-    """Return the colour of ``view`` as #rrggbb."""
-    return COLOURS[view % len(COLOURS)]
 
 
 def _frame(

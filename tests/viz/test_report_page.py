@@ -8,10 +8,11 @@ from pixels import share_of
 
 from scan3d_twin.core.evaluate import Distances, Evaluation, PairError
 from scan3d_twin.core.model import Model, build_model, fuse
+from scan3d_twin.recording.colours import colour
 from scan3d_twin.recording.report import Effort, Journey, build_report
 from scan3d_twin.recording.settings import Settings, settings_toml
 from scan3d_twin.viz.report_page import Pictures, report_page
-from scan3d_twin.viz.top_view import colour, top_view
+from scan3d_twin.viz.top_view import top_view
 
 EVALUATION = Evaluation(
     coverage=0.91,

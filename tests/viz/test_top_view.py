@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.types import Pose2
-from scan3d_twin.viz.top_view import colour, top_view
+from scan3d_twin.recording.colours import colour
+from scan3d_twin.viz.top_view import top_view
 
 SVG = "{http://www.w3.org/2000/svg}"
 VIEWPOINTS = (Pose2(0.0, 0.0, math.pi / 2), Pose2(0.5, 0.1, math.pi / 2), Pose2(1.0, 0.0, 2.0))

@@ -1,0 +1,25 @@
+"""The colours of the views, the same in every picture, page and file."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from scan3d_twin.core.types import IntArray
+
+COLOURS = (
+    "#2f7ed8", "#e8710a", "#1f9d55", "#d6336c", "#8250df",
+    "#b08800", "#0c8599", "#c2410c", "#5f7d1f", "#a61e9b",
+)  # fmt: skip
+"""By view, in turn; mid lightness, so that each reads on white and on black."""
+
+
+def colour(view: int) -> str:
+    """Return the colour of ``view`` as #rrggbb."""
+    return COLOURS[view % len(COLOURS)]
+
+
+def rgb(views: IntArray) -> npt.NDArray[np.uint8]:
+    """Return the colours (n, 3) of ``views`` (n,), 0..255."""
+    table = [[int(name[i : i + 2], 16) for i in (1, 3, 5)] for name in COLOURS]
+    return np.array(table, dtype=np.uint8)[views % len(COLOURS)]

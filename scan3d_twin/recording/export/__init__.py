@@ -1,0 +1,108 @@
+"""The model in the formats of other programs: one fused cloud, or view by view with poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.model import Model, build_model, oriented, without_outliers
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Pose2
+from scan3d_twin.recording.export import e57, las, pcd, ply, text
+from scan3d_twin.recording.export.piece import Piece
+from scan3d_twin.recording.folder import write_file
+
+__all__ = ["CLOUDS", "Piece", "export_cloud", "file_name", "pieces"]
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """How a cloud is written.
+
+    Attributes:
+        suffix: Of its files.
+        encode: Returns a piece as the bytes of a file; None where a format has a writer.
+        write: Writes all pieces to a file or folder.
+        folder: Whether even a fused cloud is a folder.
+    """
+
+    suffix: str
+    encode: Callable[[Piece], bytes] | None = None
+    write: Callable[[Sequence[Piece], Path], list[Path]] | None = None
+    folder: bool = False
+
+
+CLOUDS: Mapping[str, Format] = {
+    "ply": Format(".ply", ply.encode),
+    "pcd": Format(".pcd", pcd.encode),
+    "xyz": Format(".xyz", text.encode_xyz),
+    "las": Format(".las", las.encode_las),
+    "laz": Format(".laz", las.encode_laz),
+    "e57": Format(".e57", write=e57.write),
+    "uos": Format("", write=text.write_uos, folder=True),
+}
+"""The formats of point clouds by name."""
+
+
+def pieces(session: Session, *, per_view: bool, voxel: float) -> list[Piece]:
+    """Return the model as one piece in ``world``, or one for each view in its frame ``scan``.
+
+    Raises:
+        ConfigError: Views are to be fused in voxels of side ``voxel`` [m] and to stay apart.
+    """
+    if not per_view:
+        return [Piece("cloud", build_model(session, voxel), Pose2())]
+    if voxel:
+        raise ConfigError("--voxel fuses the views and --per-view keeps them apart; give one")
+    result = []
+    for index, view in enumerate(session.views):
+        model = without_outliers(oriented(view, index))
+        result.append(
+            Piece(f"view_{index:03d}", _in_scan(model, view.T_world_scan), view.T_world_scan)
+        )
+    return result
+
+
+def _in_scan(model: Model, T_world_scan: Pose2) -> Model:
+    back = T_world_scan.inverse()
+    return Model(back.apply(model.points), back.rotate(model.normals), model.sigma, model.view)
+
+
+def file_name(name: str, *, per_view: bool) -> str:
+    """Return what the exported file or folder is called by default."""
+    kind = CLOUDS.get(name)
+    if kind is None:
+        raise UnknownNameError("format", name, CLOUDS)
+    if kind.folder or (per_view and kind.write is None):
+        return f"{name}_views" if per_view else name
+    return f"views{kind.suffix}" if per_view else f"cloud{kind.suffix}"
+
+
+def export_cloud(parts: Sequence[Piece], name: str, path: Path, *, per_view: bool) -> list[Path]:
+    """Write ``parts`` in the format ``name`` to the file or folder ``path``; return the files.
+
+    A folder of views holds ``poses.csv`` with each view's pose in ``world`` too.
+
+    Raises:
+        UnknownNameError: There is no such format.
+        ConfigError: Its library is missing; the message says what to install.
+        FileError: A file cannot be written.
+    """
+    if name not in CLOUDS:
+        raise UnknownNameError("format", name, CLOUDS)
+    kind = CLOUDS[name]
+    if kind.write is not None:
+        return kind.write(parts, path)
+    assert kind.encode is not None
+    if not per_view:
+        write_file(path, kind.encode(parts[0]))
+        return [path]
+    written = []
+    for part in parts:
+        written.append(path / (part.name + kind.suffix))
+        write_file(written[-1], kind.encode(part))
+    written.append(path / "poses.csv")
+    write_file(written[-1], text.poses_csv(parts))
+    return written

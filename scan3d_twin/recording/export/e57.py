@@ -1,0 +1,57 @@
+"""ASTM E57 through pye57: every view a scan with its pose, in one file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.export.piece import Piece
+
+
+def write(parts: Sequence[Piece], path: Path) -> list[Path]:
+    """Write ``parts`` as the scans of the E57 file ``path``.
+
+    Raises:
+        ConfigError: pye57 is missing.
+        FileError: The file cannot be written.
+    """
+    try:
+        import pye57
+    except ImportError as error:
+        raise ConfigError(
+            "E57 files need the extra export (on x86-64): pip install 'scan3d-twin[export]'"
+        ) from error
+    part_file = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part_file.unlink(missing_ok=True)
+        file = pye57.E57(str(part_file), mode="w")
+        try:
+            for part in parts:
+                _write_scan(file, part)
+        finally:
+            file.close()
+        part_file.replace(path)
+    except (OSError, pye57.libe57.E57Exception) as error:
+        raise FileError(f"cannot write {path}: {error}") from error
+    return [path]
+
+
+def _write_scan(file: Any, part: Piece) -> None:
+    pose, model = part.T_world_piece, part.model
+    data = {f"cartesian{name}": model.points[:, axis] for axis, name in enumerate("XYZ")}
+    colours = rgb(model.view)
+    for channel, name in enumerate(("Red", "Green", "Blue")):
+        data[f"color{name}"] = np.ascontiguousarray(colours[:, channel])
+    file.write_scan_raw(
+        {name: np.ascontiguousarray(values) for name, values in data.items()},
+        name=part.name,
+        rotation=np.array([math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2)]),
+        translation=np.array([pose.x, pose.y, 0.0]),
+    )

@@ -1,0 +1,42 @@
+"""PCD 0.7 of the Point Cloud Library, binary: points with normals, colour and index of the view."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.export.piece import Piece
+
+_POINT = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", "normal_x", "normal_y", "normal_z")]
+    + [("rgb", "<u4"), ("label", "<u4")]
+)
+
+
+def encode(piece: Piece) -> bytes:
+    """Return ``piece`` as a PCD file, its pose as the file's viewpoint."""
+    model, pose = piece.model, piece.T_world_piece
+    points = np.empty(len(model), dtype=_POINT)
+    for axis, name in enumerate("xyz"):
+        points[name] = model.points[:, axis]
+        points["normal_" + name] = model.normals[:, axis]
+    red, green, blue = rgb(model.view).astype(np.uint32).T
+    points["rgb"] = red << 16 | green << 8 | blue
+    points["label"] = model.view
+    turn = f"{math.cos(pose.yaw / 2):.9g} 0 0 {math.sin(pose.yaw / 2):.9g}"
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(_POINT.names or ())}",
+        f"SIZE {' '.join(['4'] * 8)}",
+        "TYPE F F F F F F U U",
+        f"COUNT {' '.join(['1'] * 8)}",
+        f"WIDTH {len(model)}",
+        "HEIGHT 1",
+        f"VIEWPOINT {pose.x:.9g} {pose.y:.9g} 0 {turn}",
+        f"POINTS {len(model)}",
+        "DATA binary",
+    ]
+    return "\n".join(header).encode("ascii") + b"\n" + points.tobytes()

@@ -1,0 +1,85 @@
+"""A session as a rosbag2 folder, for ``ros2 bag play`` and everything that reads bags."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.errors import WriterError
+
+from scan3d_twin.core.errors import FileError
+from scan3d_twin.recording import ros
+from scan3d_twin.recording.salvage import Delivered, contents
+
+_FOREVER = QosTime(2**31 - 1, 999_999_999)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _FOREVER,
+    _FOREVER,
+    QosLiveliness.AUTOMATIC,
+    _FOREVER,
+    avoid_ros_namespace_conventions=False,
+)
+"""So that who listens late gets the fixed transforms too."""
+
+
+def write(session_file: Path, path: Path) -> int:
+    """Write the messages of ``session_file`` as the rosbag2 folder ``path``; return how many.
+
+    They are copied as they are: scan lines, odometry, transforms, clouds, plans, registrations.
+
+    Raises:
+        FileError: The folder exists, or cannot be written.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            raise FileError(f"{path} exists; name another folder with --out")
+        if part.exists():
+            shutil.rmtree(part)
+        count = _copy(session_file, part)
+        _rename_inside(part, path.name)
+        part.replace(path)
+    except (OSError, WriterError) as error:
+        raise FileError(f"cannot write {path}: {error}") from error
+    return count
+
+
+def _copy(session_file: Path, folder: Path) -> int:
+    store, topics, count = ros.typestore(), {}, 0
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for each in contents(session_file):
+            if not isinstance(each, Delivered):
+                continue
+            if each.topic not in topics:
+                topics[each.topic] = writer.add_connection(
+                    each.topic,
+                    each.name,
+                    typestore=store,
+                    offered_qos_profiles=[LATCHED] if each.latched else [],
+                )
+            writer.write(topics[each.topic], each.nanoseconds, each.data)
+            count += 1
+    return count
+
+
+def _rename_inside(folder: Path, name: str) -> None:
+    """Give the data file the final folder's name, as rosbag2 does, and tell the metadata."""
+    metadata = folder / "metadata.yaml"
+    (data,) = folder.glob("*.mcap")
+    final = folder / f"{name}.mcap"
+    metadata.write_text(metadata.read_text().replace(data.name, final.name))
+    data.rename(final)

@@ -1,0 +1,73 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from rosbags.highlevel import AnyReader
+
+from scan3d_twin.recording.load import load_session
+
+
+def test_a_finished_run_is_exported_into_its_folder(finished, twin):
+    folder, report = finished
+    result = twin("export", folder, "--to", "ply")
+    assert result.code == 0
+    assert result.out.split() == [str(folder / "cloud.ply")]
+    assert 0.9 * report["points"] < len(trimesh.load(folder / "cloud.ply").vertices)
+    (folder / "cloud.ply").unlink()
+
+
+def test_views_apart_and_fused_ones_go_where_they_are_sent(finished, twin):
+    folder, report = finished
+    done = twin("export", folder, "--to", "xyz", "--per-view", "--out", "apart", "--json")
+    files = json.loads(done.out)["files"]
+    assert files == ["apart/view_000.xyz", "apart/view_001.xyz", "apart/poses.csv"]
+    assert twin("export", folder, "--to", "xyz", "--voxel", "20", "--out", "few.xyz").code == 0
+    assert 100 < len(np.loadtxt("few.xyz")) < report["points"] / 3
+
+
+def test_a_rosbag2_holds_all_that_was_recorded(finished, twin):
+    folder, _ = finished
+    assert twin("export", folder, "--to", "rosbag2", "--out", "bag").code == 0
+    assert (Path("bag") / "bag.mcap").is_file()
+    with AnyReader([Path("bag")]) as reader:
+        topics = {each.topic: each for each in reader.connections}
+        assert topics["/scan"].msgtype == "sensor_msgs/msg/LaserScan"
+        scans = sum(1 for _ in reader.messages([topics["/scan"]]))
+        assert scans >= sum(v.observation.image.n_lines for v in load_session(folder).session.views)
+        static = topics["/tf_static"].ext.offered_qos_profiles
+        assert static[0].durability.name == "TRANSIENT_LOCAL"
+    again = twin("export", folder, "--to", "rosbag2", "--out", "bag")
+    assert (again.code, "exists" in again.err) == (3, True)
+
+
+@pytest.mark.parametrize("command", [("mesh",), ("export",)])
+def test_a_mesh_is_written_by_either_command(command, finished, twin):
+    folder, _ = finished
+    result = twin(*command, folder, "--to", "stl", "--out", "mesh.stl", "--json")
+    told = json.loads(result.out)
+    assert told["triangles"] == len(trimesh.load("mesh.stl").faces) > 5000
+    assert told["area_m2"] == pytest.approx(trimesh.load("mesh.stl").area, rel=1e-3)
+
+
+def test_the_mesh_was_measured_when_the_truth_was_known(finished):
+    accuracy = finished[1]["mesh_accuracy_mm"]
+    assert 0 < accuracy["median"] < accuracy["p95"] < 200
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("export", "RUN", "--to", "dxf"), 2, "known: e57"),
+        (("export", "RUN", "--to", "stl", "--per-view"), 2, "are for clouds"),
+        (("export", "RUN", "--to", "ply", "--voxel", "-1"), 2, "--voxel must be"),
+        (("export", "nowhere", "--to", "ply"), 3, "no session in nowhere"),
+        (("mesh", "nowhere"), 3, "no session in nowhere"),
+        (("mesh", "RUN", "--to", "las"), 2, "no format of meshes"),
+    ],
+)
+def test_mistakes_are_told_in_a_line(arguments, code, words, finished, twin):
+    result = twin(*(finished[0] if each == "RUN" else each for each in arguments))
+    assert (result.code, result.err.count("\n")) == (code, 1)
+    assert words in result.err

@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+import trimesh
+
+from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.mesh import Mesh, build_mesh
+from scan3d_twin.core.model import Model, build_model
+from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.export.meshes import MESHES, TRUSTED, poisson, write_mesh
+
+
+@pytest.fixture(scope="module")
+def mesh(session) -> Mesh:
+    return build_mesh(session)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_trimesh_reads_the_same_surface(name, mesh, tmp_path):
+    path = tmp_path / f"mesh.{name}"
+    write_mesh(mesh, name, path)
+    again = trimesh.load(path, force="mesh", process=False)
+    assert len(again.faces) == len(mesh.faces)
+    assert again.area == pytest.approx(mesh.areas.sum(), rel=1e-4)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    if name == "glb":  # y is up
+        low, high = np.array([low[0], low[2], -high[1]]), np.array([high[0], high[2], -low[1]])
+    np.testing.assert_allclose(again.bounds, [low, high], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["ply", "glb"])
+def test_vertices_have_the_colours_of_their_views(name, mesh, tmp_path):
+    path = tmp_path / f"mesh.{name}"
+    write_mesh(mesh, name, path)
+    again = trimesh.load(path, force="mesh", process=False)
+    np.testing.assert_array_equal(again.visual.vertex_colors[:, :3], rgb(mesh.view))
+
+
+def test_unknown_formats_are_refused(mesh, tmp_path):
+    with pytest.raises(UnknownNameError, match="glb, obj, ply, stl"):
+        write_mesh(mesh, "dwg", tmp_path / "mesh.dwg")
+
+
+def test_poisson_closes_no_hole(tmp_path):
+    pytest.importorskip("open3d", exc_type=ImportError)
+    rng = np.random.default_rng(0)
+    points = np.column_stack([np.zeros(40_000), *rng.uniform(-0.5, 0.5, (2, 40_000))])
+    points = points[np.hypot(points[:, 1], points[:, 2]) > 0.15]
+    n = len(points)
+    holed = Model(points, np.tile((-1.0, 0.0, 0.0), (n, 1)), np.full(n, 0.005), np.zeros(n, int))
+    surface = poisson(holed)
+    middle = surface.vertices[surface.faces].mean(axis=1)
+    assert np.hypot(middle[:, 1], middle[:, 2]).min() > 0.15 - 2 * TRUSTED
+    seen, grown = 1 - np.pi * 0.15**2, (1 + 2 * TRUSTED) ** 2 - np.pi * (0.15 - TRUSTED) ** 2
+    assert 0.97 * seen < surface.areas.sum() < 1.02 * grown
+    assert np.abs(middle[:, 0]).max() < 0.01
+
+
+def test_poisson_makes_a_surface_of_a_model(session):
+    pytest.importorskip("open3d", exc_type=ImportError)
+    surface = poisson(build_model(session, 0.005))
+    assert len(surface.faces) > 5000
+    assert set(surface.view) == {-1}
