@@ -15,12 +15,21 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
         ConfigError: A key, name or value is wrong.
         SceneError: The scene cannot be built.
     """
-    run = settings([given]).run
-    named = [world_options(run.world), preset(run.preset)]
-    effective = settings([*named, given])
+    effective = settings([*_named(given), given])
     check_planner(effective.config.planner, truth_known=True)
     scene = load_scene(effective.run.scene, effective.run.mesh_scale)
-    return settings([_of_scene(scene), *named, given]), scene
+    return settings_for(scene, given), scene
+
+
+def settings_for(scene: Scene, given: Options) -> Settings:
+    """Return the effective settings in ``scene`` for what is ``given``."""
+    return settings([_of_scene(scene), *_named(given), given])
+
+
+def _named(given: Options) -> list[Options]:
+    """Return what the world and the preset stand for."""
+    run = settings([given]).run
+    return [world_options(run.world), preset(run.preset)]
 
 
 def _of_scene(scene: Scene) -> Options:

@@ -60,6 +60,13 @@ class Situation:
 
     session: Session
 
+    @staticmethod
+    def on(session: Session, costmap: Costmap) -> Situation:
+        """Return the situation for whoever has the costmap of ``session`` already."""
+        situation = Situation(session)
+        situation.__dict__["costmap"] = costmap
+        return situation
+
     @property
     def view(self) -> View:
         """The latest view."""
