@@ -132,15 +132,19 @@ def test_without_a_client_the_bytes_are_lost(pty):
     os.close(fd)
 
 
-def test_a_client_that_does_not_read_does_not_hang_the_device(pty):
+@pytest.mark.timeout(20)
+def test_a_client_that_does_not_read_loses_bytes_and_does_not_hang_the_device(pty):
     port, clock = pty
     fd = open_raw(port.path)
     set_baud(fd, termios.B115200)
-    for _ in range(50):
-        os.write(fd, b"VV\nPP\nII\n")
-        clock.sleep(0.01)
-        port._line._keep(bytes(4000))
     clock.sleep(0.01)
+    for _ in range(50):
+        port._line._keep(bytes(4000))
+        clock.sleep(0.01)
+    waiting = len(receive(fd, clock))
+    assert 1000 < waiting < 100_000
+    os.write(fd, b"QT\n")
+    assert receive(fd, clock) == b"QT\n00P\n\n"
     os.close(fd)
 
 
