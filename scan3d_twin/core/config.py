@@ -70,6 +70,28 @@ class SweepConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class MountConfig:
+    """Where the lidar really sits, as `twin calibrate lidar` finds it; all 0 is as designed."""
+
+    lateral: float = 0.0
+    """To the left of where it should be [m]."""
+    roll: float = 0.0
+    """Leans to its right by this, about the axis ahead [rad]."""
+    pitch: float = 0.0
+    """Looks down by this, about the axis to the left [rad]."""
+    yaw_scale: float = 0.0
+    """The robot turns by this share more than its odometry tells."""
+    time_offset: float = 0.0
+    """The readings are of this much later than their stamps tell [s]."""
+
+    def __post_init__(self) -> None:
+        limits = {"lateral": 0.2, "roll": 0.5, "pitch": 0.5, "yaw_scale": 0.2, "time_offset": 1.0}
+        for name, most in limits.items():
+            value = getattr(self, name)
+            _check(abs(value) <= most, f"mount.{name} must be within +-{most:g}, got {value:g}")
+
+
+@dataclass(frozen=True, slots=True)
 class GapConfig:
     """Gap filling (paper section 4.1)."""
 
@@ -301,6 +323,9 @@ class MotionConfig:
     """A waypoint is reached within this distance [m]."""
     yaw_tolerance: float = math.radians(0.5)
     """A heading is reached within this angle [rad]."""
+    bump_retries: int = 3
+    """Bumps on the way to a viewpoint after which another way is tried; 0: the first one ends the
+    run."""
 
     @property
     def self_radius(self) -> float:
@@ -318,6 +343,7 @@ class MotionConfig:
             position_tolerance=self.position_tolerance,
             yaw_tolerance=self.yaw_tolerance,
         )
+        _check(self.bump_retries >= 0, f"motion.bump_retries must be >= 0, got {self.bump_retries}")
         _check(self.clearance >= 0, f"motion.clearance must be >= 0 m, got {self.clearance:g}")
 
 
@@ -332,6 +358,7 @@ class Config:
     max_views: int = 20
     """The run stops after this many views."""
     sweep: SweepConfig = field(default_factory=SweepConfig)
+    mount: MountConfig = field(default_factory=MountConfig)
     gaps: GapConfig = field(default_factory=GapConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)

@@ -32,7 +32,8 @@ height two beams of 0.35 deg hit the floor 0.33 m apart."""
 HEIGHT_MARGIN = 0.05
 """Things less than this above the robot's top are still obstacles [m]."""
 
-UNKNOWN, FREE, OBSTACLE = 0, 1, 2
+UNKNOWN, FREE, OBSTACLE, TOUCHED = 0, 1, 2, 3
+"""What a cell can be; what was touched stays so, for the lidar does not see it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Costmap:
 
     Attributes:
         origin: Corner of cell (0, 0) (2,) [m].
-        cells: ``UNKNOWN``, ``FREE`` or ``OBSTACLE`` (nx, ny).
+        cells: ``UNKNOWN``, ``FREE``, ``OBSTACLE`` or ``TOUCHED`` (nx, ny).
         radius: Distance the robot's centre keeps from all that is not free [m].
         start: Where the robot stands; it fits there, whatever the cells say.
     """
@@ -124,21 +125,28 @@ class Costmap:
         return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) <= radius)
 
 
-def build_costmap(observations: Sequence[Observation], config: Config, start: Pose2) -> Costmap:
+def build_costmap(
+    observations: Sequence[Observation],
+    config: Config,
+    start: Pose2,
+    touched: Sequence[tuple[float, float]] = (),
+) -> Costmap:
     """Return the costmap in ``odom`` from ``observations``, newer ones over older ones.
 
     Args:
         observations: Looks around and sweeps in the order in which they were taken; at least one.
         config: Ranges, heights and the robot's size.
         start: Where the robot stands in ``odom``.
+        touched: More places (x, y) [m] of obstacles, beside those that the observations name.
     """
     reach = config.target.max_range + RESOLUTION
     places = np.array([[o.T_odom_scan.x, o.T_odom_scan.y] for o in observations])
-    origin = np.floor((places.min(axis=0) - reach) / RESOLUTION) * RESOLUTION
+    origin = np.asarray(np.floor((places.min(axis=0) - reach) / RESOLUTION) * RESOLUTION)
     size = np.ceil((places.max(axis=0) + reach - origin) / RESOLUTION).astype(np.int64)
     cells = np.full(tuple(size), UNKNOWN, dtype=np.int64)
     for observation in observations:
         _mark(cells, origin, observation, config)
+    _put(cells, origin, np.array(touched).reshape(-1, 2), TOUCHED)
     radius = config.motion.robot_radius + config.motion.clearance
     return Costmap(origin, cells, radius, np.array([start.x, start.y]))
 
@@ -158,22 +166,30 @@ def extended(costmap: Costmap, observation: Observation, config: Config, start: 
     before = np.maximum(0, -np.floor((here - reach) / RESOLUTION + 1e-9)).astype(np.int64)
     after = np.maximum(0, np.ceil((here + reach) / RESOLUTION - 1e-9) - shape).astype(np.int64)
     cells = np.pad(costmap.cells, np.stack([before, after], axis=1), constant_values=UNKNOWN)
-    origin = (np.rint(costmap.origin / RESOLUTION) - before) * RESOLUTION
+    origin = np.asarray(
+        (np.rint(costmap.origin / RESOLUTION) - before) * RESOLUTION, dtype=np.float64
+    )
     _mark(cells, origin, observation, config)
     return Costmap(origin, cells, costmap.radius, np.array([start.x, start.y]))
 
 
 def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config: Config) -> None:
     """Write what one observation saw into ``cells``."""
-    image, pose = observation.image, observation.T_odom_scan
+    image, pose, felt = observation.image, observation.T_odom_scan, cells == TOUCHED
     solid = _solid(image, config)
     reach, yaws = _free_reach(image, solid, config), image.yaws[:, image.spec.n_beams // 2]
     local = pose.inverse().apply(_centres(origin, (cells.shape[0], cells.shape[1])))
     cells[_swept(local, yaws, reach)] = FREE
-    points = pose.apply(image.points[solid])[:, :2]
+    _put(cells, origin, pose.apply(image.points[solid])[:, :2], OBSTACLE)
+    cells[felt] = TOUCHED
+    _put(cells, origin, np.array(observation.touched).reshape(-1, 2), TOUCHED)
+
+
+def _put(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> None:
+    """Write ``what`` at ``points`` (n, 2) [m] into ``cells``."""
     hit = np.floor((points - origin) / RESOLUTION).astype(np.int64)
     inside = np.all((hit >= 0) & (hit < cells.shape), axis=1)
-    cells[hit[inside, 0], hit[inside, 1]] = OBSTACLE
+    cells[hit[inside, 0], hit[inside, 1]] = what
 
 
 def _solid(image: RangeImage, config: Config) -> BoolArray:

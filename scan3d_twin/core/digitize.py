@@ -15,11 +15,11 @@ import numpy as np
 from scan3d_twin.core.alignment import closed, concluded
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.costmap import Costmap, build_costmap
+from scan3d_twin.core.driving import drive
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.gaps import fill_gaps
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.mixed_pixels import without_mixed_pixels
-from scan3d_twin.core.motion import follow
 from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.placing import place_view
 from scan3d_twin.core.planning import Planner
@@ -195,14 +195,12 @@ def start(
 
 
 def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer) -> Observation:
-    """Drive to ``viewpoint`` in ``odom``, around obstacles, and sweep there."""
-    config = session.config
-    here = robot.base.odometry().T_odom_base
-    path = find_path(build_costmap(session.observations(), config, here), viewpoint)
+    """Drive to ``viewpoint`` in ``odom``, around obstacles seen and felt, and sweep there."""
     observer.on_event(f"driving to viewpoint {len(session.views)}")
-    follow(robot, path, config.motion)
+    touched = drive(robot, viewpoint, session, observer)
     observer.on_event(f"scanning view {len(session.views)}")
-    return sweep(robot, viewpoint.yaw, config, observer.on_line)
+    observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line)
+    return replace(observation, touched=touched)
 
 
 def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:

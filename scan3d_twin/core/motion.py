@@ -98,6 +98,19 @@ def drive_to(robot: Robot, x: float, y: float, config: MotionConfig) -> None:
             robot.base.set_velocity(speed, STEERING_GAIN * wrap(heading - along.yaw))
 
 
+def back_off(robot: Robot, length: float, config: MotionConfig) -> None:
+    """Drive ``length`` [m] straight back, slowly, and stop; errors as ``drive_to``."""
+    start = robot.base.odometry().T_odom_base
+    speed = config.speed / 2
+    timeout = 2.0 * length / speed + 5.0
+    with stopping(robot.base):
+        for _ in ticks(robot.clock, timeout, f"backing off by {length:.2f} m"):
+            left = length - robot.base.odometry().T_odom_base.distance(start)
+            if left <= config.position_tolerance:
+                return
+            robot.base.set_velocity(-min(speed, APPROACH_GAIN * left), 0.0)
+
+
 def follow(robot: Robot, path: FloatArray, config: MotionConfig) -> None:
     """Drive along the waypoints ``path`` (n, 2) in ``odom`` [m], turning on the spot at each."""
     for x, y in path:

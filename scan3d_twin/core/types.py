@@ -243,10 +243,12 @@ class Observation:
     Attributes:
         image: The raw range image in frame ``scan``.
         T_odom_scan: Where the sweep was taken, by odometry.
+        touched: Places (x, y) in ``odom`` [m] of what the robot bumped into on the way there.
     """
 
     image: RangeImage
     T_odom_scan: Pose2
+    touched: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)

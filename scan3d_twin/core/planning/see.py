@@ -41,7 +41,7 @@ UPRIGHT = math.cos(math.radians(45.0))
 """A frontier that goes up or down more steeply is out of the robot's hands."""
 TURNS = tuple(math.radians(s * a) for a in (0, 15, 30, 45, 60) for s in ((1, -1) if a else (1,)))
 """Turns of a hidden or blocked view about the frontier [rad]."""
-ADJUST, PATIENCE = math.radians(30.0), 3
+ADJUST, PATIENCE = math.radians(30.0), 2
 """A surviving frontier is looked at from so much farther round for each view, until given up."""
 
 
