@@ -27,7 +27,8 @@ from scan3d_twin.core.pose_graph import GATE, PoseGraph, Solution
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.multistart import AMBIGUOUS
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
-from scan3d_twin.core.registration.pose_prior import PLANAR, about_target
+from scan3d_twin.core.registration.pose_prior import PLANAR, about_target, spread
+from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, wrap
 
@@ -45,8 +46,11 @@ ROUNDS = 2
 """Searches for pairs: after the first, views lie where more can be found."""
 KNOWN = 0.05
 """Directions in which the scans say less than this share of what the prior does are left out."""
-THINNING = 2
-"""Factor of the stride of surfels when overlap is counted."""
+STRIDE = 8
+"""Every so manieth surfel is looked at when overlap is counted."""
+CERTAIN = 0.03
+"""A prior that lets the source move by less than this has one basin [m]: a quarter of the starts
+will do, in case it does not."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +218,7 @@ def align_grids(
     odometry: Sequence[PosePrior],
     *,
     first: Pose2 | None = None,
-    starts: int = 16,
+    starts: int = 4,
     min_overlap: float = 0.15,
 ) -> tuple[list[Edge], Solution]:
     """Return the registered pairs of scans, and how all of them lie together.
@@ -262,6 +266,9 @@ def register_pair(
     target, source = grids[i], grids[j]
     if target is None or source is None:
         return None
+    points = source.sample(STRIDE).rows[:, X] @ prior.T[:3, :3].T
+    if spread(points, prior.covariance) < CERTAIN:
+        starts = max(1, starts // 4)
     try:
         result = register(target, source, prior=prior, starts=starts)
     except RegistrationError:
@@ -338,7 +345,7 @@ def _overlap(a: SurfelGrid | None, b: SurfelGrid | None, T_a_b: Pose2) -> float:
     """Return the share of the smaller view's surfels that find one of the other's."""
     if a is None or b is None:
         return 0.0
-    target, source, T = (a, b, T_a_b) if b.count <= a.count else (b, a, T_a_b.inverse())
-    stride = 4 * THINNING
-    pairs = linearise(target, source, stride, T.matrix(), 0.0, Gate(SEARCH, 1.0)).pairs
-    return pairs / max(1, len(source.sample(stride).rows))
+    of_a, of_b = (len(grid.sample(STRIDE).rows) for grid in (a, b))
+    target, source, T = (a, b, T_a_b) if of_b <= of_a else (b, a, T_a_b.inverse())
+    pairs = linearise(target, source, STRIDE, T.matrix(), 0.0, Gate(SEARCH, 1.0)).pairs
+    return pairs / max(1, min(of_a, of_b))
