@@ -97,7 +97,7 @@ class UrgLidar:
         open_transport: Callable[[], Transport],
         clock: Clock,
         mode: ScanMode | None = None,
-        cluster: int = 1,
+        cluster: int | None = None,
     ) -> None:
         """Connect and start the laser.
 
@@ -105,7 +105,8 @@ class UrgLidar:
             open_transport: Opens the port; called again after the sensor was unplugged.
             clock: The robot's clock; its ``sleep`` may service this lidar.
             mode: Which steps are wanted, and how often; None is as many as come every turn.
-            cluster: Steps merged into one reading, the shortest.
+            cluster: Steps merged into one reading, the shortest; None is as few as the wanted lines
+                need on this line.
 
         Raises:
             ConfigError: There is no such mode.
@@ -127,6 +128,12 @@ class UrgLidar:
         try:
             self._connect_first()
             self.spec = line_spec(self.request)
+            if cluster is None and self.request.cluster > 1:
+                _log.warning(
+                    "the line is slow: %d steps are merged into one, %d readings a scan",
+                    self.request.cluster,
+                    self.request.n_values,
+                )
         except BaseException:
             self.close()
             raise
@@ -238,8 +245,8 @@ class UrgLidar:
         if not self._connected:
             yield from synchronise(link, self._sensor_clock)
         # The lines of one robot all look the same, whatever the next port could carry.
-        same = (self.request.first, self.request.last)
-        self._requests = tuple(r for r in self._requests if (r.first, r.last) == same)
+        same = (self.request.first, self.request.last, self.request.cluster)
+        self._requests = tuple(r for r in self._requests if (r.first, r.last, r.cluster) == same)
         # Look first where it was found, then where it was left.
         self._bauds = tuple(dict.fromkeys((link.baud, found, *ORDER)))
         yield from link.ask(self.request.request(), status_of)

@@ -15,20 +15,28 @@ _COMMANDS: tuple[ScanCommand, ...] = ("MD", "MS")
 """Three characters a step first; two go up to 4095 mm, which is the data sheet's range."""
 
 
-def scan_requests(mode: ScanMode | None, cluster: int = 1) -> tuple[ScanRequest, ...]:
+MAX_CLUSTER = 4
+"""Most steps that are merged by themselves to keep the rate: 1.4 deg; assumption."""
+
+
+def scan_requests(mode: ScanMode | None, cluster: int | None = None) -> tuple[ScanRequest, ...]:
     """Return the streams that deliver ``mode``, the best first.
 
     Without a mode every turn counts: all steps if a bit rate carries them, else as many around the
-    front as it does.
+    front as it does. Without a cluster, as few steps as needed are merged for the wanted rate.
 
     Raises:
         ConfigError: There is no such stream.
     """
     if mode is None:
+        cluster = 1 if cluster is None else cluster
         full = ScanMode(urg04lx.FIRST_STEP, urg04lx.LAST_STEP, 1)
         windows = [window(baud, cluster) for baud in (115200, 57600, 38400, 19200)]
         modes = [full, *(window for window in windows if window != full)]
         return tuple(request for mode in modes for request in scan_requests(mode, cluster))
+    if cluster is None:
+        some = range(1, min(MAX_CLUSTER, len(mode.steps)) + 1 if mode.steps else 2)
+        return tuple(request for size in some for request in scan_requests(mode, size))
     low, high = urg04lx.FIRST_STEP, urg04lx.LAST_STEP
     if not low <= mode.first_step <= mode.last_step <= high:
         raise ConfigError(
@@ -81,10 +89,12 @@ def choices(
 def too_slow(request: ScanRequest, baud: int) -> LinkError:
     """Return the error that says with numbers why ``request`` does not fit."""
     needed, there = duration(request, baud), period(request)
-    most = int(request.n_values * there / needed)
+    steps = request.last - request.first + 1
+    most = int(steps * there / needed)
     fits = next(b for b in scip.BAUDS if duration(request, b) <= there)
+    merged = f", {request.cluster} merged into one," if request.cluster > 1 else ""
     return LinkError(
-        f"{request.n_values} steps take {1e3 * needed:.0f} ms at {baud} baud, but a line lasts "
+        f"{steps} steps{merged} take {1e3 * needed:.0f} ms at {baud} baud, but a line lasts "
         f"{1e3 * there:.0f} ms, and this port or lidar goes no faster: use {fits} baud, USB, about "
         f"{most} steps, or every {-int(-needed // urg04lx.REVOLUTION)}. turn"
     )

@@ -184,6 +184,32 @@ def test_a_cluster_reports_the_shortest_of_its_steps():
     assert np.array_equal(values_of(line), shortest)
 
 
+@pytest.mark.parametrize(
+    ("best", "command", "cluster"),
+    [(250000, "MD", 1), (115200, "MD", 2), (57600, "MS", 3), (38400, "MS", 4)],
+)
+def test_as_few_steps_are_merged_as_the_rate_needs(best, command, cluster):
+    bench = Bench(UrgProfile(usb=False, baud=19200))
+    bench.open_transport = lambda: Limited(Wire(bench.line, bench.clock), best=best)
+    lidar = bench.connect(ScanMode(44, 725, 1))
+    assert (lidar.request.command, lidar.request.cluster) == (command, cluster)
+    assert lidar.spec.n_beams == -(-682 // cluster)
+    lines = read(lidar, 10)
+    assert np.allclose(np.diff([line.stamp for line in lines]), REVOLUTION, atol=0.006)
+    bench.line.plugged = False
+    bench.clock.sleep(0.5)
+    bench.line.plugged = True
+    assert len(read(lidar, 2, timeout=6.0)[-1].ranges) == lidar.spec.n_beams
+
+
+def test_what_no_merging_makes_fit_is_refused_with_the_numbers():
+    bench = Bench(UrgProfile(usb=False, baud=19200))
+    bench.open_transport = lambda: Limited(Wire(bench.line, bench.clock), best=19200)
+    words = "682 steps, 4 merged into one, take 198 ms at 19200 baud, but a line lasts 100 ms"
+    with pytest.raises(LinkError, match=words):
+        bench.connect(ScanMode(44, 725, 1))
+
+
 @pytest.mark.parametrize(("best", "steps"), [(750000, 682), (115200, 363), (57600, 177)])
 def test_without_a_mode_the_window_is_what_the_port_carries(best, steps):
     bench = Bench(UrgProfile(usb=False, baud=19200))
@@ -221,7 +247,7 @@ def test_what_does_not_fit_is_refused_with_the_numbers():
     bench = Bench(SERIAL)
     bench.open_transport = lambda: Limited(Wire(bench.line, bench.clock))
     with pytest.raises(LinkError, match=r"682 steps take 125 ms at 115200 baud.* 100 ms"):
-        bench.connect("usb")
+        bench.connect("usb", cluster=1)
     assert not bench.device.firmware.laser
     assert bench.device.firmware.baud == 115200
 

@@ -43,7 +43,7 @@ def test_the_first_choice(link, current, command, baud):
 
 @pytest.mark.parametrize(("steps", "command"), [(357, "MD"), (364, "MS"), (536, "MS"), (547, None)])
 def test_how_many_steps_fit_115200_baud_at_10_hz(steps, command):
-    requests = urg_mode.scan_requests(ScanMode(44, 43 + steps, 1))
+    requests = urg_mode.scan_requests(ScanMode(44, 43 + steps, 1), cluster=1)
     fit = [r.command for r, baud in urg_mode.choices(requests, 115200) if baud == 115200]
     assert fit[:1] == [command][: command is not None]
 
