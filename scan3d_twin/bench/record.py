@@ -151,7 +151,7 @@ def lasting(record: Record) -> dict[str, Any]:
 
 def to_json(record: Record) -> str:
     """Return ``record`` as one line."""
-    return json.dumps(_finite(asdict(record)), ensure_ascii=False, allow_nan=False)
+    return json.dumps(finite(asdict(record)), ensure_ascii=False, allow_nan=False)
 
 
 def from_row(row: Mapping[str, Any]) -> Record:
@@ -192,10 +192,10 @@ def _known(cls: type, row: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in row.items() if name in names}
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """Return ``value`` with None for what JSON has no number for."""
     if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
+        return {name: finite(each) for name, each in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(each) for each in value]
+        return [finite(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_module
 import os
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -218,3 +218,39 @@ def _tell(records: list[Record], folder: Path, *, as_json: bool) -> None:
     codes = {record.code for record in records if record.code}
     if len(codes) > 1:
         print(f"these runs are of {len(codes)} different states of the sources: do not quote them")
+
+
+@app.command
+def report(path: Path, *, out: Path | None = None, json: bool = False) -> None:
+    """Make a page of tables and figures from the results of a bench.
+
+    Writes report.html, which needs nothing else, and each figure and table as SVG and CSV.
+
+    Args:
+        path: Folder of a bench, or its results.parquet.
+        out: Folder for the report (default report in that folder).
+        json: Print the figures as one JSON document, with the comparisons.
+
+    Raises:
+        TwinError: There are no results, or the folder cannot be written.
+    """
+    from scan3d_twin.bench.compare import comparisons, regrets
+    from scan3d_twin.bench.record import finite
+    from scan3d_twin.bench.report import write_report
+    from scan3d_twin.bench.store import read_results
+    from scan3d_twin.bench.summary import as_rows, summarise
+
+    records = read_results(path)
+    folder = path if path.is_dir() else path.parent
+    title = f"{folder.resolve().name}: planners on the same seeds"
+    written = write_report(records, title, folder, out or folder / "report")
+    if json:
+        document = {
+            "report": str(written),
+            "figures": as_rows(summarise(records)),
+            "comparisons": [asdict(each) for each in comparisons(records)],
+            "regrets": [asdict(each) for each in regrets(records)],
+        }
+        print(json_module.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False))
+    else:
+        print(written)
