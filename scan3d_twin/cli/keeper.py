@@ -20,6 +20,7 @@ class Keeper:
         self._folder = folder
         self._settings = settings
         self._progress = progress
+        self._described = False
 
     def on_event(self, text: str) -> None:
         """See ``Observer``."""
@@ -32,8 +33,9 @@ class Keeper:
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
         index = len(session.views) - 1
-        if index == 0:
+        if not self._described:
             write_file(self._folder / "config.toml", settings_toml(self._settings))
+            self._described = True
         write_file(view_path(self._folder, index), view_bytes(session.views[index]))
         self._progress.view(session)
 

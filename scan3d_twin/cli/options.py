@@ -48,6 +48,9 @@ class ScanOptions:
     """TOML file with options; the command line and the environment win over it."""
     out: Annotated[Path | None, env("OUT")] = None
     """Folder for the results, new or empty (default runs/SCENE-TIME)."""
+    resume: Path | None = None
+    """Folder of a run to go on with, from its last finished view; the options stated now win over
+    its own."""
     json: bool = False
     """Print the report, and nothing else, on standard output."""
 

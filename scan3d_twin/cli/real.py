@@ -18,6 +18,9 @@ from scan3d_twin.core.presets import preset
 from scan3d_twin.recording.settings import REAL, Options, Settings, settings
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scan3d_twin.cli.resume import Resume
     from scan3d_twin.core.hal import Robot
     from scan3d_twin.recording.recorder import SerialTaps
 
@@ -57,14 +60,16 @@ def real(
     from scan3d_twin.cli.run import run
     from scan3d_twin.recording.recorder import SerialTaps
 
-    effective = resolve(options, {} if dotted is None else stated(dotted))
+    given = {} if dotted is None else stated(dotted)
+    resume = None if options.resume is None else _going_on(options, options.resume, given)
+    effective = resolve(options, given) if resume is None else resume.settings
     taps = SerialTaps()
     opening = open_robot(options, effective.twin.lidar_link, taps)
     if options.dry_run:
         with opening as (robot, _):
             rehearse(robot, as_json=options.json)
         return
-    run(effective, REAL, opening, options.out, as_json=options.json, taps=taps)
+    run(effective, REAL, opening, options.out, as_json=options.json, taps=taps, resume=resume)
 
 
 def resolve(options: RealOptions, sections: Options) -> Settings:
@@ -76,6 +81,13 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
     effective = settings([preset(name), given, {"run": {"scene": REAL}}])
     check_planner(effective.config.planner, truth_known=False)
     return effective
+
+
+def _going_on(options: RealOptions, folder: Path, sections: Options) -> Resume:
+    """Return how the run in ``folder`` goes on."""
+    from scan3d_twin.cli.resume import resume_real
+
+    return resume_real(folder, options.out, stated_options(options, sections))
 
 
 def open_robot(

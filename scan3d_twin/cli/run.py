@@ -14,11 +14,12 @@ from typing import cast
 
 from scan3d_twin.cli.keeper import Keeper
 from scan3d_twin.cli.progress import Progress, make_progress
+from scan3d_twin.cli.resume import MovedCheck, Resume
 from scan3d_twin.cli.save import save_run
 from scan3d_twin.cli.summary import summary
 from scan3d_twin.cli.versions import versions
 from scan3d_twin.core.errors import FileError, HazardError, LinkError, ScanError
-from scan3d_twin.core.observer import Observers
+from scan3d_twin.core.observer import Observer, Observers
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.closed_loop import Loop, Opening, close_loop
 from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
@@ -36,6 +37,7 @@ def run(
     *,
     as_json: bool,
     taps: SerialTaps | None = None,
+    resume: Resume | None = None,
 ) -> None:
     """Digitise with the robot of ``opening``, save the results in ``out`` and print the report.
 
@@ -46,15 +48,19 @@ def run(
         out: Folder for the results; None makes one under ``runs``.
         as_json: Print the report as JSON.
         taps: On the serial lines of a real robot, to be recorded too.
+        resume: The run to go on with, in its own folder.
 
     Raises:
         TwinError: The scan failed or was stopped; what was scanned by then is saved and printed.
         KeyboardInterrupt: Likewise.
     """
-    folder = claim_folder(_default_folder(name) if out is None else out)
+    if resume is not None:
+        folder = resume.folder
+    else:
+        folder = claim_folder(_default_folder(name) if out is None else out)
     try:
-        with make_progress() as progress, recording(folder, taps) as recorder:
-            report, ended = _digitize_and_save(settings, name, opening, recorder, progress)
+        with make_progress() as progress, recording(folder, taps, resume) as recorder:
+            report, ended = _digitize_and_save(settings, name, opening, recorder, progress, resume)
     finally:
         release_folder(folder)
     print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
@@ -67,28 +73,33 @@ def run(
 
 
 @contextmanager
-def recording(folder: Path, taps: SerialTaps | None) -> Iterator[Recorder]:
+def recording(
+    folder: Path, taps: SerialTaps | None = None, resume: Resume | None = None
+) -> Iterator[Recorder]:
     """Open the session file of the run in ``folder``.
 
     Of a run that ends without a view it is kept only for what it tells of a robot that failed.
     """
     started = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     origin = {**versions(), "command": shlex.join(sys.argv), "started": started}
-    recorder = Recorder(folder, time.monotonic, origin)
+    earlier = None if resume is None else resume.recorded
+    recorder = Recorder(folder, time.monotonic, origin, earlier)
     if taps is not None:
         taps.listener = recorder.on_bytes
     try:
         yield recorder
-    except (LinkError, HazardError):
-        recorder.close()
-        raise
-    except BaseException:
-        recorder.abandon()
+    except BaseException as error:
+        recorder.abandon(keep=isinstance(error, LinkError | HazardError))
         raise
 
 
 def _digitize_and_save(
-    settings: Settings, name: str, opening: Opening, recorder: Recorder, progress: Progress
+    settings: Settings,
+    name: str,
+    opening: Opening,
+    recorder: Recorder,
+    progress: Progress,
+    resume: Resume | None,
 ) -> tuple[Report, BaseException | None]:
     """Return the report, and what ended the run before its time or makes it a failure."""
     started, folder = time.perf_counter(), recorder.path.parent
@@ -96,9 +107,14 @@ def _digitize_and_save(
         name_of_base = cast(RobotName, robot.base.spec.name)
         settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
         recorder.describe(name, settings)
+        watching: Observer = Observers(recorder, Keeper(folder, settings, progress))
+        earlier = None
+        if resume is not None:
+            robot, earlier = resume.place(robot, progress.event), resume.earlier
+            known = len(earlier.session.views)
+            watching = Observers(watching, MovedCheck(known, watching.on_event))
         robot = recorder.attach(robot)
-        watching = Observers(recorder, Keeper(folder, settings, progress))
-        loop = close_loop(robot, truth, settings, watching, time.perf_counter)
+        loop = close_loop(robot, truth, settings, watching, time.perf_counter, earlier)
         _finish(recorder, loop)
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     progress.event("evaluating and saving" if truth is not None else "saving")

@@ -14,6 +14,9 @@ from scan3d_twin.recording.settings import Options, Settings
 from scan3d_twin.sim.config import TwinConfig
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scan3d_twin.cli.resume import Resume
     from scan3d_twin.sim.scene import Scene
 
     DottedOptions = Any
@@ -53,9 +56,14 @@ def sim(
     from scan3d_twin.cli.run import run
     from scan3d_twin.sim.robot import open_sim
 
-    effective, scene = resolve(options, {} if dotted is None else stated(dotted))
+    given = {} if dotted is None else stated(dotted)
+    if options.resume is None:
+        resume, (effective, scene) = None, resolve(options, given)
+    else:
+        resume, scene = _going_on(options, options.resume, given)
+        effective = resume.settings
     opened = open_sim(scene, effective.run.seed, effective.twin)
-    run(effective, scene.name, opened, options.out, as_json=options.json)
+    run(effective, scene.name, opened, options.out, as_json=options.json, resume=resume)
 
 
 def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
@@ -63,3 +71,13 @@ def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
     from scan3d_twin.recording.resolve import resolve_sim
 
     return resolve_sim(stated_options(options, sections))
+
+
+def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Resume, Scene]:
+    """Return how the run in ``folder`` goes on, and its scene."""
+    from scan3d_twin.cli.resume import resume_sim
+    from scan3d_twin.sim.scene import load_scene
+
+    resume = resume_sim(folder, options.out, stated_options(options, sections))
+    run = resume.settings.run
+    return resume, load_scene(run.scene, run.mesh_scale)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,9 +13,10 @@ from mcap.records import Metadata
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import ScanLine
+from scan3d_twin.core.types import Pose2, ScanLine
 from scan3d_twin.recording import ros
-from scan3d_twin.recording.recorder import COMMANDS, PART, RECORDS, SESSION_FILE
+from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
+from scan3d_twin.recording.reopen import up_to_last_mark
 from scan3d_twin.recording.salvage import Delivered, contents, is_finished, is_written
 from scan3d_twin.recording.session_log import Mark, SessionState
 from scan3d_twin.recording.settings import Settings, settings
@@ -94,15 +96,32 @@ def load_session(place: Path) -> Recorded:
     )
 
 
-def commands(path: Path, until: float) -> Iterator[tuple[float, float, float]]:
-    """Yield stamp [s], speed [m/s] and turn rate [rad/s] of what was sent to the base by ``until``.
+def commands(path: Path) -> Iterator[tuple[float, float, float]]:
+    """Yield stamp [s], speed [m/s] and turn rate [rad/s] of what was sent to the base.
 
-    In the order in which it was sent.
+    In the order in which it was sent, up to the last mark.
     """
-    for each in contents(path, COMMANDS):
-        if isinstance(each, Delivered) and each.nanoseconds / 1e9 <= until + 1e-9:
+    for each in up_to_last_mark(path, COMMANDS):
+        if isinstance(each, Delivered) and each.topic == COMMANDS:
             twist = _decoded(each).twist
             yield each.nanoseconds / 1e9, float(twist.linear.x), float(twist.angular.z)
+
+
+def last_odometry(path: Path) -> tuple[float, Pose2]:
+    """Return the stamp [s] and place ``T_odom_base`` of the last sample, also after the last mark.
+
+    Raises:
+        FileError: There is none.
+    """
+    last = None
+    for each in contents(path, ODOMETRY):
+        if isinstance(each, Delivered):
+            last = each
+    if last is None:
+        raise FileError(f"{path} holds no odometry")
+    pose = _decoded(last).pose.pose
+    yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
+    return last.nanoseconds / 1e9, Pose2(pose.position.x, pose.position.y, yaw)
 
 
 def lines(path: Path) -> Iterator[ScanLine]:
@@ -110,7 +129,7 @@ def lines(path: Path) -> Iterator[ScanLine]:
 
     As ROS has them: to the nanosecond, distances to 7 digits. Sweeps in views are exact.
     """
-    for each in contents(path, "/scan"):
+    for each in contents(path, SCANS):
         if isinstance(each, Delivered):
             scan = _decoded(each)
             stamp = scan.header.stamp.sec + scan.header.stamp.nanosec / 1e9

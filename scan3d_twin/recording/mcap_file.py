@@ -93,6 +93,18 @@ class Sink:
         except OSError as error:
             raise _cannot_record(self.path, error) from error
 
+    def rename(self, path: Path) -> None:
+        """Give the file the name ``path``, in place of what was there.
+
+        Raises:
+            FileError: It cannot be.
+        """
+        try:
+            os.replace(self.path, path)
+        except OSError as error:
+            raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+        self.path = path
+
     @property
     def closed(self) -> bool:
         """Whether nothing can be written any more."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -16,16 +15,12 @@ from scan3d_twin.core.observer import Command, attended
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
 from scan3d_twin.recording import ros, ros_records
+from scan3d_twin.recording.load import Recorded
 from scan3d_twin.recording.mcap_file import McapFile
+from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
+from scan3d_twin.recording.reopen import reopen
 from scan3d_twin.recording.session_log import Mark, SessionLog
 from scan3d_twin.recording.settings import Settings, settings_toml
-
-RECORDS = "/scan3d_twin/record"
-"""Topic of what must come back bit by bit."""
-COMMANDS = "/cmd_vel"
-"""Topic of the velocities sent to the base."""
-SESSION_FILE, PART = "session.mcap", ".part"
-"""Name of the session file in a run's folder, and what it ends with until the run has ended."""
 
 
 class SerialTaps:
@@ -84,26 +79,32 @@ class Recorder:
     """
 
     def __init__(
-        self, folder: Path, wall: Callable[[], float], provenance: Mapping[str, str]
+        self,
+        folder: Path,
+        wall: Callable[[], float],
+        provenance: Mapping[str, str],
+        earlier: Recorded | None = None,
     ) -> None:
         """Begin the session file of the run in ``folder``.
 
         Args:
-            folder: Holds no session file yet.
+            folder: Holds no session file, or that of ``earlier``.
             wall: Returns the time here [s]; only differences count.
             provenance: What made the file: versions, command, date.
+            earlier: The run that goes on.
 
         Raises:
             FileError: It cannot be written.
         """
         self.path = folder / SESSION_FILE
-        self.mark = Mark()
-        self._file = McapFile(_part(self.path), wall)
-        self._log = SessionLog()
+        self.mark = Mark() if earlier is None else earlier.mark
+        self._reopened = None if earlier is None else reopen(earlier.path, wall)
+        self._file = self._reopened.file if self._reopened else McapFile(_part(self.path), wall)
+        self._log = SessionLog(None if earlier is None else earlier.session)
         self._robot: Robot | None = None
-        self._T_world_odom = Pose2()
+        self._T_world_odom = Pose2() if earlier is None else _odom_in_world(earlier.session)
         self._last: Odometry | None = None
-        self._views = 0
+        self._kept = False
         self._failure: FileError | None = None
         self._file.metadata("provenance", provenance)
 
@@ -114,6 +115,8 @@ class Recorder:
     def attach(self, robot: Robot) -> Robot:
         """Return ``robot`` as it is to be used, so that its way and commands are recorded."""
         self._robot = robot
+        if self._reopened:
+            self._last = robot.base.odometry()
         self._file.write(
             "/tf_static", robot.clock.now(), ros.mount(robot.T_base_lidar), latched=True
         )
@@ -140,13 +143,12 @@ class Recorder:
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``."""
         self._follow()
-        self._file.write("/scan", self._now(), ros.scan(line, self._attached().lidar.spec))
+        self._file.write(SCANS, self._now(), ros.scan(line, self._attached().lidar.spec))
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
         index, view, now = len(session.views) - 1, session.views[-1], self._now()
-        self._views = len(session.views)
-        self._T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
+        self._T_world_odom = _odom_in_world(session)
         self._follow()
         self._file.write("/cloud", now, ros.cloud(now, index, view))
         if view.registration is not None:
@@ -177,10 +179,17 @@ class Recorder:
         self._keep(session)
         finish_file(self._file, self.path)
 
-    def abandon(self) -> None:
-        """Close the file; leave it behind only if there is a view in it."""
+    def abandon(self, *, keep: bool = False) -> None:
+        """Close the file; leave it behind if a view is in it, or to ``keep`` what it tells else.
+
+        A run that could not go on leaves the file it wanted to go on from.
+        """
         self.close()
-        if not self._views:
+        if self._kept:
+            return
+        if self._reopened is not None:
+            self._reopened.take_back()
+        elif not keep:
             self._file.sink.path.unlink(missing_ok=True)
 
     def close(self) -> None:
@@ -194,11 +203,13 @@ class Recorder:
     def _keep(self, session: Session) -> None:
         """Write what is new in ``session``, and see to it that the disk has it."""
         now = self._now()
-        self.mark = replace(self.mark, stamp=now)
+        here = self._attached().base.odometry().T_odom_base
+        self.mark = replace(self.mark, stamp=now, T_odom_base=here)
         for kind, index, packed in self._log.changes(session, self.mark):
             self._file.write(RECORDS, now, ros_records.record(now, kind, index, packed))
         self._file.flush(now)
         self._file.sink.sync()
+        self._kept = True
 
     def _follow(self) -> None:
         """Write the way since the last call."""
@@ -212,7 +223,7 @@ class Recorder:
             self.mark = replace(self.mark, path=self.mark.path + path, turn=self.mark.turn + turn)
         fresh = [s for s in samples if self._last is None or s.stamp > self._last.stamp]
         for sample in fresh:
-            self._file.write("/odom", sample.stamp, ros.odometry(sample, self._last))
+            self._file.write(ODOMETRY, sample.stamp, ros.odometry(sample, self._last))
             self._last = sample
         if fresh and self._last is not None:
             edges = ("world", "odom", self._T_world_odom), ("odom", "base", self._last.T_odom_base)
@@ -238,11 +249,13 @@ def finish_file(file: McapFile, path: Path) -> None:
         FileError: The disk is full or gone.
     """
     file.finish()
-    try:
-        os.replace(file.sink.path, path)
-    except OSError as error:
-        raise FileError(f"cannot name {path}: {error.strerror or error}") from error
+    file.sink.rename(path)
 
 
 def _part(path: Path) -> Path:
     return path.with_name(path.name + PART)
+
+
+def _odom_in_world(session: Session) -> Pose2:
+    view = session.views[-1]
+    return view.T_world_scan @ view.observation.T_odom_scan.inverse()

@@ -20,7 +20,6 @@ from mcap.stream_reader import CRCValidationError, breakup_chunk
 from zstandard import ZstdError
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.recording.mcap_file import McapFile
 
 _MAGIC = b"\x89MCAP0\r\n"
 _BROKEN = (McapError, CRCValidationError, ZstdError, struct.error, ValueError, KeyError)
@@ -156,18 +155,3 @@ def _parsed(opcode: int, data: bytes) -> list[McapRecord]:
     if opcode == Opcode.METADATA:
         return [Metadata.read(stream)]
     return breakup_chunk(Chunk.read(stream), validate_crc=True)
-
-
-def copy_contents(source: Path, target: McapFile) -> None:
-    """Write everything of the file ``source`` that can be read to ``target``.
-
-    Raises:
-        FileError: One cannot be read, the other cannot be written.
-    """
-    for each in contents(source):
-        if isinstance(each, Metadata):
-            target.metadata(each.name, each.metadata)
-        else:
-            target.write_bytes(
-                each.topic, each.name, each.nanoseconds, each.data, latched=each.latched
-            )

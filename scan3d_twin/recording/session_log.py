@@ -15,6 +15,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.exact import Packed, pack, pack_fields, unpack, unpack_fields
 
 Record = tuple[str, int, Packed]
@@ -31,11 +32,13 @@ class Mark:
         stamp: On the robot's clock [s].
         path: Length of its way so far [m].
         turn: Sum of its turns so far [rad].
+        T_odom_base: Where it stood.
     """
 
     stamp: float = 0.0
     path: float = 0.0
     turn: float = 0.0
+    T_odom_base: Pose2 = field(default_factory=Pose2)
 
 
 @cache
@@ -50,10 +53,10 @@ def _lists() -> dict[str, Any]:
 
 
 class SessionLog:
-    """Tells what is new in each next state of a session."""
+    """Tells what is new in each next state of a session, the ``last`` one being known."""
 
-    def __init__(self) -> None:
-        self._last: Session | None = None
+    def __init__(self, last: Session | None = None) -> None:
+        self._last = last
 
     def changes(self, session: Session, mark: Mark) -> Iterator[Record]:
         """Yield the records that lead from the last session to this one, the mark at the end."""

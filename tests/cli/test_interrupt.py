@@ -34,7 +34,8 @@ def test_a_signal_during_a_sweep_saves_the_finished_views(tmp_path, number):
     assert json.loads((tmp_path / "run" / "report.json").read_text()) == report
     names = {path.name for path in (tmp_path / "run").rglob("*") if path.is_file()}
     assert names == {
-        "model.ply", "report.json", "top_view.svg", "config.toml", "session.mcap", "000.npz"
+        "model.ply", "report.json", "report.html", "top_view.svg", "config.toml", "session.mcap",
+        "000.npz",
     }  # fmt: skip
     recorded = load_session(tmp_path / "run")
     assert (recorded.finished, recorded.session.stop_reason) == (True, "interrupted")

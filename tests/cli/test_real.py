@@ -120,8 +120,8 @@ def test_two_views_over_pseudo_terminals(ports, tmp_path):
     assert tomllib.loads(saved)["run"]["scene"] == "real"
     names = {path.name for path in (tmp_path / "run").rglob("*") if path.is_file()}
     assert names == {
-        "model.ply", "report.json", "top_view.svg", "config.toml", "session.mcap", "000.npz",
-        "001.npz",
+        "model.ply", "report.json", "report.html", "top_view.svg", "config.toml", "session.mcap",
+        "000.npz", "001.npz",
     }  # fmt: skip
 
 

@@ -20,7 +20,14 @@ def lasting(report):
 def test_a_run_leaves_its_files_and_nothing_else(finished):
     folder, _ = finished
     names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
-    files = {"model.ply", "report.json", "top_view.svg", "config.toml", "session.mcap", "report.html"}
+    files = {
+        "model.ply",
+        "report.json",
+        "top_view.svg",
+        "config.toml",
+        "session.mcap",
+        "report.html",
+    }
     assert names == files | {"views/000.npz", "views/001.npz"}
 
 

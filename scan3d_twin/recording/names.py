@@ -1,0 +1,12 @@
+"""What things are called in a session."""
+
+RECORDS = "/scan3d_twin/record"
+"""Topic of what must come back bit by bit."""
+COMMANDS = "/cmd_vel"
+"""Topic of the velocities sent to the base."""
+ODOMETRY = "/odom"
+"""Topic of the way by odometry."""
+SCANS = "/scan"
+"""Topic of the scan lines."""
+SESSION_FILE, PART = "session.mcap", ".part"
+"""Name of the session file in a run's folder, and what it ends with until the run has ended."""
