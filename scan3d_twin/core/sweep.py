@@ -16,6 +16,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import DataLossError, LinkTimeoutError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.motion import stopping, turn_by, turn_to
+from scan3d_twin.core.mount import corrected
 from scan3d_twin.core.types import (
     FloatArray,
     Observation,
@@ -56,7 +57,7 @@ def sweep(
     lines = _scan(robot, _Sector(yaw, half, rate, LOST_LINE), config, on_line)
     spacing = rate * robot.lidar.spec.line_period
     kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
-    return _observation(robot, kept, yaw, started)
+    return corrected(_observation(robot, kept, yaw, started), config.mount)
 
 
 def look_around(robot: Robot, config: Config, on_line: Callable[[ScanLine], None]) -> Observation:
@@ -74,7 +75,7 @@ def look_around(robot: Robot, config: Config, on_line: Callable[[ScanLine], None
     lines = _scan(robot, sector, config, on_line)
     turn_by(robot, -math.pi, config.motion)
     turn_to(robot, yaw, config.motion)
-    return _observation(robot, lines, yaw, started)
+    return corrected(_observation(robot, lines, yaw, started), config.mount)
 
 
 def find_missing(
