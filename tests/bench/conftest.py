@@ -55,7 +55,7 @@ def make(a_task: Task) -> Make:
 def _step(k: int, error: float | None) -> Step:
     step = Step(
         view=k, x=0.1 * k, y=0.5 * k, yaw=0.2, path=float(k), turn=0.1, time=30.0 * (k + 1),
-        coverage=0.3 * (k + 1), plan_cpu=0.02, feature=0.05 * (k + 1),
+        coverage=round(0.3 * (k + 1), 6), plan_cpu=0.02, feature=0.05 * (k + 1),
     )  # fmt: skip
     if error is None:
         return step
