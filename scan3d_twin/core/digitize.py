@@ -23,6 +23,7 @@ from scan3d_twin.core.mixed_pixels import without_mixed_pixels
 from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.placing import place_view
 from scan3d_twin.core.planning import Planner
+from scan3d_twin.core.self_calibration import suspicion
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.sweep import look_around, sweep
 from scan3d_twin.core.target import all_points, extract_target, find_target
@@ -175,6 +176,8 @@ def start(
 
     Pure, as ``integrate``. The robot stands ``here`` in ``odom``.
     """
+    if warning := suspicion(look.image):
+        observer.on_event(f"warning: {warning}")
     hint = find_target(look, target, config)
     contour = look_contour(here.inverse().apply(hint))
     session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, look),))
@@ -225,7 +228,7 @@ def integrate(session: Session, observation: Observation) -> Session:
     target = extract_target(image, points, known, config.target)
     view = View(observation, image, target, points, prior, None)
     if session.views:
-        view = place_view(view, session.views[-1], config)
+        view = place_view(view, session.views, config)
     return closed(session.with_view(view))
 
 

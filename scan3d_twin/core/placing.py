@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from scan3d_twin.core.config import Config, PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, icp, prepare, register
+from scan3d_twin.core.registration.pose_prior import PLANAR, about_target, spread
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import (
+    FloatArray,
     Pose2,
     RegistrationResult,
     Scan3D,
@@ -25,16 +29,24 @@ STANDING_XY, STANDING_YAW = 0.003, math.radians(0.2)
 """What a move of no length may still be off [m], [rad]: the wheels' play and the turning centre."""
 
 
-def place_view(view: View, previous: View, config: Config) -> View:
-    """Return ``view`` registered on ``previous``; by odometry where registration has failed."""
+INNOVATIONS = 6.0
+"""Degrees of freedom for which the configured motion error counts: those of two moves."""
+TOLD = 0.5
+"""Registration tells of odometry where it takes away at least this share of its variance."""
+
+
+def place_view(view: View, views: Sequence[View], config: Config) -> View:
+    """Return ``view`` registered on the last of ``views``; by odometry where that has failed."""
     if config.registration.engine == "grid":
-        return _place_by_grid(view, previous, config)
-    return _place_by_icp(view, previous, config)
+        return _place_by_grid(view, views, config)
+    return _place_by_icp(view, views[-1], config)
 
 
-def _place_by_grid(view: View, previous: View, config: Config) -> View:
+def _place_by_grid(view: View, views: Sequence[View], config: Config) -> View:
     """Register the readings in scope; odometry is the prior, so the result is never worse."""
-    prior = motion_prior(previous.T_world_scan.inverse() @ view.T_world_scan, config.planning)
+    previous, scale = views[-1], odometry_scale(views, config)
+    move = previous.T_world_scan.inverse() @ view.T_world_scan
+    prior = motion_prior(move, config.planning, scale)
     try:
         result = register(
             surfels_of(previous, config),
@@ -44,8 +56,45 @@ def _place_by_grid(view: View, previous: View, config: Config) -> View:
         )
     except RegistrationError:
         return replace(view, registration=_by_odometry(prior))
+    result = replace(result, predicted_rmse=_predicted(result, view))
     T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
     return replace(view, T_world_scan=T_world_scan, registration=result)
+
+
+def _predicted(result: RegistrationResult, view: View) -> float:
+    """Return the expected displacement [m] of the target's points, which is what is modelled."""
+    points = view.target.points if len(view.target) else view.sweep.points
+    return spread(Pose2.from_matrix(result.T_target_source).apply(points), result.covariance)
+
+
+def odometry_scale(views: Sequence[View], config: Config) -> float:
+    """Return by how much this robot's odometry errs more than configured, as its moves tell.
+
+    A registration moves the pose by d from the prior's mean. With P the prior's covariance and C
+    the result's, d has the covariance P - C; where C is small beside P, d^T (P - C)^-1 d tells the
+    square of the scale. The configured error counts like ``INNOVATIONS`` such squares of 1. Only
+    the motion prior is scaled by it: what registration adds to the error is another matter.
+    """
+    square, count = INNOVATIONS, INNOVATIONS
+    for previous, view in pairwise(views):
+        if view.registration is not None and view.registration.converged:
+            move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
+            prior = motion_prior(move, config.planning)
+            told = _innovation(prior, view.registration)
+            square, count = square + float(told @ told), count + len(told)
+    return math.sqrt(square / count)
+
+
+def _innovation(prior: PosePrior, result: RegistrationResult) -> FloatArray:
+    """Return the normalised innovations (k,) in the directions that registration tells of."""
+    rows = np.ix_(PLANAR, PLANAR)
+    back = np.linalg.inv(about_target(result.T_target_source))
+    C = (back @ result.covariance @ back.T)[rows]
+    whitener = np.linalg.inv(np.linalg.cholesky(prior.covariance[rows]))
+    gained, directions = np.linalg.eigh(np.eye(3) - whitener @ C @ whitener.T)
+    d = directions.T @ whitener @ prior.deviation(result.T_target_source)[list(PLANAR)]
+    told = gained > TOLD
+    return np.asarray(d[told] / np.sqrt(gained[told]))
 
 
 def surfels_of(view: View, config: Config) -> SurfelGrid:
@@ -60,13 +109,13 @@ def surfels_of(view: View, config: Config) -> SurfelGrid:
     return replace(grid, noise=noise)
 
 
-def motion_prior(move: Pose2, config: PlanningConfig) -> PosePrior:
+def motion_prior(move: Pose2, config: PlanningConfig, scale: float = 1.0) -> PosePrior:
     """Return the prior of a move by turn, drive and turn, about the viewpoint it leads to.
 
     With D the way and t1, t2 the turns before and after it: along the way lambda D; the heading is
     off by gamma t1 at its start and drifts by delta D until its end, so that across the way it is
     off by lambda D, D gamma t1 and delta D^2 / 2; the final heading errs by gamma (t1 + t2) and
-    delta D. All of them independent of each other.
+    delta D. All of them independent of each other, and ``scale`` times as large.
     """
     D = math.hypot(move.x, move.y)
     bearing = math.atan2(move.y, move.x) if D > 0.01 else 0.0
@@ -78,7 +127,7 @@ def motion_prior(move: Pose2, config: PlanningConfig) -> PosePrior:
     C[2, 2] = (before + after) ** 2 + drift**2 + STANDING_YAW**2
     C[1, 2] = C[2, 1] = D * before * before + drift * drift * D / 2
     along = Pose2(0.0, 0.0, bearing).matrix()[:3, :3]
-    return PosePrior.of_robot(move, along @ C @ along.T)
+    return PosePrior.of_robot(move, scale**2 * along @ C @ along.T)
 
 
 def _by_odometry(prior: PosePrior) -> RegistrationResult:
@@ -107,6 +156,8 @@ def _register_by_icp(view: View, previous: View, config: Config) -> Registration
     init = previous.T_world_scan.inverse() @ view.T_world_scan
     target, source = (_in_scope(v, config.registration.scope) for v in (previous, view))
     source = icp.overlapping_lines(target, source, init)
+    if len(target) == 0 or len(source) == 0:
+        return icp.register(target.points, source.points, init_T_target_source=init)
     ends = config.registration.scope == "target" and ends_in_view(
         previous.image, previous.sweep, previous.target, config.target
     )

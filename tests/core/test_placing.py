@@ -133,7 +133,7 @@ def test_the_forecast_tells_features_from_a_wall() -> None:
     errors = []
     for boxes in (WALL, PILASTERS):
         situation = Situation(session_at(boxes, config()))
-        viewpoint = situation.place(0.3).viewpoint
+        viewpoint = situation.place(0.7).viewpoint
         assert viewpoint is not None
         errors.append(Forecast.of(situation).error(viewpoint))
     assert errors[1] < 0.005

@@ -33,7 +33,9 @@ class FisherPlanner:
             forecast = Forecast.of(situation)
         except RegistrationError:
             return smallest_overlap(situation, lambda eta, O2: math.inf)
-        simulation = Simulation(forecast.grid, forecast.on_target, session.config, seed)
+        simulation = Simulation(
+            forecast.grid, forecast.on_target, session.config, seed, forecast.scale
+        )
 
         def error(_: float, viewpoint: Pose2) -> float:
             predicted = forecast.error(viewpoint)

@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.placing import motion_prior, surfels_of
+from scan3d_twin.core.placing import motion_prior, odometry_scale, surfels_of
 from scan3d_twin.core.planning.situation import Situation, readings_of
 from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible_from
 from scan3d_twin.core.registration import SurfelGrid
@@ -38,6 +38,12 @@ from scan3d_twin.core.types import (
 
 WANTED = 4000
 """Surfels that take part; each stands for as many readings as were left out."""
+MARGIN = 1.5
+"""A direction must be determined by so much more than registration asks for: another scan may show
+less of it."""
+MOST_NORMAL_VARIANCE = 0.003
+"""Surfels with worse normals (3 deg) do not count [rad2]: they stand on the smallest windows, over
+corners, and those look different from elsewhere."""
 MIN_SEEN = 10
 """Fewer surfels in common are no overlap."""
 
@@ -50,20 +56,26 @@ class Forecast:
         grid: Its surfels, in the scope of registration.
         on_target: Its readings of the target (n_lines, n_beams).
         config: The run's.
+        scale: Of the motion's error, as the odometry of this run tells.
     """
 
     grid: SurfelGrid
     on_target: BoolArray
     config: Config
+    scale: float = 1.0
 
     @staticmethod
     def of(situation: Situation) -> Forecast:
         """Return the forecast of registrations on the latest view of a session."""
         view, config = situation.view, situation.session.config
-        return Forecast(surfels_of(view, config), readings_of(view.target, view.image), config)
+        scale = odometry_scale(situation.session.views, config)
+        on_target = readings_of(view.target, view.image)
+        return Forecast(surfels_of(view, config), on_target, config, scale)
 
     def error(self, viewpoint: Pose2) -> float:
         """Return the predicted error [m] of the next view's target, times the calibration.
+
+        The next view is taken to show as much of the target as this one, and as far away.
 
         Args:
             viewpoint: O2 in frame ``scan`` of the latest view.
@@ -71,16 +83,16 @@ class Forecast:
         config = self.config
         rows, t = self._rows, self.grid.image.T_base_lidar
         seen = visible_from(rows, self._ranges, viewpoint, self._sweep, config.target.max_range)
-        on_target = seen.index[self._sampled_target[seen.index]]
-        if len(seen.index) < MIN_SEEN or len(on_target) < MIN_SEEN:
+        if np.count_nonzero(self._sampled_target[seen.index]) < MIN_SEEN:
             return math.inf
         O2 = np.array([viewpoint.x, viewpoint.y, 0.0])
         a, n = rows[seen.index, X] - O2, rows[seen.index, N]
         variance = rows[seen.index, VARIANCE] * (1.0 + _cosine_ratio(n, a, rows[seen.index, X], t))
         w = self._area * seen.density / (variance * self.grid.inflation)
+        w[rows[seen.index, NORMAL_VARIANCE] > MOST_NORMAL_VARIANCE] = 0.0
         equations = self._equations(seen.index, seen.yaws, a, n, w)
         covariance = self._covariance(equations, viewpoint)
-        points = rows[on_target, X] - O2
+        points = viewpoint.rotate(rows[self._sampled_target, X])
         return config.planning.calibration * spread(points, covariance)
 
     @cached_property
@@ -114,15 +126,36 @@ class Forecast:
     def _equations(
         self, index: IntArray, yaws: FloatArray, a: FloatArray, n: FloatArray, w: FloatArray
     ) -> Equations:
-        """Return the normal equations of perfect pairs; their gradient is 0."""
+        """Return the normal equations that perfect pairs would give; their gradient is 0.
+
+        The normals of one scan fake F = sum w nu (B B^T - J J^T), the mean normals of a pair of
+        scans half of it: what pairs will show is H - F + F / 2.
+        """
         rows, here = self._rows[index], self.grid.sample(self._stride).yaws[index]
         swing = n[:, 1] * a[:, 0] - n[:, 0] * a[:, 1]
         g = yaws * swing - here * (n[:, 1] * rows[:, 0] - n[:, 0] * rows[:, 1])
         J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
         information = (J * w[:, None]).T @ J
-        nu = (rows[:, NORMAL_VARIANCE] + self.grid.noise.tilt_variance) / 2
-        faked = faked_information(w * nu, a, J[:, :6])
-        return Equations(information, np.zeros((7, 7)), np.zeros(7), faked, len(a), 0.0)
+        nu = rows[:, NORMAL_VARIANCE] + self.grid.noise.tilt_variance
+        faked = faked_information(w * nu, a, J[:, :6]) / 2
+        information[:6, :6] -= faked
+        return Equations(
+            information, self._lost(yaws, w, swing, J), np.zeros(7), faked, len(a), 0.0
+        )
+
+    def _lost(
+        self, yaws: FloatArray, w: FloatArray, swing: FloatArray, J: FloatArray
+    ) -> FloatArray:
+        """Return what the yaw jitter of both scans' lines leaves unknown (7, 7)."""
+        sigma = math.sqrt(2.0) * self.grid.noise.yaw_sigma
+        if sigma == 0.0:
+            return np.zeros((7, 7))
+        line = np.round(yaws / (self._stride * self.grid.line_spacing)).astype(np.int64)
+        line -= line.min()
+        c = sigma * swing
+        sums = np.zeros((line.max() + 1, 8))
+        np.add.at(sums, line, np.concatenate([J, c[:, None]], axis=1) * (w * c)[:, None])
+        return np.asarray((sums[:, :7] / (self._stride + sums[:, 7:])).T @ sums[:, :7])
 
     def _covariance(self, equations: Equations, viewpoint: Pose2) -> FloatArray:
         """Return the covariance (6, 6) about O2 of a planar registration."""
@@ -132,9 +165,9 @@ class Forecast:
         block = np.ix_(PLANAR, PLANAR)
         reach = float(np.sqrt(np.mean(self._ranges**2)))
         raw, faked = equations.information[:6, :6][block], equations.faked[block]
-        honest = determined(raw, faked, reach, "planar")[1]
+        honest = determined(raw, MARGIN * faked, reach, "planar")[1]
         total = honest @ H[block] @ honest.T + self._edges(viewpoint)[block]
-        total += motion_prior(viewpoint, self.config.planning).information(PLANAR)
+        total += motion_prior(viewpoint, self.config.planning, self.scale).information(PLANAR)
         covariance = np.zeros((6, 6))
         covariance[block] = np.linalg.inv(total)
         return covariance
@@ -146,9 +179,23 @@ class Forecast:
             return np.zeros((6, 6))
         middle = np.column_stack([edges.places, edges.heights.mean(axis=1)])
         seen = self._sweep.cells(back.apply(middle))[0] >= 0
-        again = edges.select(seen)
+        again = edges.select(seen & self._still_edges(viewpoint))
         moved = again.seen_from(back)
         return edge_equations(again, moved, viewpoint.matrix(), 1.0, 1e3)[0]
+
+    def _still_edges(self, viewpoint: Pose2) -> BoolArray:
+        """Tell which edges are edges from O2 too: those behind which it sees no other face.
+
+        What is behind an edge is taken to stand at right angles to the surface that ends there.
+        """
+        edges, rows = self.grid.edges, self._rows
+        apart = rows[:, None, :2] - edges.places
+        nearest = np.argmin(np.sum(apart * apart, axis=2), axis=0)
+        normals = rows[nearest, 3:5]
+        sideways = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
+        outwards = -edges.sides * np.sign(np.sum(sideways * edges.across, axis=1))
+        towards = np.array([viewpoint.x, viewpoint.y]) - edges.places
+        return np.asarray(outwards * np.sum(sideways * towards, axis=1) <= 0.0)
 
 
 def _cosine_ratio(n: FloatArray, a: FloatArray, here: FloatArray, T: FloatArray) -> FloatArray:

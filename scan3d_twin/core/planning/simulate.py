@@ -18,13 +18,13 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.placing import motion_prior, surfels_of
+from scan3d_twin.core.placing import motion_prior, odometry_scale, surfels_of
 from scan3d_twin.core.planning.sequential import decided
 from scan3d_twin.core.planning.situation import Situation, readings_of
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
-from scan3d_twin.core.registration.multistart import AMBIGUOUS
 from scan3d_twin.core.registration.pose_prior import PLANAR
+from scan3d_twin.core.registration.surfels import VARIANCE, X
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2, read_only, rms
 
 MIN_SEEN = 10
@@ -46,12 +46,14 @@ class Simulation:
         on_target: Its readings of the target (n_lines, n_beams).
         config: The run's.
         seed: Of the draws; the same for all candidates.
+        scale: Of the motion's error, as the odometry of this run tells.
     """
 
     grid: SurfelGrid
     on_target: BoolArray
     config: Config
     seed: int
+    scale: float = 1.0
 
     @staticmethod
     def of(situation: Situation, seed: int) -> Simulation:
@@ -62,7 +64,8 @@ class Simulation:
         """
         view, config = situation.view, situation.session.config
         on_target = readings_of(view.target, view.image)
-        return Simulation(surfels_of(view, config), on_target, config, seed)
+        scale = odometry_scale(situation.session.views, config)
+        return Simulation(surfels_of(view, config), on_target, config, seed, scale)
 
     def error(self, viewpoint: Pose2, draws: int) -> float:
         """Return the ``planning.quantile`` of the errors [m] of up to ``draws`` draws, rounded up.
@@ -83,24 +86,24 @@ class Simulation:
     def errors(self, viewpoint: Pose2, draws: int) -> Iterator[float]:
         """Yield the error [m] of each draw; infinite where too little of the target is in view."""
         planes = self._surface.seen_from(viewpoint)
-        points = planes.points[planes.on_target][::THINNING]
-        if len(points) < MIN_SEEN:
+        if np.count_nonzero(planes.on_target) < MIN_SEEN:
             yield from repeat(math.inf, draws)
             return
-        prior = motion_prior(viewpoint, self.config.planning)
+        prior = motion_prior(viewpoint, self.config.planning, self.scale)
+        points = self.grid.table[self.on_target & (self.grid.table[..., VARIANCE] > 0)]
+        points = points[::THINNING, X]
         for k in range(draws):
             yield self._error(k, planes, points, prior)
 
     def _error(self, k: int, planes: Planes, points: FloatArray, prior: PosePrior) -> float:
         """Return the error [m] of draw ``k``, over ``points`` (n, 3) in the frame of O2.
 
-        Scans that cannot be registered keep the odometry's pose; where several poses fit alike, it
-        may become any of them, and odometry's error is what is known of it.
+        The points are those of the latest view, as the next one will show about as much, as far
+        away. Scans that cannot be registered keep the odometry's pose.
         """
         here, noise = self._here(k)
         truth = prior.T
         guess = displaced(prior, self._rng(k, MOTION).standard_normal(3))
-        by_odometry = _displacement(points, guess.T, truth)
         try:
             result = register(
                 here,
@@ -109,9 +112,8 @@ class Simulation:
                 starts=self.config.registration.starts,
             )
         except RegistrationError:
-            return by_odometry
-        error = _displacement(points, result.T_target_source, truth)
-        return error if result.ambiguity_gap >= AMBIGUOUS else max(error, by_odometry)
+            return _displacement(points, guess.T, truth)
+        return _displacement(points, result.T_target_source, truth)
 
     def _here(self, k: int) -> tuple[SurfelGrid, DrawnNoise]:
         """Return the scan from here of draw ``k`` and the noise of both its scans."""

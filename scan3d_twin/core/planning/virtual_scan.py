@@ -32,9 +32,13 @@ from scan3d_twin.core.types import (
     read_only,
 )
 
-WINDOWS = tuple(math.radians(angle) for angle in (6.0, 4.0, 2.1, 1.0, 0.0))
-"""Half sizes of the windows behind a plane [rad]: up to three times those of registration, whose
-normals are then 81 times as noisy in variance."""
+WINDOWS = tuple(
+    (math.radians(lines), math.radians(beams))
+    for lines, beams in ((6, 6), (4, 4), (2, 2), (0, 6), (0, 4), (1, 1), (0, 2), (0, 0))
+)
+"""Half sizes of the windows behind a plane, along lines and beams [rad]: up to three times those of
+registration, whose normals are then 81 times as noisy in variance; upright ones for narrow faces.
+"""
 MOST_HALF = 20
 """Readings in half a window at most."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
@@ -112,7 +116,7 @@ class Planes:
     @cached_property
     def met(self) -> BoolArray:
         """Readings that meet a plane (n_lines, n_beams)."""
-        return np.any(self.normals != 0.0, axis=-1)
+        return np.asarray(np.any(self.normals != 0.0, axis=-1))
 
     def read(self, noise: DrawnNoise, rng: np.random.Generator) -> SurfelGrid:
         """Return the surfels of one noisy sweep.
@@ -204,7 +208,7 @@ class Surface:
         e, R = image.spec.elevations, image.T_base_lidar[:3, :3]
         beams = np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2]
         steps = np.array([self.grid.line_spacing, float(np.median(np.abs(np.diff(e))))])
-        halves = np.clip(np.round(np.array(WINDOWS)[:, None] / steps), 1, MOST_HALF)
+        halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MOST_HALF)
         valid = self.grid.valid
         run = compiled("fit_surfels") or fit_surfels
         return np.asarray(

@@ -26,6 +26,9 @@ MIN_COSINE = 0.35
 """A surface seen flatter at its edge (70 deg from the normal) may be turning away."""
 MOST_SPREAD = 0.01
 """A run whose points scatter more about its mean in the top view is no vertical edge [m]."""
+OFF_PLANE = 0.03
+"""The last reading must lie on the plane that ends [m]: 3 sigma. A face that turns away behind it
+and is seen so flat that its own readings jump is not where the plane ends."""
 EMPTY = 3
 """Lines without return that count as nothing there; single ones are dropouts."""
 INWARDS = 2
@@ -80,7 +83,7 @@ def find_edges(image: RangeImage, table: FloatArray, valid: BoolArray, yaw_sigma
     found = []
     for side in (1, -1):
         for run in _runs(_jumps(image.ranges, table[..., VARIANCE] > 0, valid, side)):
-            found.append(_run(image.yaws, table, yaw_sigma, run, side))
+            found.append(_run(image, table, yaw_sigma, run, side))
     edges = [edge for edge in found if edge is not None]
     rows = np.array(edges).reshape(-1, 8)
     return Edges(rows[:, :2], rows[:, 2:4], rows[:, 4], rows[:, 5].astype(np.int64), rows[:, 6:])
@@ -120,19 +123,21 @@ def _runs(jumps: BoolArray) -> list[tuple[int, int, int]]:
 
 
 def _run(
-    yaws: FloatArray, table: FloatArray, yaw_sigma: float, run: tuple[int, int, int], side: int
+    image: RangeImage, table: FloatArray, yaw_sigma: float, run: tuple[int, int, int], side: int
 ) -> FloatArray | None:
     """Return a run as place, across, variance, side and heights (8,); None if it is no edge."""
     line, first, end = run
     beams = slice(first, end)
     rows = table[line - INWARDS if side > 0 else line + 1 + INWARDS, beams]
-    yaws = yaws[line : line + 2, beams]
+    last = image.points[line if side > 0 else line + 1, beams]
+    off = np.abs(np.sum(rows[:, N] * (last - rows[:, X]), axis=1))
+    yaws = image.yaws[line : line + 2, beams]
     middle = yaws.mean(axis=0)
     ray = np.stack([np.cos(middle), np.sin(middle)], axis=1)
     n = rows[:, N]
     flat = np.sqrt(n[:, 0] ** 2 + n[:, 1] ** 2)
     incidence = -np.sum(n[:, :2] * ray, axis=1)
-    upright = (incidence > MIN_COSINE) & (flat > 0.9)
+    upright = (incidence > MIN_COSINE) & (flat > 0.9) & (off < OFF_PLANE)
     heights = rows[upright, 2]
     if np.count_nonzero(upright) < MIN_BEAMS or np.ptp(heights) < MIN_HEIGHT:
         return None
