@@ -34,6 +34,8 @@ class OneScanOptions(PortOptions):
     lidar_link: Annotated[str, env("LIDAR_LINK")] = "usb"
     """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
     (682 steps, 5 Hz)."""
+    back: bool = False
+    """Sweep back to the other side too, for `twin calibrate lidar`; the width must be below 350."""
     seed: int = 0
     """Of the twin's noise."""
     out: Annotated[Path | None, env("OUT")] = None
@@ -46,7 +48,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     """Take one 3D image from where the robot stands.
 
     The robot turns on the spot, and writes scan.ply, the points in the frame of the sweep, and
-    scan.npz, the raw range image.
+    scan.npz, the raw range image; with --back also scan_back.npz.
 
     Raises:
         TwinError: Whatever keeps the image from being taken; the robot is stopped.
@@ -56,6 +58,8 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     from scan3d_twin.protocols.urg04lx import LINKS
     from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
 
+    if options.back and options.width >= 350.0:
+        raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
     if options.lidar_link not in LINKS:
         raise UnknownNameError("lidar link", options.lidar_link, LINKS)
     if options.scene and (options.port or options.lidar_port):
@@ -65,8 +69,11 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     folder = claim_folder(free_folder(default) if options.out is None else options.out)
     try:
         with _opening(options) as (robot, _):
-            observation = sweep(robot, 0.0, replace(Config(), sweep=wanted), lambda line: None)
-        _save(observation, folder, as_json=options.json)
+            observations = [
+                sweep(robot, 0.0, replace(Config(), sweep=wanted), lambda line: None)
+                for _ in range(2 if options.back else 1)
+            ]
+        _save(observations, folder, as_json=options.json)
     finally:
         release_folder(folder)
 
@@ -82,19 +89,22 @@ def _opening(options: OneScanOptions) -> AbstractContextManager[tuple[Robot, obj
     return open_sim(options.scene, options.seed, TwinConfig(lidar_link=options.lidar_link))
 
 
-def _save(observation: Observation, folder: Path, *, as_json: bool) -> None:
+def _save(observations: list[Observation], folder: Path, *, as_json: bool) -> None:
     import numpy as np
 
     from scan3d_twin.recording.folder import write_file
     from scan3d_twin.recording.image import image_bytes
     from scan3d_twin.recording.ply import ply_bytes
+    from scan3d_twin.recording.scans import BACK, SCAN
 
-    image = observation.image
+    image = observations[0].image
     points = image.points[np.isfinite(image.ranges)]
     write_file(folder / "scan.ply", ply_bytes(points, np.zeros(len(points), np.int64)))
-    write_file(folder / "scan.npz", image_bytes(observation))
+    names = (SCAN, BACK)[: len(observations)]
+    for name, observation in zip(names, observations, strict=True):
+        write_file(folder / name, image_bytes(observation))
     if as_json:
         print(json_module.dumps({"lines": image.n_lines, "points": len(points)}))
     else:
         print(f"{image.n_lines} lines, {len(points)} points")
-        print(f"{folder}: scan.ply scan.npz")
+        print(f"{folder}: scan.ply {' '.join(names)}")

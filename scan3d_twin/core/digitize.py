@@ -162,6 +162,8 @@ def begin(
     """Look around for the target; return an empty session and the first viewpoint in ``odom``."""
     observer.on_event("looking around for the target")
     look = look_around(robot, config, observer.on_line)
+    if warning := suspicion(look.image):
+        observer.on_event(f"warning: {warning}")
     return start(look, robot.base.odometry().T_odom_base, config, seed, target)
 
 
@@ -176,8 +178,6 @@ def start(
 
     Pure, as ``integrate``. The robot stands ``here`` in ``odom``.
     """
-    if warning := suspicion(look.image):
-        observer.on_event(f"warning: {warning}")
     hint = find_target(look, target, config)
     contour = look_contour(here.inverse().apply(hint))
     session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, look),))

@@ -22,13 +22,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.mount import tilt, turn_rate
+from scan3d_twin.core.mount import in_words, tilt, turn_rate
 from scan3d_twin.core.registration import prepare
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X
 from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
@@ -65,6 +65,11 @@ LEAST, EXTENT = 60, 0.4
 """Readings of a plane, and its least extent [m]."""
 ROUNDS, ITERATIONS = 4, 4
 """Searches for planes with ever better mounts, and steps with the same planes."""
+TOLERABLE = np.array([0.008, math.radians(0.7), math.radians(0.7), 0.03, 0.05])
+"""A mount that is off by less is no reason to warn: wheels of .6 % different radii already lean by
+0.07 deg, and a wheel base is known to 1 % ..."""
+SURE = 3.0
+"""... nor is one that is off by less than so many standard errors."""
 SEAM = math.radians(20.0)
 """Of either end of a full turn, compared to begin with [rad]."""
 
@@ -164,6 +169,21 @@ def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
         count,
         math.sqrt(square / count),
     )
+
+
+def suspicion(image: RangeImage) -> str:
+    """Return what a look around says against the mount that it was taken with; empty if nothing.
+
+    A run goes on all the same: the views only fit worse than they could.
+    """
+    try:
+        found = calibrate([[image]])
+    except RegistrationError:
+        return ""
+    values = np.array(astuple(found.mount))
+    if not np.any(np.abs(values) > np.maximum(TOLERABLE, SURE * found.sigmas)):
+        return ""
+    return f"the lidar seems mounted {in_words(found.mount)}: run `twin calibrate lidar`"
 
 
 def _gather(places: Sequence[Sequence[RangeImage]]) -> Samples:
