@@ -1,6 +1,6 @@
 # Needs only python3 (3.11 to 3.13) with its venv module, make and git; all else goes into .venv.
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format build clean
+.PHONY: help setup demo test check format mutate build clean
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -35,6 +35,9 @@ check: $(SETUP)  ## format, lint, types, import rules, spelling
 format: $(SETUP)  ## format the code and repair what the linter can
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
+
+mutate: $(SETUP)  ## break the codecs and drivers in small ways; list what no test notices (hours)
+	$(BIN)/python tools/mutate.py --sample $(or $(SAMPLE),0)
 
 build: $(SETUP)  ## build the wheel, install it into an empty environment and run it
 	sh tools/build.sh
