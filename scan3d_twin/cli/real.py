@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
+from scan3d_twin.cli.viewing import ViewOptions, Watch
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import HazardError, ScanError
 from scan3d_twin.core.presets import preset
@@ -35,7 +36,7 @@ USABLE_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealOptions(ScanOptions, PortOptions):
+class RealOptions(ViewOptions, ScanOptions, PortOptions):
     """What only the real robot has a choice of; None is not stated."""
 
     dry_run: bool = False
@@ -69,7 +70,16 @@ def real(
         with opening as (robot, _):
             rehearse(robot, as_json=options.json)
         return
-    run(effective, REAL, opening, options.out, as_json=options.json, taps=taps, resume=resume)
+    run(
+        effective,
+        REAL,
+        opening,
+        options.out,
+        as_json=options.json,
+        taps=taps,
+        resume=resume,
+        watch=Watch(options),
+    )
 
 
 def resolve(options: RealOptions, sections: Options) -> Settings:

@@ -18,6 +18,7 @@ from scan3d_twin.cli.resume import MovedCheck, Resume
 from scan3d_twin.cli.save import save_run
 from scan3d_twin.cli.summary import summary
 from scan3d_twin.cli.versions import versions
+from scan3d_twin.cli.viewing import UNWATCHED, Onlooker, Watch
 from scan3d_twin.core.errors import FileError, HazardError, LinkError, ScanError
 from scan3d_twin.core.observer import Observer, Observers
 from scan3d_twin.core.session import Session
@@ -38,6 +39,7 @@ def run(
     as_json: bool,
     taps: SerialTaps | None = None,
     resume: Resume | None = None,
+    watch: Watch = UNWATCHED,
 ) -> None:
     """Digitise with the robot of ``opening``, save the results in ``out`` and print the report.
 
@@ -49,6 +51,7 @@ def run(
         as_json: Print the report as JSON.
         taps: On the serial lines of a real robot, to be recorded too.
         resume: The run to go on with, in its own folder.
+        watch: Whether a live view is wanted, and how the scene looks.
 
     Raises:
         TwinError: The scan failed or was stopped; what was scanned by then is saved and printed.
@@ -59,8 +62,15 @@ def run(
     else:
         folder = claim_folder(_default_folder(name) if out is None else out)
     try:
-        with make_progress() as progress, recording(folder, taps, resume) as recorder:
-            report, ended = _digitize_and_save(settings, name, opening, recorder, progress, resume)
+        with (
+            make_progress() as progress,
+            watch.onlooker(name, progress.event) as onlooker,
+            recording(folder, taps, resume) as recorder,
+        ):
+            report, ended = _digitize_and_save(
+                settings, name, opening, recorder, progress, resume, onlooker
+            )
+            onlooker.end(report["stop_reason"], progress.event)
     finally:
         release_folder(folder)
     print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
@@ -100,6 +110,7 @@ def _digitize_and_save(
     recorder: Recorder,
     progress: Progress,
     resume: Resume | None,
+    onlooker: Onlooker,
 ) -> tuple[Report, BaseException | None]:
     """Return the report, and what ended the run before its time or makes it a failure."""
     started, folder = time.perf_counter(), recorder.path.parent
@@ -113,12 +124,14 @@ def _digitize_and_save(
             robot, earlier = resume.place(robot, progress.event), resume.earlier
             known = len(earlier.session.views)
             watching = Observers(watching, MovedCheck(known, watching.on_event))
-        robot = recorder.attach(robot)
+        robot, watching = onlooker.attach(recorder.attach(robot), watching)
         loop = close_loop(robot, truth, settings, watching, time.perf_counter, earlier)
         _finish(recorder, loop)
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     progress.event("evaluating and saving" if truth is not None else "saving")
-    report = save_run(folder, name, settings, loop.session, loop.journey, effort, truth)
+    report = save_run(
+        folder, name, settings, loop.session, loop.journey, effort, truth, onlooker.picture()
+    )
     return report, loop.ended or _failed(loop.session)
 
 

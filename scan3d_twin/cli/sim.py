@@ -9,9 +9,10 @@ from cyclopts import Parameter
 
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import ScanOptions, env, stated_options
+from scan3d_twin.cli.viewing import ViewOptions, Watch
 from scan3d_twin.core.config import Config
 from scan3d_twin.recording.settings import Options, Settings
-from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.config import RobotName, TwinConfig
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,8 +25,12 @@ else:
     DottedOptions = dotted_options(Config, TwinConfig)
 
 
+SPEED = "10x"
+"""Of a twin that is watched, at first: a run of three minutes takes twenty seconds."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class SimOptions(ScanOptions):
+class SimOptions(ViewOptions, ScanOptions):
     """What only the twin has a choice of; None is not stated."""
 
     scene: Annotated[str | None, env("SCENE")] = None
@@ -63,7 +68,28 @@ def sim(
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
     opened = open_sim(scene, effective.run.seed, effective.twin)
-    run(effective, scene.name, opened, options.out, as_json=options.json, resume=resume)
+    watch = Watch(options, SPEED, lambda: picture_of(scene, effective.twin.robot))
+    run(
+        effective,
+        scene.name,
+        opened,
+        options.out,
+        as_json=options.json,
+        resume=resume,
+        watch=watch,
+    )
+
+
+def picture_of(scene: Scene, robot: RobotName) -> bytes | str:
+    """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
+    from scan3d_twin.core.errors import ConfigError
+    from scan3d_twin.core.png import png_bytes
+    from scan3d_twin.sim.pictures import render
+
+    try:
+        return png_bytes(render(scene, robot))
+    except ConfigError as error:
+        return str(error)
 
 
 def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:

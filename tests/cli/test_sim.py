@@ -98,7 +98,7 @@ def test_the_default_folder_is_named_after_the_scene(twin, tmp_path):
     assert result.code == 0
     (folder,) = (tmp_path / "runs").iterdir()
     assert folder.name.startswith("three_boxes-20")
-    assert f"runs/{folder.name}: model.ply report.json" in result.out
+    assert f"runs/{folder.name}: model.ply report.html" in result.out
 
 
 def test_a_mesh_file_is_a_scene(twin, tmp_path):

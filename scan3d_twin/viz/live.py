@@ -1,0 +1,233 @@
+"""The live view of a run: a web page that watches it and can pause and stop it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import viser
+
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.model import scanned_share
+from scan3d_twin.core.observer import Command, attended
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Pose2, ScanLine
+from scan3d_twin.viz.server import open_server
+from scan3d_twin.viz.stage import Stage, add_looks
+
+REFRESH = 0.1
+"""Time between two pictures of the moving robot [s]: the lidar's own period."""
+PAUSED = 0.05
+"""Time given away at each look at the buttons while paused [s]."""
+SPEEDS = {"real time": 1.0, "2x": 2.0, "5x": 5.0, "10x": 10.0, "30x": 30.0, "unlimited": 0.0}
+"""Speeds of the twin by name; 0 for no limit."""
+FRESH = 3.0
+"""A page that reloads is back within this time [s]."""
+
+
+class LiveView:
+    """An ``Observer`` that shows a run on a page and hands on what its buttons say.
+
+    All its methods are called by the run; the buttons only set flags.
+    """
+
+    def __init__(self, server: viser.ViserServer, name: str, speed: str | None) -> None:
+        """Build the page; ``speed`` is one of ``SPEEDS`` for a twin, None for a real robot."""
+        self.stage = Stage(server)
+        self._server = server
+        self._stop, self._pause = threading.Event(), threading.Event()
+        self._robot: Robot | None = None
+        self._T_world_odom = Pose2()
+        self._drawn = 0.0
+        self._pace = _Pace(SPEEDS[speed]) if speed else None
+        self._build(server.gui, name, speed)
+
+    def _build(self, gui: Any, name: str, speed: str | None) -> None:
+        gui.set_panel_label(name)
+        self._status = gui.add_markdown("waiting for the robot")
+        self._share = gui.add_markdown("scanned: 0 %")
+        self._bar = gui.add_progress_bar(0.0)
+        self._build_buttons(gui)
+        self._timeline = gui.add_slider("Views", 0, 1, step=1, initial_value=1, disabled=True)
+        self._timeline.on_update(lambda _: self.stage.show_upto(int(self._timeline.value)))
+        add_looks(gui, self.stage)
+        if speed is not None:
+            chosen = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value=speed)
+            chosen.on_update(lambda _: self._set_speed(chosen.value))
+        self._plan = gui.add_markdown("")
+
+    def _build_buttons(self, gui: Any) -> None:
+        self._pause_button = gui.add_button(
+            "Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Waits when the current view is finished"
+        )
+        self._continue_button = gui.add_button(
+            "Continue", icon=viser.Icon.PLAYER_PLAY, color="green", visible=False
+        )
+        self._stop_button = gui.add_button(
+            "Stop", icon=viser.Icon.HAND_STOP, color="red", hint="Stops the wheels at once"
+        )
+        self._pause_button.on_click(lambda _: self._set_pause(True))
+        self._continue_button.on_click(lambda _: self._set_pause(False))
+        self._stop_button.on_click(lambda _: self._set_stop())
+
+    def _set_pause(self, wanted: bool) -> None:
+        (self._pause.set if wanted else self._pause.clear)()
+        self._pause_button.visible, self._continue_button.visible = not wanted, wanted
+
+    def _set_stop(self) -> None:
+        self._stop.set()
+        for button in (self._pause_button, self._continue_button, self._stop_button):
+            button.disabled = True
+
+    def _set_speed(self, name: str) -> None:
+        self._pace = _Pace(SPEEDS[name])
+
+    def attach(self, robot: Robot) -> Robot:
+        """Return ``robot`` so that it is watched, and stopped, while it drives."""
+        self._robot = robot
+        return attended(robot, self.attend)
+
+    def attend(self) -> None:
+        """Show where the robot is; stop it if it is to be stopped.
+
+        Raises:
+            KeyboardInterrupt: The stop button was pressed.
+        """
+        if self._stop.is_set():
+            raise KeyboardInterrupt("stopped in the live view")
+        if self._robot is None:
+            return
+        if self._pace is not None:
+            self._pace.wait(self._robot.clock.now())
+        if self._due():
+            self.stage.robot(self._T_world_odom @ self._robot.base.odometry().T_odom_base)
+
+    def _due(self) -> bool:
+        now = time.monotonic()
+        if now - self._drawn < REFRESH:
+            return False
+        self._drawn = now
+        return True
+
+    def on_event(self, text: str) -> None:
+        """See ``Observer``."""
+        self._status.content = f"**{text}**"
+
+    def on_line(self, line: ScanLine) -> None:
+        """See ``Observer``; stops as ``attend`` does."""
+        due = time.monotonic() - self._drawn >= REFRESH
+        self.attend()
+        robot = self._robot
+        if robot is None or not due:
+            return
+        elevations = robot.lidar.spec.elevations
+        rays = np.stack([np.cos(elevations), np.zeros_like(elevations), np.sin(elevations)], axis=1)
+        seen = np.isfinite(line.ranges)
+        points = line.ranges[seen, None] * rays[seen]
+        in_base = points @ robot.T_base_lidar[:3, :3].T + robot.T_base_lidar[:3, 3]
+        self.stage.line((self._T_world_odom @ robot.base.odometry().T_odom_base).apply(in_base))
+
+    def on_view(self, session: Session) -> None:
+        """See ``Observer``."""
+        view, count = session.views[-1], len(session.views)
+        self._T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
+        self.stage.views(session)
+        if count == 1:
+            self.stage.look_at(session)
+        share = scanned_share(session)
+        self._bar.value = 100.0 * share
+        what = "front" if session.config.tour == "front" else "contour"
+        self._share.content = f"{share:.0%} of the {what} scanned, {count} views"
+        self._timeline.max, self._timeline.disabled = max(1, count), False
+        self._timeline.value = count
+
+    def on_plan(self, session: Session) -> None:
+        """See ``Observer``."""
+        self.stage.views(session)
+        self.stage.plan(session)
+        self._plan.content = plan_table(session)
+
+    def command(self) -> Command:
+        """See ``Observer``: stop and pause between two views."""
+        if self._stop.is_set():
+            return "stop"
+        if self._pause.is_set():
+            self._status.content = "**paused**"
+            time.sleep(PAUSED)
+            return "pause"
+        return "go"
+
+    def finish(self, text: str) -> None:
+        """Tell that the run is over; the buttons are gone."""
+        self._status.content = f"**{text}**"
+        self.stage.hide_line()
+        for button in (self._pause_button, self._continue_button, self._stop_button):
+            button.visible = False
+
+    def is_read(self) -> bool:
+        """Tell whether a page is open."""
+        return bool(self._server.get_clients())
+
+    def wait_for_readers(self) -> None:
+        """Stay until the last page is closed, or Ctrl-C."""
+        last = time.monotonic()
+        try:
+            while time.monotonic() - last < FRESH:
+                time.sleep(REFRESH)
+                if self.is_read():
+                    last = time.monotonic()
+        except KeyboardInterrupt:
+            return
+
+
+class _Pace:
+    """Keeps a twin from running faster than people can watch."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._began: tuple[float, float] | None = None
+
+    def wait(self, now: float) -> None:
+        """Wait until the time ``now`` [s] of the twin has come."""
+        if not self._speed:
+            return
+        if self._began is None:
+            self._began = (time.monotonic(), now)
+        ahead = (now - self._began[1]) / self._speed - (time.monotonic() - self._began[0])
+        if ahead > 0:
+            time.sleep(min(ahead, 1.0))
+        elif ahead < -1.0:  # planning took its time; do not race to make up for it
+            self._began = (time.monotonic(), now)
+
+
+def plan_table(session: Session) -> str:
+    """Return the last plan of ``session`` as a table in Markdown."""
+    plan = session.plans[-1]
+    rows = ["", f"{plan.reason}", ""]
+    known = [each for each in plan.candidates if not np.isnan(each.predicted_rmse)]
+    if known:
+        rows += ["| overlap | predicted error |", "|---:|---:|"]
+    for each in known:
+        finite = np.isfinite(each.predicted_rmse)
+        error = f"{1e3 * each.predicted_rmse:.1f} mm" if finite else "no registration"
+        bold = "**" if plan.viewpoint is not None and each.overlap == plan.overlap else ""
+        rows.append(f"| {bold}{each.overlap:.0%}{bold} | {bold}{error}{bold} |")
+    return "\n".join(rows)
+
+
+@contextmanager
+def open_live_view(
+    host: str, port: int, name: str, speed: str | None, tell: Callable[[str], None]
+) -> Iterator[LiveView]:
+    """Serve the live view of the run called ``name``; ``tell`` is told its address.
+
+    Raises:
+        LinkError: It cannot be served there.
+    """
+    with open_server(host, port, f"{name} - scan3d_twin") as (server, address):
+        tell(f"live view: {address}")
+        yield LiveView(server, name, speed)

@@ -1,0 +1,73 @@
+"""The web server of the views: on this machine only, unless told otherwise."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import socket
+from collections.abc import Iterator
+
+import viser
+
+from scan3d_twin.core.errors import LinkError
+
+LOOPBACK = "127.0.0.1"
+BRAND = (11, 98, 196)
+
+
+@contextlib.contextmanager
+def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserServer, str]]:
+    """Serve a page at ``host`` and ``port``; yield the server and the page's address.
+
+    Args:
+        host: ``LOOPBACK`` for this machine alone; 0.0.0.0 for all that can reach it, who then may
+            use the buttons too.
+        port: TCP port; 0 takes a free one.
+        title: Of the page.
+
+    Raises:
+        LinkError: The port is in use, or the host is not an address of this machine.
+    """
+    chosen = _free_port(host, port)
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a closed page is no error
+    with _silence():
+        server = viser.ViserServer(host=host, port=chosen, label=title, verbose=False)
+    try:
+        theme(server, dark=False)
+        name = LOOPBACK if host in ("0.0.0.0", "") else host
+        yield server, f"http://{name}:{server.get_port()}"
+    finally:
+        with _silence():
+            server.stop()
+
+
+def theme(server: viser.ViserServer, *, dark: bool) -> None:
+    """Give the page its looks: light or dark, without what asks other machines."""
+    server.gui.configure_theme(
+        control_layout="collapsible",
+        control_width="medium",
+        dark_mode=dark,
+        show_logo=False,
+        show_share_button=False,
+        brand_color=BRAND,
+    )
+
+
+def _silence() -> contextlib.AbstractContextManager[object]:
+    """Keep viser's greetings out of what the program prints for others to read."""
+    return contextlib.redirect_stdout(io.StringIO())
+
+
+def _free_port(host: str, port: int) -> int:
+    """Return ``port`` if it is free, or a free one for 0."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise LinkError(
+                f"cannot serve the view at {host}:{port}: {reason}; choose another --view-port"
+            ) from error
+        return int(probe.getsockname()[1])

@@ -1,0 +1,214 @@
+"""A run in 3D on a viser server: views in their colours, robot, scan line, plan.
+
+Viser brings the page, the mouse and the network; everything here is what to show. Nothing is
+fetched from elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import viser
+
+from scan3d_twin.core.model import voxel_thin
+from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
+from scan3d_twin.recording.colours import rgb
+from scan3d_twin.viz.cloud import camera_of
+from scan3d_twin.viz.server import theme
+
+EYE_HEIGHT = 0.30
+"""Height at which a viewpoint is drawn: that of the lidar [m]."""
+MOST_POINTS = 25_000
+"""Points shown of a view: a model of ten views stays quick on a phone."""
+BACKGROUND_VOXEL = 0.05
+"""Side of the voxels in which what else a view saw is thinned [m]."""
+POINT = 0.011
+"""Size of a point [m]: the distance of two readings at 1.2 m."""
+GREY, DARK, RED, CHOSEN = (150, 158, 168), (60, 66, 74), (235, 50, 50), (11, 98, 196)
+ORANGE, PALE, CELL, SECTION = (230, 120, 20), (190, 196, 204), (222, 226, 231), (196, 203, 211)
+
+
+class Stage:
+    """What is shown; ``world`` is the frame of everything.
+
+    Setting something again moves or replaces it.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._views: list[Any] = []
+        self._backgrounds: list[Any] = []
+        self._plan: list[Any] = []
+        self._line: Any = None
+        self._upto, self._with_background = 0, True
+        server.scene.set_up_direction("+z")
+        server.scene.add_grid("/floor", 12.0, 12.0, cell_color=CELL, section_color=SECTION)
+        self._robot = self._build_robot()
+
+    def _build_robot(self) -> Any:
+        scene = self._server.scene
+        frame = scene.add_frame("/robot", show_axes=False)
+        scene.add_cylinder("/robot/body", 0.17, 0.09, DARK, position=(0.0, 0.0, 0.06))
+        scene.add_cylinder("/robot/mast", 0.012, 0.2, GREY, position=(0.05, 0.0, 0.19))
+        lidar, nose = (0.05, 0.05, 0.07), (0.05, 0.02, 0.02)
+        scene.add_box("/robot/lidar", ORANGE, dimensions=lidar, position=(0.05, 0.0, 0.3))
+        scene.add_box("/robot/nose", ORANGE, dimensions=nose, position=(0.16, 0.0, 0.08))
+        return frame
+
+    def robot(self, T_world_base: Pose2) -> None:
+        """Put the robot where it is."""
+        self._robot.position = (T_world_base.x, T_world_base.y, 0.0)
+        self._robot.wxyz = _turn(T_world_base)
+
+    def line(self, points: FloatArray) -> None:
+        """Show the scan line that arrived: its points (n, 3) in ``world`` [m]."""
+        if len(points) == 0:
+            return
+        if self._line is not None:
+            self._line.points = points.astype(np.float32)
+            return
+        self._line = self._server.scene.add_point_cloud(
+            "/line", points.astype(np.float32), RED, point_size=1.6 * POINT, precision="float32"
+        )
+
+    def hide_line(self) -> None:
+        """Show no scan line: none arrives any more."""
+        if self._line is not None:
+            self._line.visible = False
+
+    def views(self, session: Session) -> None:
+        """Show all views of ``session``; those that are there already move to their places."""
+        for index, view in enumerate(session.views):
+            if index == len(self._views):
+                self._add_view(index, view)
+            self._views[index].position = (view.T_world_scan.x, view.T_world_scan.y, 0.0)
+            self._views[index].wxyz = _turn(view.T_world_scan)
+        self._upto = len(session.views)
+        self._show()
+
+    def _add_view(self, index: int, view: View) -> None:
+        """Add the points of a view below a frame that is its frame ``scan``."""
+        scene, name, colour = self._server.scene, f"/views/{index:03d}", rgb(np.array([index]))[0]
+        self._views.append(scene.add_frame(name, show_axes=False))
+        target = view.target.points
+        step = max(1, math.ceil(len(target) / MOST_POINTS))
+        self._cloud(f"{name}/target", target[::step], colour, POINT)
+        around = voxel_thin(_background(view), BACKGROUND_VOXEL)
+        self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT))
+        place = (0.0, 0.0, EYE_HEIGHT)
+        scene.add_icosphere(f"{name}/place", 0.03, colour, subdivisions=2, position=place)
+        scene.add_label(f"{name}/number", f"{index}", position=(0.0, 0.0, EYE_HEIGHT + 0.06))
+
+    def _cloud(self, name: str, points: FloatArray, colour: Any, size: float) -> Any:
+        """Return a cloud of round points (n, 3) [m] of ``size`` [m]."""
+        return self._server.scene.add_point_cloud(
+            name,
+            points.astype(np.float32),
+            colour,
+            point_size=size,
+            point_shape="circle",
+            point_shading="flat",
+        )
+
+    def plan(self, session: Session) -> None:
+        """Show the last plan of ``session``: where next, and what else was looked at."""
+        for handle in self._plan:
+            handle.remove()
+        self._plan = []
+        if not session.plans:
+            return
+        plan = session.plans[-1]
+        for k, each in enumerate(plan.candidates):
+            if plan.viewpoint is None or each.viewpoint.distance(plan.viewpoint) > 1e-6:
+                self._add_candidate(f"/plan/{k:03d}", each)
+        if plan.viewpoint is not None:
+            self._add_next(plan, plan.viewpoint, session.config.sweep.width)
+
+    def _add_candidate(self, name: str, candidate: Candidate) -> None:
+        """Add a viewpoint that was looked at, with its predicted error."""
+        scene, pose = self._server.scene, candidate.viewpoint
+        place, above = (pose.x, pose.y, EYE_HEIGHT), (pose.x, pose.y, EYE_HEIGHT + 0.03)
+        self._plan.append(scene.add_icosphere(name, 0.02, GREY, subdivisions=2, position=place))
+        if math.isfinite(candidate.predicted_rmse):
+            words = f"{candidate.overlap:.0%}: {1e3 * candidate.predicted_rmse:.1f} mm"
+            self._plan.append(
+                scene.add_label(f"{name}-error", words, position=above, font_screen_scale=0.8)
+            )
+
+    def _add_next(self, plan: Plan, pose: Pose2, width: float) -> None:
+        """Add what shows the chosen viewpoint: a marker, its sector and its predicted error."""
+        scene = self._server.scene
+        corners = np.array([[0.0, 0.0], *_sector(width)])
+        ring = np.column_stack([pose.apply(corners), np.full(len(corners), 0.02)])
+        sides = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
+        known = math.isfinite(plan.predicted_rmse)
+        error = f"{1e3 * plan.predicted_rmse:.1f} mm" if known else "error unknown"
+        place, above = (pose.x, pose.y, EYE_HEIGHT), (pose.x, pose.y, EYE_HEIGHT + 0.08)
+        words = f"next: {plan.overlap:.0%}, {error}"
+        self._plan += [
+            scene.add_line_segments("/next/sector", sides, CHOSEN, thickness=0.012),
+            scene.add_icosphere("/next/place", 0.045, CHOSEN, subdivisions=2, position=place),
+            scene.add_label("/next/error", words, position=above),
+        ]
+
+    def show_upto(self, count: int) -> None:
+        """Show the first ``count`` views only."""
+        self._upto = count
+        self._show()
+
+    def show_background(self, shown: bool) -> None:
+        """Show or hide what is not of the target."""
+        self._with_background = shown
+        self._show()
+
+    def _show(self) -> None:
+        for index, view in enumerate(self._views):
+            view.visible = index < self._upto
+            self._backgrounds[index].visible = self._with_background and index < self._upto
+
+    def dark(self, wanted: bool) -> None:
+        """Show the page dark or light."""
+        theme(self._server, dark=wanted)
+
+    def look_at(self, session: Session) -> None:
+        """Let pages look at the target from the robot's side."""
+        hint = np.column_stack([session.hint, np.zeros(len(session.hint))])
+        seen = [view.T_world_scan.apply(view.target.points) for view in session.views]
+        poses = [view.T_world_scan for view in session.views]
+        camera = camera_of(np.concatenate([hint, *seen]), poses)
+        a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.4 * camera.distance
+        ray = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+        eye = camera.middle + d * ray
+        self._server.initial_camera.look_at = camera.middle
+        self._server.initial_camera.position = eye
+        for client in self._server.get_clients().values():
+            client.camera.look_at = camera.middle
+            client.camera.position = eye
+
+
+def add_looks(gui: Any, stage: Stage) -> None:
+    """Add to ``gui`` what changes the looks of ``stage`` alone."""
+    background = gui.add_checkbox("Background", initial_value=True)
+    background.on_update(lambda _: stage.show_background(background.value))
+    dark = gui.add_checkbox("Dark", initial_value=False)
+    dark.on_update(lambda _: stage.dark(dark.value))
+
+
+def _background(view: View) -> FloatArray:
+    """Return the points of a view's sweep that are not of its target (n, 3) in ``scan`` [m]."""
+    beams = view.image.spec.n_beams
+    ours = view.target.lines * beams + view.target.beams
+    return view.sweep.points[~np.isin(view.sweep.lines * beams + view.sweep.beams, ours)]
+
+
+def _sector(width: float) -> FloatArray:
+    """Return the arc of a sweep, 0.35 m long (n, 2) in ``scan`` [m]."""
+    angles = np.linspace(width / 2, -width / 2, 9)
+    return 0.35 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def _turn(pose: Pose2) -> tuple[float, float, float, float]:
+    return (math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2))
