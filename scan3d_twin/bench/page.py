@@ -98,12 +98,16 @@ def _facts(records: Sequence[Record]) -> list[str]:
 def _table(cells: Sequence[Sequence[str]]) -> str:
     heading, *rows = cells
     head = "".join(f"<th>{escape(cell)}</th>" for cell in heading)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    )
-    return (
-        f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
+    body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in rows)
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return f"<div class=wide>{table}</div>"
+
+
+def _cell(text: str) -> str:
+    """Return a cell with its interval, if it has one, below the value."""
+    value, bracket, interval = text.partition(" [")
+    below = f"<br><small>{escape(bracket[1:] + interval)}</small>" if bracket else ""
+    return f"<td>{escape(value)}{below}</td>"
 
 
 def _meanings() -> str:
