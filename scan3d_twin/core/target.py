@@ -77,7 +77,7 @@ class _Group:
     """A candidate target of the look around: its top view and how much it stands out."""
 
     points: FloatArray
-    pixels: int
+    salience: float
     stands_free: bool
     compact: bool
 
@@ -94,7 +94,7 @@ def find_target(look: Observation, near: tuple[float, float] | None, config: Con
         look: A sweep of one full turn.
         near: Place (x, y) in ``odom`` of the wanted target, or None to choose the most salient:
             of the things that stand free of the background, preferably one smaller than
-            ``COMPACT``, the one that fills most of the view.
+            ``COMPACT``, the one with the largest face towards the robot, ahead rather than behind.
         config: Thresholds.
 
     Raises:
@@ -119,7 +119,7 @@ def find_target(look: Observation, near: tuple[float, float] | None, config: Con
         return _nearest(groups, look, near)
     if not groups:
         raise SceneError("no target: the look around saw only stray points")
-    best = max(groups, key=lambda group: (group.rank, group.pixels))
+    best = max(groups, key=lambda group: (group.rank, group.salience))
     return look.T_odom_scan.apply(best.points)
 
 
@@ -150,7 +150,20 @@ def _judge(image: RangeImage, sweep: Scan3D, member: BoolArray) -> _Group:
         stands_free = bool(np.all(beyond > own[[right, left]] * (1 + _grazing_step(image))))
     points = sweep.points[member, :2]
     extent = float(np.max(np.ptp(points, axis=0)))
-    return _Group(points, int(np.count_nonzero(member)), stands_free, extent <= COMPACT)
+    return _Group(points, _salience(image, sweep.points[member]), stands_free, extent <= COMPACT)
+
+
+def _salience(image: RangeImage, points: FloatArray) -> float:
+    """Return the area [m2] that ``points`` (n, 3) show to the robot, weighted by where they are.
+
+    The area and not the share of the view: a twig close by is no more salient than a box behind it.
+    The weight falls from 1 ahead to 0 behind, since people put a robot so that it faces its target.
+    """
+    beams = float(np.median(np.abs(np.diff(image.spec.elevations))))
+    area = float(np.sum(points[:, :2] ** 2)) * _line_spacing(image) * beams
+    x, y = points[:, :2].mean(axis=0)
+    ahead = (1.0 + float(x) / max(math.hypot(float(x), float(y)), 1e-9)) / 2
+    return area * ahead
 
 
 def _grazing_step(image: RangeImage) -> float:

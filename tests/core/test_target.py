@@ -103,3 +103,18 @@ def test_a_target_out_of_sight_is_empty() -> None:
     sweep = all_points(observation.image, CONFIG)
     known = np.array([[-1.2, 0.0]])
     assert len(extract_target(observation.image, sweep, known, CONFIG.target)) == 0
+
+
+def test_a_twig_close_by_is_less_salient_than_a_box_behind_it() -> None:
+    """The twig fills more of the view; the box shows more area."""
+    box = Box((1.6, -0.3, 0.0), (2.0, 0.3, 0.6))
+    twig = Box((0.3, 0.35, 0.0), (0.45, 0.5, 0.9))
+    look = observe(Pose2(), (box, twig), width=math.tau - 1e-3, step=math.radians(2.0))
+    found = find_target(look, None, Config())
+    assert found[:, 0].min() > 1.4
+
+
+def test_of_two_alike_the_one_ahead_is_the_target() -> None:
+    ahead, behind = Box((1.3, -0.3, 0.0), (1.6, 0.3, 0.6)), Box((-1.5, -0.3, 0.0), (-1.2, 0.3, 0.6))
+    look = observe(Pose2(), (ahead, behind), width=math.tau - 1e-3, step=math.radians(2.0))
+    assert find_target(look, None, Config())[:, 0].min() > 1.0
