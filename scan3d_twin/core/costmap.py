@@ -211,15 +211,19 @@ def _free_reach(image: RangeImage, solid: BoolArray, config: Config) -> FloatArr
     with np.errstate(invalid="ignore"):
         floor = (np.abs(points[..., 2]) <= config.target.floor_height) & forward
         floor &= (image.ranges <= config.target.max_range) & (distance > config.motion.self_radius)
-    reach = np.zeros(image.n_lines)
-    for k in range(image.n_lines):
-        hits = np.sort(distance[k, floor[k]])
-        steps = np.diff(hits, prepend=config.motion.self_radius)
-        broken = np.flatnonzero(steps > FLOOR_STEP)
-        end = broken[0] if len(broken) else len(hits)
-        reach[k] = hits[end - 1] if end > 0 else 0.0
+    reach = _unbroken(np.where(floor, distance, np.inf)[:, floor.any(axis=0)], config)
     blocked = np.where(solid & forward, distance, np.inf).min(axis=1)
     return np.asarray(np.minimum(reach, blocked - RESOLUTION))
+
+
+def _unbroken(hits: FloatArray, config: Config) -> FloatArray:
+    """Return the farthest of each row of ``hits`` (n_lines, k) [m], inf for none, before a hole."""
+    start = np.full((len(hits), 1), config.motion.self_radius)
+    hits = np.concatenate([start, np.sort(hits, axis=1), np.full_like(start, np.inf)], axis=1)
+    hole = ~np.isfinite(hits[:, 1:])
+    np.greater(hits[:, 1:] - np.where(hole, 0.0, hits[:, :-1]), FLOOR_STEP, out=hole, where=~hole)
+    last = np.argmax(hole, axis=1)
+    return np.where(last > 0, hits[np.arange(len(hits)), last], 0.0)
 
 
 def _swept(local: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:

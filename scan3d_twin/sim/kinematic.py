@@ -1,9 +1,10 @@
 """A robot without physics: it is where its odometry says, but for the errors of each move.
 
 The lidar is the twin's own (``scanner.py``), with fewer beams and lines. The errors of a move are
-those that the planners expect (``motion_prior``), whose constants lambda, gamma and drift
-``benchmarks/motion_error.py`` fits to the robots of the physics. What is missing: the inertia, the
-wheels' slip within a sweep, the mast's vibration, bumps and cliffs. A sweep takes milliseconds.
+those of the paper's eq. (2), and a drift of the heading by the way; the constants lambda, gamma and
+drift of the configuration are fitted to the robots of the physics (``benchmarks/motion_error.py``).
+What is missing: inertia, slip and vibration within a sweep, and that one robot's errors are always
+the same; bumps and cliffs; beams between those that are simulated. A sweep takes milliseconds.
 """
 
 from __future__ import annotations
@@ -15,8 +16,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.hal import default_mount
-from scan3d_twin.core.placing import motion_prior
-from scan3d_twin.core.registration.pose_prior import PLANAR
+from scan3d_twin.core.placing import STANDING_XY, STANDING_YAW
 from scan3d_twin.core.types import (
     FloatArray,
     IntArray,
@@ -33,6 +33,10 @@ from scan3d_twin.sim.noise import Draws
 from scan3d_twin.sim.scanner import Scanner, lidar_spec
 from scan3d_twin.sim.scene import Scene
 from scan3d_twin.sim.truth import Truth
+
+TURNS = math.pi
+"""Turned on the way from one viewpoint to the next, to drive past the target: a quarter turn away
+and one back [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,35 +147,33 @@ class KinematicRobot:
 
     def observe(self, path: FloatArray, yaw: float) -> Observation:
         """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep about the heading ``yaw`` there."""
-        for place in path:
-            self._drive(float(place[0]), float(place[1]))
-        sweep = self._config.sweep
-        self._turn(yaw)
+        motion, sweep = self._config.motion, self._config.sweep
+        near = self._rng.uniform(-0.5, 0.5, 2) * motion.position_tolerance
+        places = np.concatenate([[[self.here.x, self.here.y]], path])
+        x, y = places[-1] + near
+        length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+        self._move(Pose2(float(x), float(y), yaw), length)
         half = sweep.width / 2 + sweep.margin
         return self._sweep(yaw, half, sweep.yaw_rate, self._thinning.lines)
 
-    def _drive(self, x: float, y: float) -> None:
-        """Turn to (x, y) in ``odom`` and drive there; what is really driven errs."""
-        here, motion = self.here, self._config.motion
-        near = self._rng.uniform(-motion.position_tolerance, motion.position_tolerance, 2)
-        x, y = x + float(near[0]) / 2, y + float(near[1]) / 2
-        there = Pose2(x, y, math.atan2(y - here.y, x - here.x))
-        length = here.distance(there)
-        self.path += length
-        self._move(there, length / motion.speed)
+    def _move(self, there: Pose2, length: float) -> None:
+        """Get to ``there`` in ``odom`` over ``length`` [m]; the true pose errs as eq. (2) has it.
 
-    def _turn(self, yaw: float) -> None:
-        self._move(Pose2(self.here.x, self.here.y, yaw), 0.0)
-
-    def _move(self, there: Pose2, seconds: float) -> None:
-        """Move to ``there`` in ``odom`` by turn, drive and turn; the true pose errs as fitted."""
-        move = self.here.inverse() @ there
-        prior = motion_prior(move, self._config.planning)
-        C = prior.covariance[np.ix_(PLANAR, PLANAR)]
-        e = np.linalg.cholesky(C) @ self._rng.standard_normal(3)
-        true = Pose2(move.x + e[0], move.y + e[1], move.yaw + e[2])
-        turns = abs(move.yaw) / self._config.motion.turn_rate
-        self.world.add(seconds + turns, self.world.pose @ true)
+        The heading drifts by the way as well; besides, the robot stands a little beside itself.
+        """
+        move, planning = self.here.inverse() @ there, self._config.planning
+        x, y, along, turn, stand_x, stand_y, stand_yaw = self._rng.standard_normal(7)
+        error = Pose2(
+            planning.lambda_ * move.x * x + STANDING_XY * stand_x,
+            planning.lambda_ * move.y * y + STANDING_XY * stand_y,
+            planning.gamma * move.yaw * turn
+            + planning.drift * length * along
+            + STANDING_YAW * stand_yaw,
+        )
+        true = Pose2(move.x + error.x, move.y + error.y, move.yaw + error.yaw)
+        motion = self._config.motion
+        seconds = length / motion.speed + TURNS / motion.turn_rate
+        self.world.add(seconds, self.world.pose @ true)
         self.here = there
 
     def _sweep(self, yaw: float, half: float, rate: float, every: int) -> Observation:
@@ -181,7 +183,7 @@ class KinematicRobot:
         first = half - rate * period * float(self._rng.random())
         count = math.floor((first + half) / (rate * period)) + 1
         yaws = first - rate * (period * np.arange(count)[:, None] + spec.beam_times)
-        started = self._turn_through(half, rate, yaw) + (half - first) / rate
+        started = self._turn_through(half, rate) + (half - first) / rate
         true = self.world.pose
         ranges, codes = self._measure(true, scale * yaws)
         image = RangeImage(
@@ -194,11 +196,9 @@ class KinematicRobot:
         )
         return Observation(image, Pose2(self.here.x, self.here.y, yaw))
 
-    def _turn_through(self, half: float, rate: float, yaw: float) -> float:
+    def _turn_through(self, half: float, rate: float) -> float:
         """Let the time of a sweep pass and return its start [s]; the robot ends in its middle."""
         world, motion = self.world, self._config.motion
-        if abs(wrap(self.here.yaw - yaw)) > 1e-9:
-            self._turn(yaw)
         middle, scaled = world.pose, half * self._yaw_scale
         left = Pose2(middle.x, middle.y, middle.yaw + scaled)
         world.add(half / motion.turn_rate + self._config.sweep.settle, left, scaled)

@@ -1,0 +1,30 @@
+"""Gymnasium environments: the loop of the twin with the decisions left to an agent.
+
+Importing this package registers ``scan3d_twin/ViewPlanOverlap-v0``, ``scan3d_twin/ViewPlanPose-v0``
+and ``scan3d_twin/Candidates-v0``:
+
+    gymnasium.make("scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0", scene="three_boxes")
+"""
+
+from __future__ import annotations
+
+from gymnasium.envs.registration import register, registry
+
+from scan3d_twin.envs.options import FIDELITIES
+from scan3d_twin.envs.policy import PlannerPolicy, Rollout, rollout
+
+__all__ = ["ENV_IDS", "FIDELITIES", "PlannerPolicy", "Rollout", "rollout"]
+
+MOST_STEPS = 40
+"""Steps after which an episode is truncated, whatever ``max_views`` says."""
+_ENTRIES = {
+    "scan3d_twin/ViewPlanOverlap-v0": "scan3d_twin.envs.overlap:OverlapEnv",
+    "scan3d_twin/ViewPlanPose-v0": "scan3d_twin.envs.pose:PoseEnv",
+    "scan3d_twin/Candidates-v0": "scan3d_twin.envs.candidates:CandidatesEnv",
+}
+ENV_IDS = tuple(_ENTRIES)
+"""The registered environments."""
+
+for _id, _entry in _ENTRIES.items():
+    if _id not in registry:
+        register(id=_id, entry_point=_entry, max_episode_steps=MOST_STEPS)

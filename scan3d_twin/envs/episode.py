@@ -1,0 +1,78 @@
+"""One episode: the loop of ``core.digitize`` with the decisions left to whoever acts."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+from scan3d_twin.core.costmap import Costmap
+from scan3d_twin.core.digitize import start, views
+from scan3d_twin.core.planning.situation import Situation
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan
+from scan3d_twin.envs.observations import sees_target
+from scan3d_twin.envs.scoring import Score
+from scan3d_twin.envs.scouts import EpisodeScout
+from scan3d_twin.envs.stage import Stage
+
+LOOK = Plan(None, 0.0, math.nan, False, (), "look around", needs_look=True)
+
+
+class Episode:
+    """A run under way: its session, and how well it goes.
+
+    Attributes:
+        session: All that the robot knows.
+        scout: Takes the sweeps.
+        score: By the truth, for rewards and metrics.
+        stage: Where it takes place.
+    """
+
+    def __init__(self, stage: Stage, scout: EpisodeScout, seed: int) -> None:
+        self.stage, self.scout = stage, scout
+        session, viewpoint = start(scout.look(), scout.here, scout.config, seed, None)
+        self._loop = views(scout, session, viewpoint)
+        self.session: Session = next(self._loop)
+        self.score = Score(stage, scout.truth, self.session)
+        self.score.update(self.session)
+
+    @cached_property
+    def _known(self) -> tuple[Session, Situation]:
+        """The situation after the latest view or look."""
+        return self.session, Situation.on(self.session, self.costmap)
+
+    @property
+    def situation(self) -> Situation:
+        """What the planners ask first, on the costmap that the robot keeps."""
+        if self._known[0] is not self.session:
+            del self._known
+        return self._known[1]
+
+    @property
+    def costmap(self) -> Costmap:
+        """Where the robot can go from the latest view."""
+        return self.scout.floor(self.session.views[-1].observation.T_odom_scan)
+
+    @property
+    def sees_target(self) -> bool:
+        """Whether the latest view shows enough of the target for a contour."""
+        return sees_target(self.situation)
+
+    def go(self, plan: Plan) -> None:
+        """Carry out ``plan``, which has a viewpoint.
+
+        Raises:
+            TwinError: From the robot.
+        """
+        self.session = self._loop.send(plan)
+        self.score.update(self.session)
+
+    def look(self) -> None:
+        """Look around from here, unless this was done already."""
+        if not self.situation.looked:
+            self.session = self._loop.send(LOOK)
+
+    def close(self) -> None:
+        """Stop the robot."""
+        self._loop.close()
+        self.scout.close()

@@ -1,0 +1,149 @@
+"""What an environment is made of, checked once: scenes, fidelity, settings, weights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.envs.rewards import RewardWeights
+from scan3d_twin.envs.scouts import EpisodeScout, KinematicScout, PhysicsScout
+from scan3d_twin.envs.stage import Stage, named_stage, random_stage
+from scan3d_twin.recording.resolve import settings_for
+from scan3d_twin.recording.settings import Options, merge, settings
+from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.kinematic import Thinning, thin_config
+from scan3d_twin.sim.random_scenes import SceneRanges
+from scan3d_twin.sim.scene import scene_names
+
+Fidelity = Literal["physics", "lite", "kinematic"]
+FIDELITIES: tuple[Fidelity, ...] = ("physics", "lite", "kinematic")
+RANDOM = "random"
+"""Stands for a new random scene in every episode."""
+NOISE = (0.8, 1.25)
+"""Factor on the lidar's errors in random scenes; typical sensors differ by that: assumption."""
+MOST_POINTS = 600
+"""Points of the ICP in ``kinematic``, whose images have a sixth of the readings; 3000 is the full
+number. Nor are all views aligned there when the contour closes."""
+
+
+@dataclass(frozen=True)
+class EnvOptions:
+    """The effective options of an environment.
+
+    Attributes:
+        scenes: Names, one of which is drawn for each episode; ``random`` is a new random scene.
+        fidelity: How the robot is simulated.
+        given: Options as in a configuration file, over those of scene, world and preset.
+        weights: Of the reward's terms.
+        goal: Coverage at which an episode is a success, 0..1.
+        ranges: Of the random scenes.
+        noise: Interval of the factor on the lidar's errors.
+    """
+
+    scenes: tuple[str, ...]
+    fidelity: Fidelity
+    given: Options
+    weights: RewardWeights
+    goal: float
+    ranges: SceneRanges
+    noise: tuple[float, float]
+
+    @staticmethod
+    def of(
+        scene: str | Sequence[str],
+        fidelity: str,
+        preset: str,
+        world: str,
+        options: Mapping[str, Any] | None,
+        rewards: Mapping[str, float] | None,
+        goal: float,
+        ranges: Mapping[str, Any] | None,
+        noise: Sequence[float] | None,
+    ) -> EnvOptions:
+        """Return the options for what ``gymnasium.make`` was told.
+
+        Raises:
+            ConfigError: A name, key or value is wrong; the message lists the valid ones.
+        """
+        scenes = (scene,) if isinstance(scene, str) else tuple(scene)
+        if not scenes:
+            raise ConfigError(f"name a scene: {', '.join(scene_names())}, random:SEED or random")
+        for name in scenes:
+            if name != RANDOM:
+                named_stage(name)
+        if fidelity not in FIDELITIES:
+            raise UnknownNameError("fidelity", fidelity, FIDELITIES)
+        if not 0.0 < goal <= 1.0:
+            raise ConfigError(f"goal must be in (0, 1], got {goal:g}")
+        given = merge([{"run": {"preset": preset, "world": world}}, options or {}])
+        if "run" in (options or {}):
+            raise ConfigError(
+                "options.run: scene, preset, world and seed are arguments of their own"
+            )
+        settings([given])
+        return EnvOptions(
+            scenes=scenes,
+            fidelity=fidelity,
+            given=given,
+            weights=RewardWeights.of(rewards),
+            goal=goal,
+            ranges=_ranges(ranges),
+            noise=_noise(noise, scenes),
+        )
+
+    def stage(self, rng: np.random.Generator) -> Stage:
+        """Return the stage of an episode."""
+        name = self.scenes[int(rng.integers(len(self.scenes)))]
+        seed = int(rng.integers(2**31))
+        return random_stage(seed, self.ranges) if name == RANDOM else named_stage(name)
+
+    def scout(self, stage: Stage, rng: np.random.Generator) -> tuple[EpisodeScout, int]:
+        """Return who takes the sweeps of an episode, and the seed of its run."""
+        effective = settings_for(stage.scene, self.given)
+        factor, seed = float(rng.uniform(*self.noise)), int(rng.integers(2**31))
+        twin = _noisier(effective.twin, factor)
+        if self.fidelity == "kinematic":
+            thinning = Thinning()
+            config = _quick(thin_config(effective.config, thinning))
+            return KinematicScout(stage, seed, config, twin, thinning), seed
+        return PhysicsScout(stage, seed, effective.config, twin), seed
+
+
+def _ranges(given: Mapping[str, Any] | None) -> SceneRanges:
+    known = SceneRanges.__dataclass_fields__
+    for name in given or {}:
+        if name not in known:
+            raise UnknownNameError("range of random scenes", name, known)
+    plain: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+        for name, value in (given or {}).items()
+    }
+    return SceneRanges(**plain)
+
+
+def _noise(given: Sequence[float] | None, scenes: tuple[str, ...]) -> tuple[float, float]:
+    low, high = given or (NOISE if RANDOM in scenes else (1.0, 1.0))
+    if not 0.0 <= low <= high <= 10.0:
+        raise ConfigError(f"noise must be (low, high) within 0 and 10, got ({low:g}, {high:g})")
+    return float(low), float(high)
+
+
+def _noisier(twin: TwinConfig, factor: float) -> TwinConfig:
+    """Return ``twin`` with a lidar whose errors are ``factor`` times as large."""
+    if factor == 1.0:
+        return twin
+    names = ("sigma", "sigma_per_metre", "sigma_far", "sigma_weak", "bias", "surface_bias")
+    scaled = {name: factor * getattr(twin.lidar, name) for name in names}
+    return replace(twin, lidar=replace(twin.lidar, **scaled))
+
+
+def _quick(config: Config) -> Config:
+    registration = config.registration
+    quick = replace(registration, max_points=min(MOST_POINTS, registration.max_points))
+    alignment = replace(config.alignment, when="never")
+    return replace(config, registration=quick, alignment=alignment)

@@ -1,0 +1,72 @@
+"""``ViewPlanPose-v0``: any pose around the target, snapped to the nearest reachable one."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from scan3d_twin.core.costmap import RESOLUTION
+from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap
+from scan3d_twin.envs.base import ViewPlanEnv
+
+REACH = 3.0
+"""Positions lie within this of the middle of the target, along x and y of ``world`` [m]."""
+PoseAction = npt.NDArray[np.float32]
+
+
+class PoseEnv(ViewPlanEnv[PoseAction]):
+    """Choose x, y and the heading, each in -1..1: of 3 m about the target's middle, and of pi.
+
+    The place is snapped to the nearest cell of the costmap that the robot can reach.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
+        self._places: FloatArray = np.zeros((0, 2))
+
+    def prepare(self) -> bool:
+        """See ``ViewPlanEnv``; looks around when the robot knows no way from where it stands."""
+        self._places = self._reachable()
+        if len(self._places) < 2:
+            self.episode.look()
+            self._places = self._reachable()
+        return len(self._places) > 1
+
+    def _reachable(self) -> FloatArray:
+        """Return the middles (n, 2) in ``odom`` [m] of the cells that the robot can reach."""
+        costmap = self.episode.costmap
+        cells = np.argwhere(costmap.passable)
+        places = np.asarray(costmap.origin + (cells + 0.5) * RESOLUTION)
+        return places[np.isfinite(costmap.ways(places))]
+
+    def complete(self) -> str | None:
+        """See ``ViewPlanEnv``: a pose may look elsewhere, so that only the views count."""
+        most = self.session.config.max_views
+        return f"max_views: {most} views taken" if len(self.session.views) >= most else None
+
+    def decode(self, action: PoseAction) -> tuple[Plan, bool]:
+        """See ``ViewPlanEnv``."""
+        x, y = self.session.hint.mean(axis=0) + REACH * action[:2].astype(np.float64)
+        wanted = self._odom_of_world @ Pose2(float(x), float(y), math.pi * float(action[2]))
+        away = np.hypot(*(self._places - (wanted.x, wanted.y)).T)
+        place = self._places[int(np.argmin(away))]
+        there = self._odom_of_world.inverse() @ Pose2(float(place[0]), float(place[1]), wanted.yaw)
+        snapped = bool(away.min() > RESOLUTION)
+        return Plan(there, 0.0, math.nan, False, (), "action: a pose"), snapped
+
+    def encode(self, plan: Plan) -> PoseAction:
+        """See ``ViewPlanEnv``."""
+        pose = plan.viewpoint or self.session.views[-1].T_world_scan
+        off = (np.array([pose.x, pose.y]) - self.session.hint.mean(axis=0)) / REACH
+        values = np.clip([*off, wrap(pose.yaw) / math.pi], -1.0, 1.0)
+        return np.asarray(values, dtype=np.float32)
+
+    @property
+    def _odom_of_world(self) -> Pose2:
+        view = self.session.views[-1]
+        return view.observation.T_odom_scan @ view.T_world_scan.inverse()

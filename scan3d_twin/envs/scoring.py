@@ -1,0 +1,96 @@
+"""How well an episode goes, by the truth: coverage and registration errors, view by view.
+
+The same definitions as ``core.evaluate``, on coarser samples, and kept up to date instead of
+computed anew. It enters rewards and metrics, never an observation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from scan3d_twin.core.evaluate import (
+    COVERAGE_DISTANCE,
+    Truth,
+    displacement,
+    surface_distance,
+    true_pose,
+)
+from scan3d_twin.core.model import fuse, voxel_thin
+from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
+from scan3d_twin.envs.stage import SPACING, Stage, coverable
+
+MOST_POINTS = 500
+"""Points over which a registration error is taken."""
+
+
+class Score:
+    """Coverage and errors of the views seen so far."""
+
+    def __init__(self, stage: Stage, truth: Truth, session: Session) -> None:
+        self._truth, self._stage = truth, stage
+        wanted = coverable(stage, session.config)
+        self._surface, self._covered = stage.surface[wanted], np.zeros(int(wanted.sum()), bool)
+        self._placed: list[Pose2] = []
+        self._true: list[Pose2] = []
+        self.errors: list[float] = []
+
+    @property
+    def coverage(self) -> float:
+        """Share of the coverable samples within ``COVERAGE_DISTANCE`` of the model."""
+        return float(np.mean(self._covered)) if len(self._covered) else 1.0
+
+    def update(self, session: Session) -> None:
+        """Take in the latest view of ``session``."""
+        views = session.views
+        self._true += [true_pose(view, self._truth) for view in views[len(self._true) :]]
+        if len(views) > 1:
+            self.errors.append(self._error(session, len(views) - 1))
+        known = [view.T_world_scan for view in views[: len(self._placed)]]
+        moved = known != self._placed  # the views were aligned anew: count afresh
+        if moved:
+            self._covered[:] = False
+        T_map_world = self._true[0] @ views[0].T_world_scan.inverse()
+        for view in views if moved else views[len(self._placed) :]:
+            self._cover((T_map_world @ view.T_world_scan).apply(view.target.points))
+        self._placed = [view.T_world_scan for view in views]
+
+    def f_score(self, session: Session, distance: float = 0.020) -> float:
+        """Return the F-score of the model at ``distance`` [m]; 0 for an empty one."""
+        model, _ = fuse(session)
+        if len(model) == 0:
+            return 0.0
+        T_map_world = self._true[0] @ session.views[0].T_world_scan.inverse()
+        thin = voxel_thin(T_map_world.apply(model), distance / 2)
+        off = surface_distance(thin, self._stage.surface, self._stage.normals, SPACING)
+        precision, recall = float(np.mean(off <= distance)), self._recall(thin, distance)
+        return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+
+    def _recall(self, model: FloatArray, distance: float) -> float:
+        if not len(self._surface):
+            return 1.0
+        return float(np.mean(nearest(cKDTree(model), self._surface)[0] <= distance))
+
+    def _cover(self, points: FloatArray) -> None:
+        """Mark the samples near ``points`` (n, 3) in ``map``."""
+        open_ = np.flatnonzero(~self._covered)
+        if len(points) == 0 or len(open_) == 0:
+            return
+        near = self._near(points, self._surface[open_])
+        self._covered[open_[near]] = True
+
+    @staticmethod
+    def _near(points: FloatArray, samples: FloatArray) -> BoolArray:
+        within = COVERAGE_DISTANCE * (1 + 1e-9)
+        return np.isfinite(nearest(cKDTree(points), samples, within)[0])
+
+    def _error(self, session: Session, k: int) -> float:
+        """Return the registration error of view ``k`` [m]; over its sweep without a target."""
+        previous, view = session.views[k - 1], session.views[k]
+        points = view.target.points if len(view.target) else view.sweep.points
+        points = points[:: max(1, len(points) // MOST_POINTS)]
+        true = self._true[k - 1].inverse() @ self._true[k]
+        placed = previous.T_world_scan.inverse() @ view.T_world_scan
+        return displacement(points, placed, true)
