@@ -1,4 +1,4 @@
-"""``twin calibrate``: find out what the robot is really like."""
+"""``twin calibrate lidar``: find out from scans where the lidar really sits."""
 
 from __future__ import annotations
 
@@ -7,15 +7,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-from cyclopts import App
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from scan3d_twin.core.config import MountConfig
     from scan3d_twin.core.self_calibration import Calibration
-
-app = App(help="Find out how the robot really is.")
 
 _UNITS = {
     "lateral": (1e3, "mm", "to the left of where it should be"),
@@ -31,8 +27,7 @@ _CURES = {
 """How to get at a value that the scans do not tell."""
 
 
-@app.command
-def lidar(folder: Path, /, *, json: bool = False) -> None:
+def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) -> None:
     """Find from scans where the lidar sits: offset, tilt, yaw scale and time offset.
 
     Scan a room from where the robot stands, `twin scan --width 360 --out cal/turn` and for the time
@@ -40,6 +35,7 @@ def lidar(folder: Path, /, *, json: bool = False) -> None:
     places make it better. The range error that belongs to single materials is left out.
 
     Args:
+        what: The lidar's mount; there is nothing else to calibrate.
         folder: Of scans, or of a run.
         json: Print one line of JSON.
 
@@ -47,11 +43,11 @@ def lidar(folder: Path, /, *, json: bool = False) -> None:
         FileError: There is no scan in it.
         RegistrationError: The scans show no walls.
     """
+    from scan3d_twin.core import self_calibration
     from scan3d_twin.core.mount import composed
-    from scan3d_twin.core.self_calibration import calibrate
     from scan3d_twin.recording.scans import places_in
 
-    found = calibrate(places_in(folder))
+    found = self_calibration.calibrate(places_in(folder))
     mount = composed(_taken_with(folder), found.mount)
     if json:
         print(json_module.dumps(_document(mount, found)))
