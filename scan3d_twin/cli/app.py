@@ -34,6 +34,11 @@ app.command("scan3d_twin.cli.sim:sim", name="sim", help="Digitise a scene with t
 app.command("scan3d_twin.cli.real:real", name="real", help="Digitise with the real robot.")
 app.command("scan3d_twin.cli.scan:scan", name="scan", help="Take one 3D image from here.")
 app.command(
+    "scan3d_twin.cli.calibrate:calibrate",
+    name="calibrate",
+    help="Find out from scans where the lidar sits.",
+)
+app.command(
     "scan3d_twin.cli.doctor:doctor", name="doctor", help="Look for what is wrong with the robot."
 )
 app.command("scan3d_twin.cli.mesh:mesh", name="mesh", help="Write a run's target as triangles.")
