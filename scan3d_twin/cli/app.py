@@ -14,13 +14,14 @@ from typing import NoReturn
 
 from cyclopts import App, CycloptsError, Parameter
 
-from scan3d_twin import __version__
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
+from scan3d_twin.cli.versions import version_text
 from scan3d_twin.core.errors import TwinError
 
 app = App(
     name="twin",
-    version=f"scan3d_twin {__version__}",
+    version=version_text,
+    version_format="plaintext",
     help="Digitise things in 3D with a vacuum-cleaner robot and a small laser scanner.",
     help_epilogue=(
         "Exit codes: 0 ok, 1 a bug, 2 wrong option, name, key or value, 3 port or file, "
@@ -41,9 +42,16 @@ app.command(
 app.command(
     "scan3d_twin.cli.doctor:doctor", name="doctor", help="Look for what is wrong with the robot."
 )
+app.command("scan3d_twin.cli.view:view", name="view", help="Show a recorded run on a web page.")
 app.command("scan3d_twin.cli.mesh:mesh", name="mesh", help="Write a run's target as triangles.")
 app.command(
     "scan3d_twin.cli.export:export", name="export", help="Write a run's model for other programs."
+)
+app.command(
+    "scan3d_twin.cli.session:app", name="session", help="Look at and change what a run recorded."
+)
+app.command(
+    "scan3d_twin.cli.replay:replay", name="replay", help="Register and plan on a recorded run."
 )
 app.command("scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.")
 app.command("scan3d_twin.cli.listing:planners", name="planners", help="List the planners.")
@@ -55,6 +63,7 @@ app.command(
     name="emulate",
     help="Serve the twin's base and lidar on serial ports.",
 )
+app.register_install_completion_command(help="Complete commands and options in this shell.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -46,6 +47,21 @@ def make_progress() -> Iterator[Progress]:
         return
     with console.status("opening the robot") as status:
         yield LiveProgress(console, status)
+
+
+def steps(progress: Progress, what: str, count: int) -> Callable[[int], None]:
+    """Return what is to be told the index of each of ``count`` steps that is done.
+
+    It says how many are, and how long the others will take.
+    """
+    started = time.monotonic()
+
+    def step(index: int) -> None:
+        done = index + 1
+        left = (time.monotonic() - started) / done * (count - done)
+        progress.event(f"{what} {done} of {count}" + (f", {left:.0f} s left" if left else ""))
+
+    return step
 
 
 class PlainProgress:

@@ -48,6 +48,7 @@ def save_run(
     )
     for index, each in enumerate(session.views):
         write_file(view_path(folder, index), view_bytes(each))
+    _remove_views_from(len(session.views), folder)
     picture = top_view(
         points,
         view,
@@ -66,6 +67,13 @@ def save_run(
     page = report_page(report, options, session, model, pictures, evaluation)
     write_file(folder / "report.html", page)
     return report
+
+
+def _remove_views_from(count: int, folder: Path) -> None:
+    """Remove the files of views that were left out at last."""
+    while (path := view_path(folder, count)).exists():
+        path.unlink()
+        count += 1
 
 
 def _mesh_accuracy(session: Session, truth: Truth) -> Distances | None:

@@ -34,6 +34,7 @@ class Recorded:
         settings: The effective ones.
         session: As it was when the last view or plan was done; ``stop_reason`` is empty for a
             killed run.
+        before_end: As it was before it ended, when no view had been left out or moved at last.
         mark: Where the robot was in its run by then.
         provenance: What made the file: versions, command, date.
     """
@@ -44,6 +45,7 @@ class Recorded:
     name: str
     settings: Settings
     session: Session
+    before_end: Session
     mark: Mark
     provenance: Mapping[str, str]
 
@@ -91,6 +93,7 @@ def load_session(place: Path) -> Recorded:
         name=described["name"],
         settings=settings([tomllib.loads(described["toml"])]),
         session=state.session,
+        before_end=state.open_session or state.session,
         mark=state.mark,
         provenance=texts.get("provenance", {}),
     )

@@ -39,10 +39,15 @@ class Reopened:
         os.replace(self.backup, self.old)
 
 
-def reopen(path: Path, wall: Callable[[], float]) -> Reopened:
-    """Begin a new unfinished session file with what the one at ``path`` holds up to its last mark.
+def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reopened:
+    """Begin a new unfinished session file with what the one at ``path`` holds.
 
     At every moment one of the two is in the folder as a whole.
+
+    Args:
+        path: Of the session file.
+        wall: Returns the time here [s]; only differences count.
+        whole: Also what comes after its last mark: the way towards a view that was not finished.
 
     Raises:
         FileError: A run is writing to it, it cannot be read, or there is no room.
@@ -53,7 +58,7 @@ def reopen(path: Path, wall: Callable[[], float]) -> Reopened:
     copy.unlink(missing_ok=True)
     file = McapFile(copy, wall)
     try:
-        for each in up_to_last_mark(path):
+        for each in contents(path) if whole else up_to_last_mark(path):
             write_again(each, file)
         file.flush(0.0)
         file.sink.sync()

@@ -81,10 +81,17 @@ def _item_changes(name: str, items: Any, before: Any) -> Iterator[Record]:
 
 @dataclass
 class SessionState:
-    """A session as it is put together from its log."""
+    """A session as it is put together from its log.
+
+    Attributes:
+        mark: The latest.
+        session: As it is then.
+        open_session: As it was when it had not ended yet.
+    """
 
     mark: Mark | None = None
     session: Session | None = None
+    open_session: Session | None = None
     _open: list[Record] = field(default_factory=list)
     _items: dict[str, dict[int, Any]] = field(default_factory=dict)
 
@@ -117,6 +124,8 @@ class SessionState:
             for name in _lists()
         }
         self.session, self.mark = replace(base, **lists), unpack(Mark, (text, b""))
+        if not self.session.stop_reason:
+            self.open_session = self.session
 
 
 def _item(hint: Any, old: Any, packed: Packed) -> Any:

@@ -1,8 +1,10 @@
 """Help and lists: what answers at once."""
 
 import json
+import os
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 
@@ -11,6 +13,7 @@ from scan3d_twin.core.planning import planner_names
 from scan3d_twin.sim.scene import scene_names
 
 HEAVY = ("numpy", "scipy", "mujoco", "trimesh", "open3d")
+TWIN = [sys.executable, "-m", "scan3d_twin.cli"]
 PROGRAM = """
 import sys
 from scan3d_twin.cli import main
@@ -26,8 +29,24 @@ def test_help_needs_nothing_heavy(arguments):
     assert done.stdout.splitlines()[-1] == "[] 0"
 
 
-def test_the_version_is_the_packages(twin):
-    assert twin("--version").out.split() == ["scan3d_twin", __version__]
+def test_the_version_names_the_package_and_what_it_computes_with(twin):
+    found = dict(line.split(None, 1) for line in twin("--version").out.splitlines())
+    assert found["scan3d_twin"] == __version__
+    assert found["numpy"] == version("numpy")
+    assert {"python", "scipy", "mujoco-core", "cyclopts", "platform"} < set(found)
+
+
+def test_the_completion_knows_commands_and_options(tmp_path):
+    home = {**os.environ, "HOME": str(tmp_path)}
+    install = [*TWIN, "--install-completion", "--shell", "bash"]
+    done = subprocess.run(install, env=home, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    (script,) = (
+        path for path in tmp_path.rglob("*") if path.is_file() and "bashrc" not in path.name
+    )
+    text = script.read_text()
+    assert all(word in text for word in ("drop-view", "--resume", "--planning.epsilon"))
+    assert subprocess.run(["bash", "-n", script]).returncode == 0
 
 
 def test_scenes_are_listed_with_a_line_each(twin):

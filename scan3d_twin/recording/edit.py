@@ -1,0 +1,119 @@
+"""Changes to a recorded session; what it was before is kept beside it and can be taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from scan3d_twin.core.alignment import Alignment, align, placed
+from scan3d_twin.core.digitize import integrate
+from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording import ros_records
+from scan3d_twin.recording.load import Recorded, load_session, session_path
+from scan3d_twin.recording.names import RECORDS, SESSION_FILE
+from scan3d_twin.recording.recorder import finish_file
+from scan3d_twin.recording.reopen import keep_beside, latest_backup, reopen
+from scan3d_twin.recording.salvage import is_finished, is_written
+from scan3d_twin.recording.session_log import SessionLog
+
+
+def recover(folder: Path, wall: Callable[[], float]) -> Path | None:
+    """Make a whole session file of one that was cut off or damaged; it is kept beside the new one.
+
+    Args:
+        folder: Of the run.
+        wall: Returns the time here [s]; only differences count.
+
+    Returns:
+        Where the old file is now; None if it is whole, and nothing was to be done.
+
+    Raises:
+        FileError: There is no session, or a run is writing to it.
+    """
+    path = session_path(folder)
+    if is_finished(path) and _is_sound(path):
+        return None
+    reopened = reopen(path, wall, whole=True)
+    finish_file(reopened.file, path.with_name(SESSION_FILE))
+    return reopened.backup
+
+
+def _is_sound(path: Path) -> bool:
+    try:
+        load_session(path)
+    except FileError:
+        return False
+    return True
+
+
+def without_view(session: Session, index: int) -> Session:
+    """Return ``session`` without the view ``index``, the others placed again.
+
+    All at once if the run aligned its views so, else one on the other, as they were taken.
+
+    Raises:
+        ConfigError: There is no such view, or no other.
+    """
+    if not 0 <= index < len(session.views):
+        raise ConfigError(
+            f"there is no view {index}: the run has {len(session.views)}, counted from 0"
+        )
+    if len(session.views) == 1:
+        raise ConfigError("the only view cannot be dropped")
+    if session.config.alignment.when != "never":
+        return align(session, leave_out=[index])
+    views = tuple(k for k in range(len(session.views)) if k != index)
+    poses = tuple(session.views[k].T_world_scan for k in views)
+    rest = placed(session, Alignment(views, poses, np.zeros((len(views), 3)), (), ()))
+    again = replace(rest, views=())
+    for view in rest.views:
+        again = integrate(again, view.observation)
+    return again
+
+
+def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> Recorded:
+    """Drop the view ``index`` from the session in ``folder`` and return the session as it is then.
+
+    Args:
+        folder: Of the run.
+        index: Of the view, counted from 0.
+        wall: Returns the time here [s]; only differences count.
+
+    Raises:
+        ConfigError: As for ``without_view``.
+        FileError: There is no session, a run is writing to it, or there is no room.
+    """
+    recorded = load_session(folder)
+    session, mark = without_view(recorded.session, index), recorded.mark
+    reopened = reopen(recorded.path, wall, whole=True)
+    log = SessionLog(recorded.session)
+    for state in (replace(session, stop_reason=""), session):
+        for kind, number, packed in log.changes(state, mark):
+            record = ros_records.record(mark.stamp, kind, number, packed)
+            reopened.file.write(RECORDS, mark.stamp, record)
+    finish_file(reopened.file, recorded.path.with_name(SESSION_FILE))
+    return load_session(folder)
+
+
+def undo(folder: Path) -> Recorded:
+    """Take the last change of the session in ``folder`` back; doing it twice does it again.
+
+    Raises:
+        FileError: There is nothing to take back, or a run is writing to the session.
+    """
+    path, backup = session_path(folder), latest_backup(folder)
+    if is_written(path):
+        raise FileError(f"{path} is being written by a run that goes on: stop that first")
+    keep_beside(path)
+    name = SESSION_FILE + backup.name.split(".mcap", 1)[1]
+    try:
+        if path.name != name:
+            path.unlink()
+        backup.replace(path.with_name(name))
+    except OSError as error:
+        raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+    return load_session(folder)

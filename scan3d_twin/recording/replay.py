@@ -1,0 +1,108 @@
+"""The pure half of a run once more, on what was recorded: registration and planning."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from scan3d_twin.core.alignment import concluded
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.digitize import ask, integrate
+from scan3d_twin.core.planning import Planner
+from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.types import Plan, Pose2, wrap
+from scan3d_twin.recording.exact import pack
+
+Row = dict[str, Any]
+STOPPED = "stopped by the user"
+
+
+def replay(
+    session: Session, config: Config, planner: Planner, step: Callable[[int], None]
+) -> Session:
+    """Return what the images of ``session`` give with ``config`` and ``planner``.
+
+    The robot went where the recorded plans sent it, and so it does here; the target is the one the
+    first look around found then.
+
+    Args:
+        session: A run that has not ended; its looks around serve the plans that ask for one.
+        config: The options now.
+        planner: Decides after each view; nobody goes there.
+        step: Is told the index of each view that is done.
+    """
+    first = tuple(look for look in session.looks if look[0] == 0)
+    again = replace(session, config=config, looks=first, views=(), plans=(), misfits=())
+    for k, view in enumerate(session.views):
+        again = integrate(again, view.observation)
+        if k < len(session.plans):
+            again = _planned(again, session, planner)
+        step(k)
+    return again
+
+
+def _planned(again: Session, session: Session, planner: Planner) -> Session:
+    plan = ask(planner, again)
+    looks = [look for taken, look in session.looks if taken == len(again.views)]
+    if plan.needs_look and looks:
+        again = again.with_look(looks[0])
+        plan = ask(planner, again)
+    return again.with_plan(plan)
+
+
+def finished(again: Session, recorded: Session) -> Session:
+    """Return the replayed session as it ends, if the ``recorded`` one has ended by itself."""
+    reasons = {STOPPED, *(plan.reason for plan in recorded.plans[-1:])}
+    return concluded(again) if recorded.stop_reason in reasons else again
+
+
+def identical(a: object, b: object) -> bool:
+    """Tell whether two sessions, views or plans are the same bit by bit."""
+    return pack(a) == pack(b)
+
+
+def differences(recorded: Session, again: Session) -> list[Row]:
+    """Return a row per view: how its pose, registration and plan differ, in people's units."""
+    rows = []
+    for k, (before, now) in enumerate(zip(recorded.views, again.views, strict=True)):
+        plans = [each.plans[k] if k < len(each.plans) else None for each in (recorded, again)]
+        row = {
+            "view": k,
+            "identical": identical((before, plans[0]), (now, plans[1])),
+            "moved_mm": _mm(before.T_world_scan.distance(now.T_world_scan)),
+            "turned_deg": _turned(before.T_world_scan, now.T_world_scan),
+            "recorded": {**_registration(before), **_plan(plans[0])},
+            "replayed": {**_registration(now), **_plan(plans[1])},
+        }
+        rows.append(row)
+    return rows
+
+
+def _registration(view: View) -> Row:
+    result = view.registration
+    return {
+        "target_points": len(view.target),
+        "converged": None if result is None else result.converged,
+        "inlier_rmse_mm": None if result is None else _mm(result.inlier_rmse),
+    }
+
+
+def _plan(plan: Plan | None) -> Row:
+    if plan is None:
+        return {"overlap": None, "predicted_rmse_mm": None, "viewpoint": None}
+    where = plan.viewpoint
+    return {
+        "overlap": round(plan.overlap, 4),
+        "predicted_rmse_mm": _mm(plan.predicted_rmse),
+        "viewpoint": where and [round(where.x, 3), round(where.y, 3), round(where.yaw, 4)],
+    }
+
+
+def _turned(before: Pose2, now: Pose2) -> float:
+    return round(abs(math.degrees(wrap(now.yaw - before.yaw))), 3)
+
+
+def _mm(metres: float) -> float | None:
+    return round(1e3 * metres, 3) if math.isfinite(metres) else None

@@ -1,0 +1,125 @@
+"""`twin session` and `twin replay` on a finished run."""
+
+import json
+import shutil
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from scan3d_twin.recording.load import load_session
+from scan3d_twin.recording.report import report_schema
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    """A copy of the finished run that may be changed."""
+    return Path(shutil.copytree(finished[0], tmp_path / "run"))
+
+
+def files(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name not in ("report.html", "report.json")
+    }
+
+
+def cut(run):
+    """Make a run look as a kill leaves it."""
+    data = (run / "session.mcap").read_bytes()
+    (run / "session.mcap").unlink()
+    (run / "session.mcap.part").write_bytes(data[: len(data) - 20_000])
+
+
+def test_info_tells_what_is_there(finished, twin):
+    folder, report = finished
+    found = json.loads(twin("session", "info", folder, "--json").out)
+    assert (found["state"], found["name"]) == ("finished", "three_boxes")
+    assert len(found["views"]) == report["views"]
+    assert found["lines"] > sum(view["lines"] for view in found["views"])
+    assert found["versions"]["numpy"]
+    assert found["duration_s"] == report["sim_time_s"]
+    assert found["path_m"] == pytest.approx(report["path_m"], abs=0.001)
+    words = twin("session", "info", folder).out
+    assert "finished" in words
+    assert words.count("\nview ") == 2
+
+
+def test_a_killed_run_can_be_looked_at_and_made_whole(run, twin):
+    cut(run)
+    assert json.loads(twin("session", "info", run, "--json").out)["state"] == "killed"
+    before = (run / "session.mcap.part").read_bytes()
+    result = json.loads(twin("session", "recover", run, "--json").out)
+    assert result == {
+        "path": str(run / "session.mcap"),
+        "kept": str(run / "session.1.mcap.part"),
+    }
+    assert (run / "session.1.mcap.part").read_bytes() == before
+    assert json.loads(twin("session", "info", run, "--json").out)["state"] == "finished"
+    assert "nothing to do" in twin("session", "recover", run).out
+
+
+def test_a_dropped_view_is_gone_and_comes_back(run, twin):
+    before = files(run)
+    result = twin("session", "drop-view", run, 1, "--json")
+    report = json.loads(result.out)
+    jsonschema.validate(report, report_schema())
+    assert (result.code, report["views"], report["registration"]) == (0, 1, [])
+    assert report["coverage_20mm"] is not None
+    assert len(load_session(run).session.views) == 1
+    assert not (run / "views" / "001.npz").exists()
+    assert len((run / "model.ply").read_bytes()) < len(before["model.ply"])
+    result = twin("session", "undo", run)
+    assert result.code == 0
+    assert "2 views" in result.out
+    after = files(run)
+    assert {name: after[name] for name in before} == before
+
+
+def test_there_is_no_such_view_to_drop(run, fails):
+    assert "there is no view 7: the run has 2" in fails(2, "session", "drop-view", run, 7)
+
+
+def test_nothing_to_take_back(run, fails):
+    assert "nothing to take back" in fails(3, "session", "undo", run)
+
+
+@pytest.mark.parametrize("command", ["info", "recover", "undo"])
+def test_a_folder_without_a_session(tmp_path, fails, command):
+    assert "no session in" in fails(3, "session", command, tmp_path)
+
+
+def test_a_replay_with_the_recorded_options_is_the_same_bit_by_bit(finished, twin):
+    found = json.loads(twin("replay", finished[0], "--json").out)
+    assert found["identical"]
+    assert found["options"] == {}
+    assert [row["moved_mm"] for row in found["views"]] == [0.0, 0.0]
+    assert "the same, bit by bit" in twin("replay", finished[0]).out
+
+
+def test_a_replay_with_other_options_tells_what_comes_out_otherwise(finished, twin):
+    arguments = ["--epsilon", "10", "--registration.engine", "grid"]
+    result = twin("replay", finished[0], *arguments, "--json")
+    found = json.loads(result.out)
+    assert not found["identical"]
+    assert found["options"] == {
+        "planning.epsilon": [0.1, 0.01],
+        "registration.engine": ["icp", "grid"],
+    }
+    assert [row["identical"] for row in found["views"]] == [False, False]
+    assert found["views"][0]["moved_mm"] == 0.0
+    assert found["views"][1]["moved_mm"] > 0.0
+    assert "replaying view 2 of 2" in result.err
+    words = twin("replay", finished[0], *arguments).out
+    assert "planning.epsilon: 0.1 recorded, 0.01 now" in words
+    assert "2 of 2 views come out otherwise" in words
+
+
+def test_a_replay_needs_no_end(run, twin):
+    cut(run)
+    assert json.loads(twin("replay", run, "--json").out)["identical"]
+
+
+def test_a_replay_of_nothing(tmp_path, fails):
+    assert "no session in" in fails(3, "replay", tmp_path)
