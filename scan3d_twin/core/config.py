@@ -18,6 +18,7 @@ Border = Literal["drop", "keep"]
 Engine = Literal["icp", "grid"]
 Draws = Literal["common", "independent"]
 VirtualScan = Literal["smoothed", "copy", "visible"]
+Foresight = Literal["none", "holdout"]
 Criterion = Literal["displacement", "eq3", "nn"]
 Feature = Literal["normals", "variation"]
 When = Literal["never", "closed"]
@@ -236,6 +237,11 @@ class PlanningConfig:
     """Simulated registrations that the closed form's choice must stand, 0 for none."""
     standoff: float = 1.0
     """Distance from the surface at which a viewpoint is wanted [m]."""
+    foresight: Foresight = "none"
+    """Whether the surface beyond the scan's edge is predicted to place the next view: not, or by
+    the predictor that wins a hold-out on the scan itself."""
+    foresight_sigma: float = 0.03
+    """A prediction with a larger hold-out error is not used [m]; a few per cent of the standoff."""
 
     def __post_init__(self) -> None:
         _positive("planning", calibration=self.calibration)

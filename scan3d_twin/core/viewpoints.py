@@ -77,10 +77,15 @@ def bends_after(contour: Contour, k: int) -> bool:
 
 def contour_of(scan: Scan3D) -> Contour:
     """Return the contour of a target scan, from the mean top-view point of each of its lines."""
+    return trace(line_means(scan))
+
+
+def line_means(scan: Scan3D) -> FloatArray:
+    """Return the mean top-view point (n, 2) of each occupied line [m]."""
     count = np.bincount(scan.lines, minlength=scan.n_lines)
     sums = [np.bincount(scan.lines, scan.points[:, i], scan.n_lines) for i in (0, 1)]
     lines = scan.occupied_lines
-    return trace(np.stack([total[lines] / count[lines] for total in sums], axis=1))
+    return np.stack([total[lines] / count[lines] for total in sums], axis=1)
 
 
 def trace(points: FloatArray) -> Contour:
@@ -152,6 +157,26 @@ class Segment:
         direction = Pose2(0.0, 0.0, turn).apply(self.normal)
         place = self.middle + standoff * direction
         return Pose2(float(place[0]), float(place[1]), math.atan2(-direction[1], -direction[0]))
+
+
+def foreseen_segment(contour: Contour, n_Q: int, S1: float, following: FloatArray) -> Segment:
+    """Return the segment that begins where Q begins and lies on the surface predicted beyond it.
+
+    Args:
+        contour: Of the current target scan P.
+        n_Q: Number of overlapping lines.
+        S1: Width of the segment that a sweep covers [m].
+        following: Predicted points (m, 2) after the contour's last one [m].
+    """
+    first = len(contour.points) - n_Q
+    points = np.concatenate([contour.points[first:], following])
+    steps = np.diff(points, axis=0)
+    arc = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
+    whole = Contour(points, arc)
+    last = int(np.searchsorted(arc, S1, side="right")) - 1
+    known = contour.normal(first)
+    normal = limit(whole.normal(0, last), known, MAX_INCIDENCE)
+    return Segment(_along(whole, 0, -clockwise(whole.normal(0)), S1 / 2), normal)
 
 
 def next_segment(

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.costmap import Costmap, build_costmap
 from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.prediction import Prediction, predict
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.smoothing import smooth
 from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2, RangeImage, Scan3D, wrap
@@ -23,7 +24,9 @@ from scan3d_twin.core.viewpoints import (
     bends_after,
     contour_of,
     ends_in_view,
+    foreseen_segment,
     limit,
+    line_means,
     next_segment,
     place,
     sweep_width,
@@ -120,6 +123,17 @@ class Situation:
         return abs(angle_between(self._front, contour.normal(first))) < FRONT_SIDE
 
     @cached_property
+    def foreseen(self) -> Prediction | None:
+        """The surface predicted beyond P, if that is wanted and the hold-out was good."""
+        config = self.session.config.planning
+        if config.foresight == "none":
+            return None
+        prediction = predict(line_means(self.P))
+        if prediction is None or prediction.sigma > config.foresight_sigma:
+            return None
+        return prediction
+
+    @cached_property
     def smoothed(self) -> RangeImage:
         """The latest range image without most of its noise."""
         return smooth(self.view.image)
@@ -150,7 +164,10 @@ class Situation:
         config = self.session.config
         beyond = self._front if config.tour == "front" else None
         n_Q, S1 = self.n_Q(overlap), sweep_width(config)
-        segment = next_segment(self.contour, n_Q, S1, beyond, ends=self.ends)
+        if self.foreseen is not None and not self.ends:
+            segment = foreseen_segment(self.contour, n_Q, S1, self.foreseen.points)
+        else:
+            segment = next_segment(self.contour, n_Q, S1, beyond, ends=self.ends)
         if config.tour == "front":
             segment = replace(segment, normal=limit(segment.normal, self._front, FRONT_SIDE))
         viewpoint, wanted = place(segment, config, self.feasible)
