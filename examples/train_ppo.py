@@ -82,20 +82,18 @@ def baselines() -> dict[str, Act]:
 def train(minutes: float, seed: int, workers: int) -> tuple[Any, list[tuple[int, float]]]:
     """Return the model and its learning curve: steps taken, mean return of the last episodes."""
     from stable_baselines3 import PPO
-    from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import SubprocVecEnv
 
     curve: list[tuple[int, float]] = []
     ends = time.monotonic() + 60 * minutes
 
-    class Clock(BaseCallback):
-        def _on_rollout_end(self) -> None:
-            known = [done["r"] for done in self.model.ep_info_buffer or ()]
-            curve.append((self.num_timesteps, round(float(np.mean(known or [0.0])), 3)))
-
-        def _on_step(self) -> bool:
-            return time.monotonic() < ends
+    def watch(inside: dict[str, Any], outside: dict[str, Any]) -> bool:
+        model = inside["self"]
+        known = [done["r"] for done in model.ep_info_buffer]
+        if known and model.num_timesteps >= 256 * (len(curve) + 1):
+            curve.append((model.num_timesteps, round(float(np.mean(known)), 3)))
+        return time.monotonic() < ends
 
     venv = SubprocVecEnv([lambda: Monitor(make("kinematic", POOL))] * workers)
     model = PPO(
@@ -103,7 +101,7 @@ def train(minutes: float, seed: int, workers: int) -> tuple[Any, list[tuple[int,
         learning_rate=1e-3, gamma=0.95, ent_coef=0.01, device="cpu",
         policy_kwargs={"net_arch": [64, 64]},
     )  # fmt: skip
-    model.learn(10**9, callback=Clock())
+    model.learn(10**9, callback=watch)
     venv.close()
     return model, curve
 

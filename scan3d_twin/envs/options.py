@@ -16,9 +16,11 @@ from scan3d_twin.envs.stage import Stage, named_stage, random_stage
 from scan3d_twin.recording.resolve import settings_for
 from scan3d_twin.recording.settings import Options, merge, settings
 from scan3d_twin.sim.config import TwinConfig
-from scan3d_twin.sim.kinematic import Thinning, thin_config
+from scan3d_twin.sim.kinematic import Thinning, thin_config, thin_spec
 from scan3d_twin.sim.random_scenes import SceneRanges
+from scan3d_twin.sim.scanner import lidar_spec
 from scan3d_twin.sim.scene import scene_names
+from scan3d_twin.sim.world import Solver
 
 Fidelity = Literal["physics", "lite", "kinematic"]
 FIDELITIES: tuple[Fidelity, ...] = ("physics", "lite", "kinematic")
@@ -26,6 +28,8 @@ RANDOM = "random"
 """Stands for a new random scene in every episode."""
 NOISE = (0.8, 1.25)
 """Factor on the lidar's errors in random scenes; typical sensors differ by that: assumption."""
+LITE, LITE_SOLVER = Thinning(beams=3, lines=1), Solver(timestep=0.004, impratio=1.0)
+"""``lite``: every third beam, of one ray each; physics in steps of 4 ms; wheels do not shake."""
 MOST_POINTS = 600
 """Points of the ICP in ``kinematic``, whose images have a sixth of the readings; 3000 is the full
 number. Nor are all views aligned there when the contour closes."""
@@ -111,6 +115,10 @@ class EnvOptions:
             thinning = Thinning()
             config = _quick(thin_config(effective.config, thinning))
             return KinematicScout(stage, seed, config, twin, thinning), seed
+        if self.fidelity == "lite":
+            spec = thin_spec(lidar_spec(twin.lidar_link), LITE)
+            config, twin = thin_config(effective.config, LITE), _rigid(twin)
+            return PhysicsScout(stage, seed, config, twin, solver=LITE_SOLVER, spec=spec), seed
         return PhysicsScout(stage, seed, effective.config, twin), seed
 
 
@@ -140,6 +148,12 @@ def _noisier(twin: TwinConfig, factor: float) -> TwinConfig:
     names = ("sigma", "sigma_per_metre", "sigma_far", "sigma_weak", "bias", "surface_bias")
     scaled = {name: factor * getattr(twin.lidar, name) for name in names}
     return replace(twin, lidar=replace(twin.lidar, **scaled))
+
+
+def _rigid(twin: TwinConfig) -> TwinConfig:
+    """Return ``twin`` without what shakes it, and with a lidar of beams without width."""
+    lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1)
+    return replace(twin, lidar=lidar, errors=replace(twin.errors, cogging=0.0))
 
 
 def _quick(config: Config) -> Config:

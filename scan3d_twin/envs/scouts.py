@@ -16,11 +16,12 @@ from scan3d_twin.core.evaluate import Truth
 from scan3d_twin.core.motion import follow
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.sweep import look_around, sweep
-from scan3d_twin.core.types import FloatArray, Observation, Pose2, ScanLine
+from scan3d_twin.core.types import FloatArray, LidarSpec, Observation, Pose2, ScanLine
 from scan3d_twin.envs.stage import Stage
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import KinematicRobot, Thinning
 from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.world import Solver
 
 
 class EpisodeScout(ABC):
@@ -92,10 +93,20 @@ class EpisodeScout(ABC):
 class PhysicsScout(EpisodeScout):
     """Drives the twin."""
 
-    def __init__(self, stage: Stage, seed: int, config: Config, twin: TwinConfig) -> None:
+    def __init__(
+        self,
+        stage: Stage,
+        seed: int,
+        config: Config,
+        twin: TwinConfig,
+        *,
+        solver: Solver | None = None,
+        spec: LidarSpec | None = None,
+    ) -> None:
         super().__init__(config)
         self._open = ExitStack()
-        self._robot, self.truth = self._open.enter_context(open_sim(stage.scene, seed, twin))
+        opening = open_sim(stage.scene, seed, twin, solver=solver, spec=spec)
+        self._robot, self.truth = self._open.enter_context(opening)
 
     @property
     def here(self) -> Pose2:

@@ -13,7 +13,7 @@ from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.hazards import Feelers
 from scan3d_twin.sim.odometers import Sample, make_odometer
 from scan3d_twin.sim.profiles import CREATE2
-from scan3d_twin.sim.world import PREFIX, TIMESTEP, World
+from scan3d_twin.sim.world import PREFIX, World
 
 __all__ = ["CREATE2", "HISTORY", "SimBase"]
 
@@ -51,7 +51,7 @@ class SimBase:
 
     def _due(self, sample: int) -> int:
         """Return the physics step of sensor packet number ``sample``."""
-        return math.ceil(sample * self.spec.sample_period / TIMESTEP - 1e-9)
+        return math.ceil(sample * self.spec.sample_period / self._world.timestep - 1e-9)
 
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
         """See ``DriveBase.set_velocity``."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from scan3d_twin.sim.world import TIMESTEP, World
+from scan3d_twin.sim.world import World
 
 
 class Device(Protocol):
@@ -42,7 +42,7 @@ class SimClock:
 
     def step_after(self, seconds: float) -> int:
         """Return the first physics step at or after ``seconds`` [s] from now."""
-        return self._world.steps + max(0, math.ceil(seconds / TIMESTEP - 1e-9))
+        return self._world.steps + max(0, math.ceil(seconds / self._world.timestep - 1e-9))
 
     def run_until(self, step: int) -> None:
         """Let the physics run up to ``step`` while the devices are serviced.

@@ -69,7 +69,7 @@ class SimLidar:
 
     def _arrival(self, number: int) -> int:
         """Return the physics step at which line ``number`` arrives."""
-        return math.ceil((self._time(number) + self._scanner.config.latency) / TIMESTEP)
+        return math.ceil((self._time(number) + self._scanner.config.latency) / self._world.timestep)
 
     def service(self) -> None:
         """Take in the line that has arrived, unless it is lost."""

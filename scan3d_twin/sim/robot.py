@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.types import LidarSpec
 from scan3d_twin.sim.base import SimBase
 from scan3d_twin.sim.casters import MujocoCaster, choose_caster
 from scan3d_twin.sim.clock import SimClock
@@ -17,7 +18,7 @@ from scan3d_twin.sim.profiles import PROFILES
 from scan3d_twin.sim.scanner import Scanner, lidar_spec
 from scan3d_twin.sim.scene import Scene, load_scene
 from scan3d_twin.sim.truth import Truth
-from scan3d_twin.sim.world import RobotErrors, World, build_model
+from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
 
 # Streams of the one seed; a new source of chance gets a new number, so that the others stay.
 _ROBOT_STREAM, _LIDAR_STREAM, _SURFACE_STREAM = 0, 1, 2
@@ -25,7 +26,12 @@ _ROBOT_STREAM, _LIDAR_STREAM, _SURFACE_STREAM = 0, 1, 2
 
 @contextmanager
 def open_sim(
-    scene: Scene | str, seed: int, config: TwinConfig | None = None
+    scene: Scene | str,
+    seed: int,
+    config: TwinConfig | None = None,
+    *,
+    solver: Solver | None = None,
+    spec: LidarSpec | None = None,
 ) -> Iterator[tuple[Robot, Truth]]:
     """Open the twin in ``scene``; the wheels are stopped on every way out.
 
@@ -36,6 +42,8 @@ def open_sim(
         scene: A loaded scene, or what ``load_scene`` takes.
         seed: Draws the robot's errors and the sensor's noise.
         config: The twin's parameters; None is the `typical` robot.
+        solver: Of the physics; None is the full one.
+        spec: Lines of the lidar; None are those of ``config.lidar_link``.
 
     Raises:
         ConfigError: There is no such scene.
@@ -44,12 +52,12 @@ def open_sim(
     config = TwinConfig() if config is None else config
     scene = load_scene(scene) if isinstance(scene, str) else scene
     errors = RobotErrors.draw(config.errors, np.random.default_rng([seed, _ROBOT_STREAM]))
-    world = World(scene, build_model(scene, config.robot, errors))
+    world = World(scene, build_model(scene, config.robot, errors, solver))
     clock = SimClock(world)
     base = SimBase(world, PROFILES[config.robot], config.errors)
     caster = choose_caster(scene.model)
     surfaces = np.random.default_rng([seed, _SURFACE_STREAM])
-    spec = lidar_spec(config.lidar_link)
+    spec = lidar_spec(config.lidar_link) if spec is None else spec
     scanner = Scanner(scene.model, config.robot, spec, config.lidar, caster, surfaces)
     lidar = SimLidar(world, clock, scanner, [seed, _LIDAR_STREAM])
     clock.attach(lidar, base)
