@@ -5,6 +5,15 @@ import io
 import numpy as np
 from PIL import Image
 
+from scan3d_twin.recording.colours import colour
+
+SOON = 60_000
+"""Patience with a busy computer [ms]."""
+SMALL = {"width": 700, "height": 400}
+"""Window that a computer without a graphics card draws quickly."""
+SCENE = {"x": 0, "y": 150, "width": 370, "height": 250}
+"""The part of it that shows neither controls nor messages."""
+
 
 def pixels(png):
     """Return the picture of a PNG file (height, width, 3)."""
@@ -18,3 +27,14 @@ def share_of(png, colour, within=30):
     bright = np.maximum(1.0, flat @ wanted) / (wanted @ wanted)
     off = np.abs(flat - bright[:, None] * wanted).max(axis=1)
     return np.mean((off < within * bright) & (bright > 0.4) & (bright < 1.4))
+
+
+def drawn(page, wanted, views=(0, 1, 2)):
+    """Return which of ``views`` show their colours, once it is ``wanted`` or patience has ended."""
+    for _ in range(20):
+        picture = page.screenshot(clip=SCENE)
+        seen = {k for k in views if share_of(picture, colour(k)) > 0.002}
+        if seen == wanted:
+            break
+        page.wait_for_timeout(500)
+    return seen

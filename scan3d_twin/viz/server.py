@@ -45,13 +45,13 @@ def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserS
 def theme(server: viser.ViserServer, *, dark: bool) -> None:
     """Give the page its looks: light or dark, without what asks other machines."""
     server.gui.configure_theme(
-        control_layout="collapsible",
         control_width="medium",
         dark_mode=dark,
         show_logo=False,
         show_share_button=False,
         brand_color=BRAND,
     )
+    server.gui.main_panel.dock_right()
 
 
 def _silence() -> contextlib.AbstractContextManager[object]:

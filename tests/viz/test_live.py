@@ -1,0 +1,181 @@
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pixels import SMALL, SOON, drawn
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.errors import LinkError
+from scan3d_twin.core.observer import Observers, Unobserved
+from scan3d_twin.core.planning import make_planner
+from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.viz.live import LiveView, open_live_view, plan_table
+from scan3d_twin.viz.server import LOOPBACK, open_server
+
+
+@pytest.fixture
+def view():
+    with open_live_view(LOOPBACK, 0, "boxes", "unlimited", lambda _: None) as opened:
+        yield opened
+
+
+class NotingBase:
+    """A base that notes when it was sent which speed."""
+
+    def __init__(self, base, clock):
+        self.sent = []
+        self._base, self._clock = base, clock
+
+    def __getattr__(self, name):
+        return getattr(self._base, name)
+
+    def set_velocity(self, linear, angular):
+        self.sent.append((self._clock.now(), linear, angular))
+        return self._base.set_velocity(linear, angular)
+
+
+class Presser(Unobserved):
+    """Presses the stop button at the given scan line."""
+
+    def __init__(self, view, line):
+        self._view, self._left, self.pressed = view, line, []
+
+    def on_line(self, line):
+        self._left -= 1
+        if self._left == 0:
+            self._view._set_stop()
+            self.pressed.append(line.stamp)
+
+
+def scan(view, press_line=0, press_wait=0):
+    """Scan until the button is pressed; return when that was and what the base was sent."""
+    pressed = []
+    with open_sim("three_boxes", 0) as (robot, _):
+        base = NotingBase(robot.base, robot.clock)
+        robot = replace(robot, base=base)
+        presser = Presser(view, press_line)
+        waits = [0]
+        attend = view.attend
+
+        def counted():
+            waits[0] += 1
+            if waits[0] == press_wait:
+                view._set_stop()
+                pressed.append(robot.clock.now())
+            attend()
+
+        view.attend = counted
+        try:
+            digitize(
+                view.attach(robot), make_planner("siicp"), Config(), 0, Observers(presser, view)
+            )
+        except KeyboardInterrupt:
+            return (pressed or presser.pressed)[0], base.sent
+    raise AssertionError("nobody stopped it")
+
+
+@pytest.mark.parametrize("press", [{"press_line": 20}, {"press_line": 230}, {"press_wait": 60}])
+def test_stop_stops_the_wheels_within_a_line(view, press):
+    pressed, sent = scan(view, **press)
+    stamp, linear, angular = sent[-1]
+    assert (linear, angular) == (0.0, 0.0)
+    assert stamp - pressed <= 0.2  # a line's stamp is that of its beginning, 0.1 s before
+    assert any(each[1:] != (0.0, 0.0) for each in sent[-20:])
+
+
+def test_the_buttons_command_what_they_say(view):
+    assert view.command() == "go"
+    view._set_pause(True)
+    assert view.command() == "pause"
+    view._set_pause(False)
+    assert view.command() == "go"
+    view._set_stop()
+    assert view.command() == "stop"
+
+
+def test_watching_changes_nothing(view):
+    def run(observer, attach):
+        with open_sim("three_boxes", 3) as (robot, _):
+            planner = make_planner("siicp")
+            return digitize(attach(robot), planner, Config(max_views=2), 3, observer)
+
+    watched, alone = run(view, view.attach), run(Unobserved(), lambda robot: robot)
+    for mine, other in zip(watched.views, alone.views, strict=True):
+        assert mine.T_world_scan == other.T_world_scan
+        np.testing.assert_array_equal(mine.observation.image.ranges, other.observation.image.ranges)
+
+
+def test_a_slow_speed_keeps_the_twin_at_it(view):
+    view._set_speed("10x")
+    with open_sim("three_boxes", 0) as (robot, _):
+        watched = view.attach(robot)
+        began = time.monotonic()
+        for _ in range(100):
+            watched.clock.sleep(0.03)
+        assert time.monotonic() - began >= 0.9 * 3.0 / 10
+
+
+def test_the_plan_is_told_as_a_table(session):
+    table = plan_table(replace(session, plans=session.plans[:2]))
+    assert "| 20% | no registration |" in table
+    assert "| **80%** | **15.0 mm** |" in table
+
+
+def test_a_port_in_use_is_an_error_that_says_so():
+    with open_server(LOOPBACK, 0, "first") as (server, _):
+        port = server.get_port()
+        with pytest.raises(LinkError, match=f"cannot serve the view at {LOOPBACK}:{port}"):
+            open_server(LOOPBACK, port, "second").__enter__()
+
+
+def test_only_this_machine_is_served_unless_told():
+    with open_server(LOOPBACK, 0, "here") as (server, address):
+        assert server.get_host() == LOOPBACK
+        assert address.startswith("http://127.0.0.1:")
+
+
+class Run(threading.Thread):
+    """A run in the twin that is watched, on a thread of its own."""
+
+    def __init__(self, view: LiveView):
+        super().__init__(daemon=True)
+        self.view, self.error, self.session = view, None, None
+
+    def run(self):
+        try:
+            with open_sim("three_boxes", 0) as (robot, _):
+                robot = self.view.attach(robot)
+                planner = make_planner("siicp")
+                self.session = digitize(robot, planner, Config(), 0, self.view)
+        except KeyboardInterrupt as error:
+            self.error = error
+        self.view.finish("over")
+
+
+@pytest.mark.timeout(300)
+def test_a_run_can_be_watched_paused_continued_and_stopped_in_a_browser(open_page):
+    told = []
+    with open_live_view(LOOPBACK, 0, "boxes", "unlimited", told.append) as view:
+        run = Run(view)
+        view._set_pause(True)  # so that the page comes in time for the first view
+        run.start()
+        shown = open_page(told[0].removeprefix("live view: "), **SMALL)
+        page = shown.page
+        page.get_by_text("paused", exact=True).wait_for(timeout=SOON)
+        page.get_by_text("1 views").wait_for(timeout=SOON)
+        assert drawn(page, {0}, views=(0, 2)) == {0}
+        page.get_by_text("predicted error").wait_for(timeout=SOON)
+        view._set_speed("10x")
+        page.get_by_role("button", name="Continue").click()
+        page.get_by_text("driving to viewpoint 1").wait_for(timeout=SOON)
+        assert run.is_alive()
+        page.get_by_role("button", name="Stop").click()
+        run.join(10)
+        assert not run.is_alive()
+        assert isinstance(run.error, KeyboardInterrupt)
+        page.get_by_text("over", exact=True).wait_for(timeout=SOON)
+        assert not page.get_by_role("button", name="Stop").is_visible()
+        assert (shown.errors, shown.asked) == ([], [])
