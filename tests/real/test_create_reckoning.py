@@ -143,3 +143,22 @@ def test_after_lost_readings_the_arrival_tells_the_time():
     times.stamps(1, 1.0)
     assert times.stamps(1, 1.045) == pytest.approx([1.015], abs=1e-4)
     assert times.stamps(1, 1.075, gap=True) == pytest.approx([1.075], abs=1e-4)
+
+
+def test_a_jump_no_wheel_can_make_is_not_believed_because_much_time_has_passed():
+    reckoning = EncoderReckoning(SPEC, 0.0, counts(0, 0))
+    driven(reckoning, 1000, (0, 0))
+    assert reckoning.take(1001 * PERIOD, counts(100, 100)) is None
+    assert reckoning.take(1002 * PERIOD, counts(101, 101)) is None
+
+
+def test_a_turn_that_was_only_commanded_is_known_by_5_percent_until_it_is_read():
+    reckoning = CommandedReckoning(SPEC, 0.0)
+    reckoning.take(PERIOD, {Packet.DISTANCE: 0, Packet.ANGLE: 0})
+    reckoning.drive(PERIOD, 0.0, 1.0)
+    turning = reckoning.take(2.0 + PERIOD, {}).covariance
+    assert 0.05 * 1.9 < math.sqrt(turning[2, 2]) < 0.06 * 2.1
+    assert turning[0, 0] == turning[1, 1] == 0.0
+    reckoning.drive(2.0 + PERIOD, 0.0, 0.0)
+    read = reckoning.take(3.0, {Packet.DISTANCE: 0, Packet.ANGLE: 114}).covariance
+    assert read[2, 2] < turning[2, 2]
