@@ -18,7 +18,9 @@ from scan3d_twin.bench.work import Done, code_hash, perform
 from scan3d_twin.core.errors import ConfigError, LinkError
 
 CONNECT_TIMEOUT = 15.0
-"""For the scheduler to answer, and for a worker to come [s]; a loopback takes 2."""
+"""For the scheduler to answer [s]; a loopback takes 2."""
+WORKER_TIMEOUT = 60.0
+"""For a worker to come [s]; one begins in 5 on a quiet computer."""
 POLL = 0.5
 """Time between two looks at the clock of the tasks [s]."""
 
@@ -51,7 +53,7 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
 def _check(client: Any, address: str, here: str) -> None:
     """Raise if there are no workers, or some whose sources have another hash than ``here``."""
     try:
-        client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
+        client.wait_for_workers(1, timeout=WORKER_TIMEOUT)
     except TimeoutError as error:
         raise LinkError(
             f"{address} has no workers; start some with `dask worker {address} --nthreads 1`"
@@ -140,7 +142,7 @@ class ClusterEngine:
             self._inner[future].cancel()
             future.set_exception(WorkerLostError(f"not finished after {self._timeout:g} s"))
         if workers:
-            self._client.restart_workers(workers, timeout=CONNECT_TIMEOUT, raise_for_error=False)
+            self._client.restart_workers(workers, timeout=WORKER_TIMEOUT, raise_for_error=False)
 
     def _ask(self, question: Callable[[], Any]) -> Any:
         """Return the scheduler's answer."""

@@ -48,15 +48,14 @@ def write_parquet(records: Iterable[Record], path: Path) -> None:
 
 
 def read_results(path: Path) -> list[Record]:
-    """Return the records of a Parquet file, or of a folder with one or with journals.
+    """Return the records of a Parquet file, or of a folder with journals or with such a file.
 
     Raises:
         ConfigError: DuckDB is not installed.
         FileError: There are none.
     """
     if path.is_dir():
-        file = path / RESULTS
-        records = read_results(file) if file.is_file() else collect(path)
+        records = collect(path) if any(path.glob(PATTERN)) else _read_parquet(path / RESULTS)
     else:
         records = _read_parquet(path)
     if not records:

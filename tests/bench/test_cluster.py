@@ -17,11 +17,14 @@ from benches import busy, children, quick_tasks, wait_for
 
 from scan3d_twin.bench.cluster import ClusterEngine, _check, cluster_engine
 from scan3d_twin.bench.engine import run
-from scan3d_twin.bench.record import lasting
+from scan3d_twin.bench.journal import read_journals
+from scan3d_twin.bench.record import lasting, to_json
+from scan3d_twin.bench.store import read_results
 from scan3d_twin.bench.work import code_hash, perform
 from scan3d_twin.core.errors import ConfigError, LinkError
 
 pytest.importorskip("distributed")
+pytestmark = pytest.mark.timeout(300)  # a cluster begins slowly on a crowded computer
 
 LOCAL = ["--host", "127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
 BEGUN = 0.2
@@ -99,6 +102,27 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
     assert set(before) != set(workers(cluster[1]))
     assert sorted(each.record.seed for each in done) == [0, 1, 2, 3]
     assert all(each.record.status == "done" for each in done)
+
+
+def test_a_killed_driver_of_a_cluster_goes_on(
+    cluster: tuple[str, list[int]], tmp_path: Path
+) -> None:
+    options = ["--scenes", "shiny_cylinder", "--presets", "paper", "--max-views", "1"]
+    where = ["--cluster", cluster[0], "--out", str(tmp_path)]
+    program = [sys.executable, "-m", "scan3d_twin.cli", "bench"]
+    command = [*program, *options, "--seeds", "4", *where]
+    journal = tmp_path / "journal.jsonl"
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as driver:
+        wait_for(lambda: journal.exists() and b"\n" in journal.read_bytes())
+        driver.kill()
+    before = read_journals([journal])
+    assert 0 < len(before) < 4
+    again = subprocess.run(command, check=True, capture_output=True, text=True, timeout=100)
+    assert f"{len(before)} of 4 runs are done already" in again.stderr
+    records = read_results(tmp_path)
+    assert [record.seed for record in records] == [0, 1, 2, 3]
+    assert {record.status for record in records} == {"done"}
+    assert set(map(to_json, before.values())) <= set(map(to_json, records))
 
 
 def test_a_hanging_task_of_a_cluster_is_ended(cluster: tuple[str, list[int]]) -> None:

@@ -61,7 +61,7 @@ def test_what_holds_no_results_is_told(tmp_path):
     (tmp_path / "text.parquet").write_text("no")
     for path, words in (
         (tmp_path / "text.parquet", "holds no results"),
-        (tmp_path, "holds no results"),
+        (tmp_path, "no file or folder"),
         (tmp_path / "missing", "no file or folder"),
     ):
         with pytest.raises(FileError, match=words):
