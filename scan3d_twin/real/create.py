@@ -176,6 +176,12 @@ class CreateBase:
         before, away = self._hazards, now - self._serviced
         fresh = self._receive(now)
         self._guard.beat(self._moving)
+        if self._moving and away > LOST:
+            self._drive(0, 0)
+            raise HazardError(
+                f"stopped: this program hung for {away:.1f} s while the robot drove (the guard "
+                "stopped it meanwhile); end other programs"
+            )
         if self._moving and away > HANG:
             self._halt(now)
         if fresh:

@@ -381,6 +381,21 @@ def test_after_a_hang_in_which_the_guard_stopped_it_the_base_drives_on(rig):
     assert (rig.device.mode, rig.base.speed) == (Mode.SAFE, (0.2, 0.0))
 
 
+def test_after_a_long_hang_the_base_does_not_drive_on(rig):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.clock.sleep(0.3)
+    rig.device.receive(HALF_DRIVE + FAREWELL, rig.clock.now())
+    rig.clock.sleep(0.8)
+    with pytest.raises(HazardError, match=r"hung for 1\.1 s"):
+        rig.wait(0.1)
+    rig.clock.sleep(SLICE)
+    rig.line._push(rig.clock.now())
+    assert rig.base.speed == (0.0, 0.0)
+    rig.wait(0.5)
+    assert rig.base.speed == (0.0, 0.0)
+
+
 def test_after_a_hang_a_hazard_is_still_one(rig):
     rig.driver.set_velocity(0.2, 0.0)
     rig.wait(0.5)
