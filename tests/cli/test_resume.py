@@ -29,7 +29,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 def kill(folder, words, count):
-    """Kill a run when it has told of ``count`` more lines after ``words``; return its last stamp."""
+    """Kill a run ``count`` lines after it has said ``words``; return the stamp of its last line."""
     command = [sys.executable, "-c", TOLD, *SCAN, "--out", str(folder)]
     told, said = [], False
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
