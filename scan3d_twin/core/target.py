@@ -100,6 +100,28 @@ def find_target(look: Observation, near: tuple[float, float] | None, config: Con
     Raises:
         SceneError: Nothing was seen, or nothing near ``near``.
     """
+    groups = _groups(look, config)
+    if near is not None:
+        return _nearest(groups, look, near)
+    best = max(groups, key=lambda group: (group.rank, group.salience))
+    return look.T_odom_scan.apply(best.points)
+
+
+def find_targets(look: Observation, count: int, config: Config) -> list[FloatArray]:
+    """Return the top views (n, 2) in ``odom`` [m] of the most salient things, at most ``count``.
+
+    Only things that stand free are taken for targets, except for the first; see ``find_target``.
+
+    Raises:
+        SceneError: Nothing was seen.
+    """
+    groups = sorted(_groups(look, config), key=lambda g: (g.rank, g.salience), reverse=True)
+    free = [group for group in groups if group.rank > 0]
+    return [look.T_odom_scan.apply(group.points) for group in (free or groups[:1])[:count]]
+
+
+def _groups(look: Observation, config: Config) -> list[_Group]:
+    """Return the things that a look around shows, at least one."""
     sweep = all_points(look.image, config)
     sweep = sweep.select(in_window(look.image, sweep.beams, config.target))
     if len(sweep) < config.target.min_points:
@@ -115,12 +137,9 @@ def find_target(look: Observation, near: tuple[float, float] | None, config: Con
         for label in np.unique(labels)
         if np.count_nonzero(labels == label) >= config.target.min_points
     ]
-    if near is not None:
-        return _nearest(groups, look, near)
     if not groups:
         raise SceneError("no target: the look around saw only stray points")
-    best = max(groups, key=lambda group: (group.rank, group.salience))
-    return look.T_odom_scan.apply(best.points)
+    return groups
 
 
 def _nearest(groups: list[_Group], look: Observation, near: tuple[float, float]) -> FloatArray:
