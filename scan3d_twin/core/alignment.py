@@ -22,7 +22,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.placing import motion_prior, surfels_of
+from scan3d_twin.core.placing import motion_prior, odometry_scale, surfels_of
 from scan3d_twin.core.pose_graph import GATE, PoseGraph, Solution
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.multistart import AMBIGUOUS
@@ -204,9 +204,10 @@ def _kept(session: Session, leave_out: Collection[int]) -> list[int]:
 
 def align_views(views: Sequence[View], config: Config) -> tuple[list[Edge], Solution]:
     """Return the registered pairs of two views or more, and how all of them lie together."""
+    scale = odometry_scale(views, config) if config.registration.engine == "grid" else 1.0
     return align_grids(
         [_surfels(view, config) for view in views],
-        [_odometry(a, b, config) for a, b in pairwise(views)],
+        [_odometry(a, b, config, scale) for a, b in pairwise(views)],
         first=views[0].T_world_scan,
         starts=config.registration.starts,
         min_overlap=config.alignment.min_overlap,
@@ -254,9 +255,9 @@ def _surfels(view: View, config: Config) -> SurfelGrid | None:
         return None
 
 
-def _odometry(previous: View, view: View, config: Config) -> PosePrior:
+def _odometry(previous: View, view: View, config: Config, scale: float) -> PosePrior:
     move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
-    return motion_prior(move, config.planning)
+    return motion_prior(move, config.planning, scale)
 
 
 def register_pair(

@@ -23,7 +23,7 @@ def findings(session: Session, evaluation: Evaluation | None = None) -> list[str
     if not session.views:
         return ["Nothing was scanned: there is no view."]
     found = [*_returns(session), *_fallbacks(session), *_registrations(session)]
-    return [*found, *_errors(session, evaluation)]
+    return [*found, *_misfits(session), *_errors(session, evaluation)]
 
 
 def _returns(session: Session) -> Iterator[str]:
@@ -73,6 +73,14 @@ def _registrations(session: Session) -> Iterator[str]:
                 f"View {k}: the surfaces leave {len(result.degenerate_directions)} direction(s) "
                 "open, along which odometry decides. A bare wall or a round thing?"
             )
+
+
+def _misfits(session: Session) -> Iterator[str]:
+    for k in session.misfits:
+        yield (
+            f"View {k} does not fit the others: most of its links contradict them. Look at it, or "
+            "leave it out (alignment.misfits = drop)."
+        )
 
 
 def _errors(session: Session, evaluation: Evaluation | None) -> Iterator[str]:

@@ -33,7 +33,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a full turn and a sweep to both sides, in the living room."""
     folder = tmp_path_factory.mktemp("cal")
     for name, width, files in (("turn", 360.0, (SCAN,)), ("back", 300.0, (SCAN, BACK))):
-        wanted = SweepConfig(width=math.radians(width), yaw_rate=math.radians(15.0))
+        wanted = SweepConfig(width=math.radians(width), yaw_rate=math.radians(10.0))
         config = replace(Config(), sweep=wanted)
         (folder / name).mkdir()
         with open_sim("living_room", 0, wrong_twin()) as (robot, _):
