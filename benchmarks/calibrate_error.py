@@ -119,9 +119,10 @@ def fit(found: list[Step], epsilon: float) -> dict[str, dict[str, Any]]:
     known = [s for s in found if math.isfinite(s.predicted) and s.predicted > 0]
     odd, even = ([s for s in known if s.seed % 2 == k] for k in (1, 0))
     factor = conformal((s.error / s.predicted for s in odd), ALPHA)
+    whole = conformal((s.error / s.predicted for s in known), ALPHA)
     rows = {
         "calibration": (factor, "ratio", len(odd)),
-        "all_seeds": (conformal((s.error / s.predicted for s in known), ALPHA), "ratio", len(known)),
+        "all_seeds": (whole, "ratio", len(known)),
         "exceeded": (_share(s.error > factor * s.predicted for s in even), "share", len(even)),
         "above_epsilon": (_share(s.error > epsilon for s in known), "share", len(known)),
         "pred_over_true": (

@@ -22,7 +22,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -193,47 +193,52 @@ def correlation(settings: list[Setting], of: str) -> float:
     return float(spearmanr(*np.array(pairs).T).statistic)
 
 
-def cpu(run: Callable[[], Any]) -> float:
+def cpu(
+    way: Callable[[RangeImage, np.random.Generator], None],
+    image: RangeImage,
+    rng: np.random.Generator,
+) -> float:
     """Return the CPU time of all threads [s]."""
     start = time.process_time()
-    run()
+    way(image, rng)
     return time.process_time() - start
 
 
-def costs(runs: int) -> Iterator[tuple[float, float, float, float]]:
+def costs(runs: int) -> Iterator[list[float]]:
     """Yield CPU times [s] of closed form, ten simulated draws, the same stopped early, naive."""
-    settings = config()
-    stopping = replace(settings, planning=replace(settings.planning, certainty=0.95))
     for run in range(runs):
         for name, make in SCENES.items():
             rng = np.random.default_rng([run, len(name)])
             image = scan(make(), Pose2(), HALF, Noise(0.010), rng)
-
-            def plan(image: RangeImage = image) -> None:
-                grid = prepare(image)
-                forecast = Forecast(grid, grid.valid, settings)
-                for eta in OVERLAPS:
-                    forecast.error(candidate(eta))
-
-            def simulate(image: RangeImage = image) -> None:
-                simulation = _simulation(prepare(image), settings)
-                for eta in OVERLAPS:
-                    list(simulation.errors(candidate(eta), 10))
-
-            def stop(image: RangeImage = image) -> None:
-                simulation = _simulation(prepare(image), stopping)
-                for eta in OVERLAPS:
-                    simulation.error(candidate(eta), 10)
-
-            def naive(image: RangeImage = image, rng: np.random.Generator = rng) -> None:
-                for eta in OVERLAPS:
-                    naive_draw(image, eta, settings, 0.010, rng)
-
-            yield cpu(plan), cpu(simulate), cpu(stop), cpu(naive)
+            yield [cpu(way, image, rng) for way in (plan, simulate_all, simulate, naive)]
 
 
-def _simulation(grid: SurfelGrid, settings: Config) -> Simulation:
-    return Simulation(grid, grid.valid, settings, 0)
+def plan(image: RangeImage, _: np.random.Generator) -> None:
+    grid = prepare(image)
+    forecast = Forecast(grid, grid.valid, config())
+    for eta in OVERLAPS:
+        forecast.error(candidate(eta))
+
+
+def simulate_all(image: RangeImage, _: np.random.Generator) -> None:
+    simulation = _simulation(prepare(image))
+    for eta in OVERLAPS:
+        list(simulation.errors(candidate(eta), 10))
+
+
+def simulate(image: RangeImage, _: np.random.Generator) -> None:
+    simulation = _simulation(prepare(image))
+    for eta in OVERLAPS:
+        simulation.error(candidate(eta), 10)
+
+
+def naive(image: RangeImage, rng: np.random.Generator) -> None:
+    for eta in OVERLAPS:
+        naive_draw(image, eta, config(), 0.010, rng)
+
+
+def _simulation(grid: SurfelGrid) -> Simulation:
+    return Simulation(grid, grid.valid, config(), 0)
 
 
 def main() -> None:
@@ -288,14 +293,14 @@ def figures(settings: list[Setting], runs: int) -> dict[str, dict[str, Any]]:
 def cost_figures(runs: int) -> dict[str, dict[str, Any]]:
     """Return the ratios of CPU times, medians over scenes and runs."""
     next(costs(1))  # compile and warm up
-    plan, ten, stopped, naive = np.array(list(costs(runs))).T
+    closed, ten, stopped, peer_draw = np.array(list(costs(runs))).T
     count, peer = runs * len(SCENES), "open3d point-to-point SiICP, CPU"
     return {
-        "plan_ms": row(1e3 * float(np.median(plan)), "ms", "CPU", count),
-        "plan_vs_naive": row(float(np.median(plan / naive)), "ratio", peer, count),
-        "siicp10_vs_naive": row(float(np.median(ten / (10 * naive))), "ratio", peer, count),
+        "plan_ms": row(1e3 * float(np.median(closed)), "ms", "CPU", count),
+        "plan_vs_naive": row(float(np.median(closed / peer_draw)), "ratio", peer, count),
+        "siicp10_vs_naive": row(float(np.median(ten / (10 * peer_draw))), "ratio", peer, count),
         "siicp10_stopped_vs_naive": row(
-            float(np.median(stopped / (10 * naive))), "ratio", peer, count
+            float(np.median(stopped / (10 * peer_draw))), "ratio", peer, count
         ),
     }
 

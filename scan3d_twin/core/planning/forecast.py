@@ -188,14 +188,19 @@ class Forecast:
 
         What is behind an edge is taken to stand at right angles to the surface that ends there.
         """
+        towards = np.array([viewpoint.x, viewpoint.y]) - self.grid.edges.places
+        return np.asarray(np.sum(self._outwards * towards, axis=1) <= 0.0)
+
+    @cached_property
+    def _outwards(self) -> FloatArray:
+        """Directions (n, 2) along the surface beyond each edge, by the surfel nearest to it."""
         edges, rows = self.grid.edges, self._rows
         apart = rows[:, None, :2] - edges.places
-        nearest = np.argmin(np.sum(apart * apart, axis=2), axis=0)
-        normals = rows[nearest, 3:5]
+        normals = rows[np.argmin(np.sum(apart * apart, axis=2), axis=0), 3:5]
         sideways = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
-        outwards = -edges.sides * np.sign(np.sum(sideways * edges.across, axis=1))
-        towards = np.array([viewpoint.x, viewpoint.y]) - edges.places
-        return np.asarray(outwards * np.sum(sideways * towards, axis=1) <= 0.0)
+        return np.asarray(
+            sideways * (-edges.sides * np.sign(np.sum(sideways * edges.across, axis=1)))[:, None]
+        )
 
 
 def _cosine_ratio(n: FloatArray, a: FloatArray, here: FloatArray, T: FloatArray) -> FloatArray:
