@@ -27,4 +27,9 @@ ENV_IDS = tuple(_ENTRIES)
 
 for _id, _entry in _ENTRIES.items():
     if _id not in registry:
-        register(id=_id, entry_point=_entry, max_episode_steps=MOST_STEPS)
+        register(
+            id=_id,
+            entry_point=_entry,
+            vector_entry_point=f"scan3d_twin.envs.vector:{_entry.split(':')[0].split('.')[-1]}",
+            max_episode_steps=MOST_STEPS,
+        )

@@ -1,0 +1,240 @@
+"""The environments keep gymnasium's rules, tell the truth in infos only, and repeat themselves."""
+
+import pickle
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import error
+from gymnasium.utils.env_checker import check_env, data_equivalence
+
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.envs import ENV_IDS
+from scan3d_twin.envs.overlap import OverlapEnv
+from scan3d_twin.envs.scoring import Score
+
+NAMES = [name.split("/")[1].removesuffix("-v0") for name in ENV_IDS]
+
+
+def play(env, seed, steps=4):
+    """Observations, rewards, ends and infos of a few sampled actions."""
+    env.action_space.seed(seed)
+    seen = [env.reset(seed=seed)]
+    for _ in range(steps):
+        step = env.step(env.action_space.sample())
+        seen.append(step)
+        if step[2] or step[3]:
+            break
+    return seen
+
+
+def quietly_checked(env):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gymnasium_has_nothing_to_say(make, name):
+    quietly_checked(make(name))
+
+
+def test_gymnasium_has_nothing_to_say_of_random_scenes(make):
+    quietly_checked(make(scene="random"))
+
+
+@pytest.mark.parametrize("fidelity", ["lite", "physics"])
+def test_the_same_rules_with_physics(make, fidelity):
+    quick = {"sweep": {"width": 0.7, "yaw_rate": 0.35, "look_rate": 0.7}, "max_views": 3}
+    env = make(fidelity=fidelity, options=quick)
+    one, two = play(env, 3, 1), play(env, 3, 1)
+    assert data_equivalence(one, two)
+    assert all(env.observation_space.contains(step[0]) for step in one)
+    assert one[-1][-1]["sim_time"] > 20.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_same_seed_gives_the_same_bits(make, name):
+    one, two = play(make(name, scene="random"), 5), play(make(name, scene="random"), 5)
+    assert data_equivalence(one, two, exact=True)
+    other = play(make(name, scene="random"), 6)
+    assert not data_equivalence(one, other)
+
+
+def test_no_truth_in_what_the_agent_sees(make, monkeypatch):
+    honest = play(make(goal=1.0), 1)
+    monkeypatch.setattr(Score, "coverage", property(lambda score: 0.123))
+    monkeypatch.setattr(Score, "_error", lambda score, session, k: 1e-4 * k)
+    blind = play(make(goal=1.0), 1)
+    shared = min(len(honest), len(blind))
+    assert shared > 1
+    for a, b in zip(honest[:shared], blind[:shared], strict=True):
+        assert data_equivalence(a[0], b[0], exact=True)
+    assert blind[1][-1]["coverage"] == 0.123
+
+
+def test_the_reward_is_the_sum_of_its_terms(make):
+    env = make(rewards={"view": 0.5, "misplaced": 0.0})
+    _, info = env.reset(seed=2)
+    before, driven = info["coverage"], info["path_m"]
+    _, reward, *_, info = env.step(env.action_space.sample())
+    terms = info["reward_terms"]
+    assert reward == pytest.approx(sum(terms.values()))
+    assert terms["coverage"] == pytest.approx(info["coverage"] - before)
+    assert terms["view"] == -0.5
+    assert terms["path"] == pytest.approx(-0.05 * (info["path_m"] - driven))
+    assert terms["misplaced"] == 0.0
+
+
+def test_an_episode_ends_and_says_why(make):
+    env = make(options={"max_views": 2})
+    env.reset(seed=0)
+    _, _, terminated, truncated, info = env.step(np.int64(12))
+    assert terminated or truncated
+    assert info["ended"]
+    assert 0.0 < info["f20"] <= 1.0
+    with pytest.raises(error.ResetNeeded):
+        env.step(np.int64(0))
+
+
+def test_a_goal_that_is_reached_is_a_success(make):
+    env = make(goal=0.05)
+    env.reset(seed=0)
+    _, _, terminated, truncated, info = env.step(np.int64(8))
+    assert (terminated, truncated) == (True, False)
+    assert info["is_success"]
+
+
+@pytest.mark.parametrize("name", ["ViewPlanOverlap", "Candidates"])
+def test_masked_actions_are_replaced_and_open_ones_are_not(make, name):
+    env = make(name, scene="random")
+    for seed in range(4):
+        seen, info = env.reset(seed=seed)
+        mask = env.action_masks()
+        assert mask.any()
+        assert np.array_equal(seen["action_mask"], mask)
+        assert np.array_equal(info["action_mask"], mask)
+        action = np.int64(np.flatnonzero(mask)[-1])
+        *_, info = env.step(action)
+        assert not info["substituted"]
+
+
+def test_a_masked_action_is_taken_for_the_nearest_open_one(make, monkeypatch):
+    env = make()
+    env.reset(seed=0)
+    placements = env._placements
+    env._placements = [type(placements[0])(None, False)] * 12 + placements[12:]
+    *_, info = env.step(np.int64(0))
+    assert info["substituted"]
+    assert info["eta"] == 0.8
+
+
+def test_a_pose_is_snapped_to_where_the_robot_can_stand(make):
+    env = make("ViewPlanPose")
+    env.reset(seed=0)
+    inside = env._odom_of_world @ env.session.views[0].T_world_scan
+    here = env.encode(env.decode(np.zeros(3, np.float32))[0])
+    assert env.action_space.contains(here)
+    plan, snapped = env.decode(np.zeros(3, np.float32))  # in the middle of the target
+    assert snapped
+    there = env._odom_of_world @ plan.viewpoint
+    assert env.episode.costmap.feasible(there.x, there.y)
+    assert inside.distance(there) < 5.0
+
+
+@pytest.mark.parametrize("action", [13, -1, 2.5, "half", None])
+def test_actions_that_are_none(make, action):
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(error.InvalidAction, match="Discrete"):
+        env.step(action)
+
+
+def test_before_reset(make):
+    env = make()
+    with pytest.raises(error.ResetNeeded):
+        env.step(np.int64(0))
+
+
+@pytest.mark.parametrize(
+    ("options", "choice"),
+    [
+        ({"scene": "four_boxes"}, "three_boxes"),
+        ({"scene": "random:x"}, "random:SEED"),
+        ({"scene": []}, "three_boxes"),
+        ({"fidelity": "exact"}, "kinematic, lite, physics"),
+        ({"preset": "worst"}, "paper"),
+        ({"world": "flat"}, "typical"),
+        ({"rewards": {"speed": 1.0}}, "coverage"),
+        ({"rewards": {"view": -1.0}}, ">= 0"),
+        ({"options": {"planning": {"epsilom": 1}}}, "epsilon"),
+        ({"options": {"run": {"seed": 1}}}, "arguments of their own"),
+        ({"ranges": {"color": (0, 1)}}, "albedo"),
+        ({"goal": 0.0}, "goal"),
+        ({"noise": (2.0, 1.0)}, "noise"),
+    ],
+)
+def test_impossible_options_name_the_possible_ones(make, options, choice):
+    with pytest.raises(ConfigError, match=choice):
+        make(**options)
+
+
+def test_unknown_names_are_unknown_names(make):
+    with pytest.raises(UnknownNameError):
+        make(scene=["three_boxes", "nowhere"])
+
+
+def test_a_render_mode_that_is_none():
+    with pytest.raises(error.UnsupportedMode, match="rgb_array"):
+        OverlapEnv(render_mode="paper")
+
+
+def test_scenes_are_drawn_from_a_list(make):
+    env = make(scene=["three_boxes", "sine_box", "random:3"])
+    names = {env.reset(seed=seed)[1]["scene"] for seed in range(9)}
+    assert names == {"three_boxes", "sine_box", "random_3"}
+
+
+def test_the_noise_of_random_scenes_varies(make):
+    env = make(scene="random", noise=(0.5, 2.0), ranges={"shapes": ("box",), "walls": 1.0})
+    scales = set()
+    for seed in range(4):
+        env.reset(seed=seed)
+        scales.add(env.episode.scout._robot._scanner.config.sigma)
+    assert len(scales) == 4
+
+
+def test_it_survives_pickling_and_its_spec(make):
+    env = gymnasium.make(
+        "scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0", fidelity="kinematic", goal=0.9
+    )
+    again = pickle.loads(pickle.dumps(env.unwrapped))
+    spec = gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json())
+    third = gymnasium.make(spec).unwrapped
+    first = play(env.unwrapped, 4, 2)
+    assert data_equivalence(first, play(again, 4, 2), exact=True)
+    assert data_equivalence(first, play(third, 4, 2), exact=True)
+
+
+def test_pictures(make, capsys):
+    env = make(render_mode="rgb_array")
+    env.reset(seed=0)
+    image = env.render()
+    assert image.shape == (256, 256, 3)
+    assert image.dtype == np.uint8
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 4
+    other = make(render_mode="human")
+    other.reset(seed=0)
+    assert other.render() is None
+    assert "\u2580" in capsys.readouterr().out
+
+
+def test_stable_baselines_has_nothing_to_say(make):
+    checker = pytest.importorskip(
+        "stable_baselines3.common.env_checker", reason="needs the extra [rl]"
+    )
+    for name in NAMES:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            checker.check_env(make(name))
