@@ -12,7 +12,9 @@ import jsonschema
 import pytest
 
 from scan3d_twin.real.transport import SerialTransport
+from scan3d_twin.recording.load import load_session
 from scan3d_twin.recording.report import report_schema
+from scan3d_twin.recording.salvage import contents
 
 TWIN = [sys.executable, "-m", "scan3d_twin.cli"]
 PIPES = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -52,6 +54,10 @@ def test_a_dry_run_reads_everything_and_moves_nothing(ports):
     assert found["lidar_beams"] == 682
     assert 5.0 < found["lidar_hz"] < 11.0
     assert 0 < found["lidar_seen_percent"] <= 100
+
+
+def topic(each):
+    return getattr(each, "topic", "")
 
 
 RATES = ("base readings", "lidar rate")
@@ -123,6 +129,21 @@ def test_two_views_over_pseudo_terminals(ports, tmp_path):
         "model.ply", "report.json", "report.html", "top_view.svg", "config.toml", "session.mcap",
         "000.npz", "001.npz",
     }  # fmt: skip
+    raw = [each for each in contents(tmp_path / "run/session.mcap") if "serial" in topic(each)]
+    assert {topic(each) for each in raw} == {"/serial/base", "/serial/lidar"}
+    assert sum(len(each.data) for each in raw) > 100_000
+
+    # The robot stands where it was, so that the run can go on.
+    going_on = ["--resume", tmp_path / "run", "--max-views", "3", "--json"]
+    result = call("real", *ports, *going_on, timeout=110)
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["views"] == 3
+    assert "was the robot moved?" not in result.stderr
+    session = load_session(tmp_path / "run").session
+    stamps = [view.observation.image.stamps.max() for view in session.views]
+    assert stamps == sorted(stamps)
+    a, b = (session.views[k].observation.T_odom_scan for k in (1, 2))
+    assert 0.1 < a.distance(b) < 1.5
 
 
 def test_ctrl_c_stops_and_leaves_the_base_in_order(ports, tmp_path):
