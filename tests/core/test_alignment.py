@@ -10,14 +10,29 @@ import numpy as np
 import pytest
 import synthetic
 
-from scan3d_twin.core.alignment import Link, align, misfits, scans_alone, solve
-from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig
+from scan3d_twin.core.alignment import (
+    Alignment,
+    Link,
+    align,
+    closed,
+    concluded,
+    misfits,
+    placed,
+    scans_alone,
+    solve,
+)
+from scan3d_twin.core.config import (
+    AlignmentConfig,
+    Config,
+    PlanningConfig,
+    RegistrationConfig,
+)
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.registration import PosePrior, prepare, register
 from scan3d_twin.core.registration.pose_prior import PLANAR, about_target
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, read_only
+from scan3d_twin.core.types import FloatArray, Plan, Pose2, RegistrationResult, read_only
 
 CABINET = (
     synthetic.Box((-0.30, -0.40, 0.0), (0.30, 0.10, 0.6)),
@@ -112,6 +127,40 @@ def test_misfits_are_those_that_most_others_contradict() -> None:
     ]
     assert misfits([*links, Link(0, 3, 1.0, 1.0)]) == (2,)
     assert misfits([]) == ()
+
+
+def configured(**alignment: str) -> Session:
+    return replace(tour(), config=replace(CONFIG, alignment=AlignmentConfig(**alignment)))
+
+
+def poses(session: Session) -> list[Pose2]:
+    return [view.T_world_scan for view in session.views]
+
+
+def test_the_default_never_moves_a_view() -> None:
+    assert closed(tour()) is tour()
+    assert concluded(tour()) is tour()
+
+
+def test_views_are_aligned_when_the_robot_has_gone_round() -> None:
+    session = configured(when="closed")
+    half = replace(session, views=session.views[: VIEWS // 2])
+    assert closed(half) is half
+    assert poses(closed(session)) == poses(align(session))
+    assert poses(concluded(half)) == poses(align(half))
+
+
+def test_a_dropped_view_takes_its_plan_and_leaves_the_looks() -> None:
+    plan = Plan(Pose2(), 0.5, 0.01, False, (), "")
+    plans = tuple(replace(plan, reason=str(k)) for k in range(VIEWS))
+    look = tour().views[0].observation
+    session = replace(tour(), plans=plans, looks=((0, look), (5, look)))
+    kept = tuple(k for k in range(VIEWS) if k != 4)
+    poses = tuple(tour().views[k].T_world_scan for k in kept)
+    found = placed(session, Alignment(kept, poses, np.zeros((9, 3)), (), (7,)))
+    assert [plan.reason for plan in found.plans] == [str(k) for k in range(VIEWS) if k != 3]
+    assert [taken for taken, _ in found.looks] == [0, 4]
+    assert found.misfits == (6,)
 
 
 def test_a_run_of_one_view_stays_as_it_is() -> None:

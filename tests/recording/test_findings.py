@@ -79,3 +79,7 @@ def test_a_blind_sweep_is_told(session):
 def test_no_view_at_all_is_told():
     empty = Session(Config(), 0, np.zeros((1, 2)), np.array([-1.0, 0.0]))
     assert findings(empty) == ["Nothing was scanned: there is no view."]
+
+
+def test_a_view_that_does_not_fit_is_told(session):
+    assert told(replace(session, misfits=(1,)), "View 1 does not fit", "alignment.misfits")
