@@ -1,9 +1,15 @@
-"""Fit the motion-error constants lambda and gamma of eq. (2) to the `typical` robot of the twin.
+"""Fit the motion-error constants to the `typical` robot of the twin.
+
+Those of eq. (2), and those of the motion prior of a turn, a drive and a turn (``core/placing.py``:
+lambda, gamma and drift).
 
 Each robot makes moves from one viewpoint to the next as the planner asks for: turn, drive, turn.
 The error of a move is its odometry against the truth, in the frame of the start:
 
     x_u ~ N(0, (lambda dx)^2), y_u ~ N(0, (lambda dy)^2), theta_u ~ N(0, (gamma dtheta)^2)
+
+Both are maximum-likelihood fits; the prior's is followed by the mean squared Mahalanobis distance
+of the moves per degree of freedom, 1 where it fits.
 
 Run: ``python benchmarks/motion_error.py [--robots 40] [--json]``.
 """
@@ -13,12 +19,16 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize
 
-from scan3d_twin.core.config import MotionConfig
+from scan3d_twin.core.config import MotionConfig, PlanningConfig
 from scan3d_twin.core.motion import drive_to, turn_to
-from scan3d_twin.core.types import Pose2, wrap
+from scan3d_twin.core.placing import motion_prior
+from scan3d_twin.core.registration.pose_prior import PLANAR
+from scan3d_twin.core.types import FloatArray, Pose2, wrap
 from scan3d_twin.sim.robot import open_sim
 
 MOVES_PER_ROBOT = 4
@@ -55,6 +65,32 @@ def fit(pairs: list[tuple[Pose2, Pose2]]) -> tuple[float, float]:
     return lambda_, gamma
 
 
+def misfit(pairs: list[tuple[Pose2, Pose2]], constants: FloatArray) -> tuple[float, float]:
+    """Return -2 log likelihood of the motion prior and the mean squared distance per dimension.
+
+    Args:
+        pairs: (move by odometry, true move).
+        constants: Logarithms of lambda, gamma and drift (3,).
+    """
+    lambda_, gamma, drift = np.exp(constants)
+    config = replace(PlanningConfig(), lambda_=lambda_, gamma=gamma, drift=drift)
+    total, square = 0.0, 0.0
+    for told, true in pairs:
+        C = motion_prior(told, config).covariance[np.ix_(PLANAR, PLANAR)]
+        e = np.array([true.x - told.x, true.y - told.y, wrap(true.yaw - told.yaw)])
+        distance = float(e @ np.linalg.solve(C, e))
+        total, square = total + float(np.linalg.slogdet(C)[1]) + distance, square + distance
+    return total, square / (3 * len(pairs))
+
+
+def fit_prior(pairs: list[tuple[Pose2, Pose2]]) -> tuple[float, float, float, float]:
+    """Return lambda, gamma and drift of the motion prior and the distance at them."""
+    start = np.log([0.03, 0.026, 0.036])
+    found = minimize(lambda x: misfit(pairs, x)[0], start, method="Nelder-Mead").x
+    lambda_, gamma, drift = np.exp(found)
+    return float(lambda_), float(gamma), float(drift), misfit(pairs, found)[1]
+
+
 def main() -> None:
     """Fit and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -67,19 +103,25 @@ def main() -> None:
         [fit([pairs[i] for i in rng.integers(len(pairs), size=len(pairs))]) for _ in range(200)]
     )
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
-    values = fit(pairs)
+    values, prior = fit(pairs), fit_prior(pairs)
+    names_of_prior = ("prior_lambda", "prior_gamma", "prior_drift", "prior_distance")
     if options.json:
         names = {"lambda": ("m/m", 0), "gamma": ("rad/rad", 1)}
         rows = {
             name: {"value": values[i], "unit": unit, "peer": None, "runs": len(pairs)}
             for name, (unit, i) in names.items()
         }
+        units = ("m/m", "rad/rad", "rad/m", "1")
+        for name, value, unit in zip(names_of_prior, prior, units, strict=True):
+            rows[name] = {"value": value, "unit": unit, "peer": None, "runs": len(pairs)}
         print(json.dumps(rows))
         return
     for i, name in enumerate(("lambda", "gamma")):
         print(
             f"{name:7} {values[i]:.4f}  (95 %: {low[i]:.4f} to {high[i]:.4f}, {len(pairs)} moves)"
         )
+    for name, value in zip(names_of_prior, prior, strict=True):
+        print(f"{name:14} {value:.4f}")
 
 
 if __name__ == "__main__":
