@@ -22,7 +22,9 @@ print([name for name in {heavy} if name in sys.modules], code)
 """
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["sim", "--help"], ["--version"], []], ids=str)
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["sim", "--help"], ["bench", "--help"], ["--version"], []], ids=str
+)
 def test_help_needs_nothing_heavy(arguments):
     command = [sys.executable, "-c", PROGRAM.format(heavy=HEAVY), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
