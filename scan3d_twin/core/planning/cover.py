@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 
@@ -87,6 +86,9 @@ Rows = list[tuple[Sparse, Sparse, float]]
 
 def solve(cover: Cover, rows: Rows, flows: FloatArray) -> FloatArray | None:
     """Return the views, flows and pieces of a smallest cover under more constraints, or None."""
+    # Loaded when a planner needs it: half a second and 20 MB that no other run should pay.
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
     sees, weights = _grouped(cover)
     n, m, p = len(sees), len(flows), len(weights)
     objective = np.concatenate([1.0 + cover.cost, np.zeros(m + p)])
