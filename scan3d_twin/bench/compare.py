@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from scan3d_twin.bench.record import Record
@@ -100,11 +100,13 @@ def views_to(record: Record, coverage: float) -> int | None:
     return min(reached, default=None)
 
 
-def _runs(records: Iterable[Record], key: object) -> dict[tuple[str, str], Runs]:
+def _runs(
+    records: Iterable[Record], key: Callable[[Record], tuple[str, str]]
+) -> dict[tuple[str, str], Runs]:
     found: dict[tuple[str, str], Runs] = {}
     for record in records:
         if record.status != "lost":
-            group = found.setdefault(key(record), {})  # type: ignore[operator]
+            group = found.setdefault(key(record), {})
             group.setdefault(record.variant, {})[record.seed] = record
     return found
 

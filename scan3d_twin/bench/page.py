@@ -38,7 +38,6 @@ def page(
         figures: In order, by scene.
         pictures: Top views as SVG, by caption.
     """
-    style = (files("scan3d_twin.bench") / "report.css").read_text(encoding="utf-8")
     parts = [
         f"<h1>{escape(title)}</h1>",
         *_facts(records),
@@ -52,15 +51,16 @@ def page(
         *_pictures(pictures),
         *_figures(figures),
     ]
-    return "\n".join(
-        [
-            '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            '<link rel="icon" href="data:,">',
-            f"<title>{escape(title)}</title><style>{style}</style></head><body>",
-            *parts,
-            "</body></html>\n",
-        ]
+    return "\n".join([_head(title), *parts, "</body></html>\n"])
+
+
+def _head(title: str) -> str:
+    style = (files("scan3d_twin.bench") / "report.css").read_text(encoding="utf-8")
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<link rel="icon" href="data:,">'
+        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
     )
 
 
