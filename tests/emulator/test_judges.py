@@ -36,7 +36,7 @@ pose_roll = 0
 SCANS = 4
 ENOUGH = (SCANS + 2) * 2137
 """Bytes: so many scans and what is said before them."""
-DEADLINE = 8.0
+DEADLINE = 20.0
 ATTEMPTS = 4
 PROFILES = {
     "usb": UrgProfile(),
@@ -45,6 +45,7 @@ PROFILES = {
 }
 
 
+@pytest.mark.timeout(180)
 @pytest.mark.skipif(
     not (shutil.which("rawlog-grabber") and shutil.which("rawlog-edit")),
     reason="needs rawlog-grabber and rawlog-edit (apt install mrpt-apps)",
