@@ -176,11 +176,11 @@ def extended(costmap: Costmap, observation: Observation, config: Config, start: 
 def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config: Config) -> None:
     """Write what one observation saw into ``cells``."""
     image, pose, felt = observation.image, observation.T_odom_scan, cells == TOUCHED
-    solid = _solid(image, config)
-    reach, yaws = _free_reach(image, solid, config), image.yaws[:, image.spec.n_beams // 2]
+    points, reach = _floor(image, config)
+    yaws = image.yaws[:, image.spec.n_beams // 2]
     local = pose.inverse().apply(_centres(origin, (cells.shape[0], cells.shape[1])))
     cells[_swept(local, yaws, reach)] = FREE
-    _put(cells, origin, pose.apply(image.points[solid])[:, :2], OBSTACLE)
+    _put(cells, origin, pose.apply(points), OBSTACLE)
     cells[felt] = TOUCHED
     _put(cells, origin, np.array(observation.touched).reshape(-1, 2), TOUCHED)
 
@@ -190,6 +190,19 @@ def _put(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> 
     hit = np.floor((points - origin) / RESOLUTION).astype(np.int64)
     inside = np.all((hit >= 0) & (hit < cells.shape), axis=1)
     cells[hit[inside, 0], hit[inside, 1]] = what
+
+
+def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray]:
+    """Return the top view (n, 2) of the obstacles in an image, and its free reach (n_lines,) [m].
+
+    Kept with the image, for every later costmap asks for them again.
+    """
+    key = ("floor", config.target, config.motion)
+    if key not in image.derived:
+        solid = _solid(image, config)
+        image.derived[key] = (image.points[solid][:, :2], _free_reach(image, solid, config))
+    points, reach = image.derived[key]
+    return points, reach
 
 
 def _solid(image: RangeImage, config: Config) -> BoolArray:

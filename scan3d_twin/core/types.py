@@ -216,6 +216,11 @@ class RangeImage:
         return len(self.stamps)
 
     @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What functions computed of this image, by their name and arguments: it never changes."""
+        return {}
+
+    @cached_property
     def directions(self) -> FloatArray:
         """Beam directions in ``scan`` (n_lines, n_beams, 3)."""
         e = self.spec.elevations
