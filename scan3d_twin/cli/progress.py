@@ -49,6 +49,27 @@ def make_progress() -> Iterator[Progress]:
         yield LiveProgress(console, status)
 
 
+class Pace:
+    """How long a scan will take, from how much of the outline each view has added."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._first: tuple[float, float] | None = None
+
+    def left(self, share: float) -> str:
+        """Return how long the rest takes when ``share`` 0..1 is done, in words; empty if unknown."""
+        now = self._clock()
+        if self._first is None:
+            self._first = now, share
+        started, before = self._first
+        if not before < share < 1.0:
+            return ""
+        seconds = (now - started) / (share - before) * (1.0 - share)
+        return (
+            f", about {seconds / 60:.0f} min left" if seconds >= 90 else f", {seconds:.0f} s left"
+        )
+
+
 def steps(progress: Progress, what: str, count: int) -> Callable[[int], None]:
     """Return what is to be told the index of each of ``count`` steps that is done.
 
@@ -67,6 +88,9 @@ def steps(progress: Progress, what: str, count: int) -> Callable[[int], None]:
 class PlainProgress:
     """One line per step."""
 
+    def __init__(self) -> None:
+        self._pace = Pace()
+
     def event(self, text: str) -> None:
         """See ``Progress``."""
         print(text, file=sys.stderr, flush=True)
@@ -76,7 +100,7 @@ class PlainProgress:
 
     def view(self, session: Session) -> None:
         """See ``Progress``."""
-        self.event(view_words(session))
+        self.event(view_words(session) + self._pace.left(scanned_share(session)))
 
     def plan(self, session: Session) -> None:
         """See ``Progress``."""
@@ -90,6 +114,7 @@ class LiveProgress:
         self._console = console
         self._status = status
         self._doing, self._lines = "", 0
+        self._pace = Pace()
 
     def event(self, text: str) -> None:
         """See ``Progress``."""
@@ -103,7 +128,8 @@ class LiveProgress:
 
     def view(self, session: Session) -> None:
         """See ``Progress``."""
-        self._console.print(view_words(session), markup=False)
+        words = view_words(session) + self._pace.left(scanned_share(session))
+        self._console.print(words, markup=False)
         self.event("planning")
 
     def plan(self, session: Session) -> None:

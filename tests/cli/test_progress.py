@@ -7,9 +7,11 @@ from rich.console import Console
 
 from scan3d_twin.cli.progress import (
     LiveProgress,
+    Pace,
     PlainProgress,
     plan_words,
     scanned_share,
+    steps,
     view_words,
 )
 from scan3d_twin.core.config import Config
@@ -88,3 +90,23 @@ def tell(progress, session):
         progress.line()
     progress.view(session)
     progress.plan(session)
+
+
+def test_the_time_left_follows_from_what_the_views_have_added():
+    times = iter([100.0, 160.0, 220.0, 1000.0, 1001.0])
+    pace = Pace(lambda: next(times))
+    assert pace.left(0.2) == ""
+    assert pace.left(0.2) == ""
+    assert pace.left(0.5) == ", about 3 min left"
+    assert pace.left(0.95) == ", 60 s left"
+    assert pace.left(1.0) == ""
+
+
+def test_steps_tell_how_many_are_done(capsys):
+    step = steps(PlainProgress(), "replaying view", 2)
+    step(0)
+    step(1)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("replaying view 1 of 2, ")
+    assert first.endswith(" s left")
+    assert second == "replaying view 2 of 2"
