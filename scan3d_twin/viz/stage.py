@@ -179,7 +179,7 @@ class Stage:
         seen = [view.T_world_scan.apply(view.target.points) for view in session.views]
         poses = [view.T_world_scan for view in session.views]
         camera = camera_of(np.concatenate([hint, *seen]), poses)
-        a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.4 * camera.distance
+        a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.1 * camera.distance
         ray = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
         eye = camera.middle + d * ray
         self._server.initial_camera.look_at = camera.middle
