@@ -2,6 +2,7 @@
 
 import pytest
 
+from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.protocols.scip import ScanRequest
 from scan3d_twin.protocols.urg04lx import LINKS, ScanMode
 from scan3d_twin.real import urg_mode
@@ -52,6 +53,13 @@ def test_every_second_turn_is_asked_for():
     assert (
         urg_mode.scan_requests(LINKS["115200-full"])[0].request().encode() == b"MD0044072501100\n"
     )
+
+
+@pytest.mark.parametrize(("turns", "cluster"), [(1, 0), (1, 100), (0, 1), (11, 1)])
+def test_what_the_sensor_does_not_know_is_refused(turns, cluster):
+    with pytest.raises(ConfigError, match="cluster must be 1 to 99 and turns per line 1 to 10"):
+        urg_mode.scan_requests(ScanMode(44, 725, turns), cluster)
+    assert urg_mode.scan_requests(ScanMode(44, 725, 10), 99)
 
 
 def test_the_refusal_names_what_would_do():
