@@ -109,7 +109,9 @@ def shard_of(whole: Sequence[Task], number: int, count: int) -> list[Task]:
 
 
 def _task(scene: str, variant: str, variants: Mapping[str, Options]) -> Task:
-    given = merge([variants[variant], {"run": {"scene": scene}}])
+    path = Path(scene)
+    found = str(path.resolve()) if path.suffix and path.is_file() else scene
+    given = merge([variants[variant], {"run": {"scene": found}}])
     try:
         settings, loaded = resolve_sim(given)
     except ConfigError as error:

@@ -98,6 +98,14 @@ def test_the_key_depends_on_everything_that_decides_on_the_record(a_task):
     assert len({a_task.key, *(task.key for task in others)}) == 5
 
 
+def test_a_scene_file_is_found_from_any_folder(tmp_path, monkeypatch):
+    (tmp_path / "scene.xml").write_text(load_text("plain_wall"))
+    monkeypatch.chdir(tmp_path)
+    (task,) = tasks(experiment_of(["scene.xml"], [], ["paper"]))
+    assert task.settings.run.scene == str(tmp_path / "scene.xml")
+    assert task.scene == "scene"
+
+
 def test_a_changed_scene_file_is_another_task(tmp_path):
     text = load_text("plain_wall")
     path = tmp_path / "scene.xml"
