@@ -57,7 +57,7 @@ class Pace:
         self._first: tuple[float, float] | None = None
 
     def left(self, share: float) -> str:
-        """Return how long the rest takes when ``share`` 0..1 is done, in words; empty if unknown."""
+        """Return in words how long the rest takes, ``share`` 0..1 being done; empty if unknown."""
         now = self._clock()
         if self._first is None:
             self._first = now, share

@@ -17,7 +17,7 @@ from scan3d_twin.recording.load import Recorded, load_session, session_path
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
 from scan3d_twin.recording.recorder import finish_file
 from scan3d_twin.recording.reopen import keep_beside, latest_backup, reopen
-from scan3d_twin.recording.salvage import is_finished, is_written
+from scan3d_twin.recording.salvage import is_finished, is_sound, is_written
 from scan3d_twin.recording.session_log import SessionLog
 
 
@@ -35,19 +35,11 @@ def recover(folder: Path, wall: Callable[[], float]) -> Path | None:
         FileError: There is no session, or a run is writing to it.
     """
     path = session_path(folder)
-    if is_finished(path) and _is_sound(path):
+    if is_finished(path) and is_sound(path):
         return None
     reopened = reopen(path, wall, whole=True)
     finish_file(reopened.file, path.with_name(SESSION_FILE))
     return reopened.backup
-
-
-def _is_sound(path: Path) -> bool:
-    try:
-        load_session(path)
-    except FileError:
-        return False
-    return True
 
 
 def without_view(session: Session, index: int) -> Session:

@@ -62,6 +62,23 @@ def is_finished(path: Path) -> bool:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
 
 
+def is_sound(path: Path) -> bool:
+    """Tell whether every message of the finished file at ``path`` can be read.
+
+    Raises:
+        FileError: It cannot be opened.
+    """
+    try:
+        with path.open("rb") as stream:
+            for _ in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
+                pass
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    except _BROKEN:
+        return False
+    return True
+
+
 def is_written(path: Path) -> bool:
     """Tell whether a run that is still going on writes to the file at ``path``."""
     try:

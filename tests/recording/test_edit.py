@@ -1,0 +1,91 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+from recorded import make_robot, record
+from same import same
+
+from scan3d_twin.core.config import AlignmentConfig, Config
+from scan3d_twin.core.digitize import integrate
+from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan, Pose2
+from scan3d_twin.recording.edit import drop_view, recover, undo, without_view
+from scan3d_twin.recording.recorder import Recorder
+from scan3d_twin.recording.salvage import is_finished
+
+PLACES = (0.2, 0.0, -0.2)
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Three views, the second placed wrongly; the noise of the real lidar."""
+    hint = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
+    session, rng = Session(Config(), 7, hint, np.array([-1.0, 0.0])), np.random.default_rng(0)
+    for y in PLACES:
+        session = integrate(session, synthetic.observe(Pose2(-0.4, y, 0.0), sigma=0.005, rng=rng))
+        session = session.with_plan(Plan(Pose2(-0.4, y, 0.0), 0.8, 0.01, False, (), "a plan"))
+    wrong = replace(session.views[1], T_world_scan=Pose2(0.0, 1.0, 0.5))
+    views = (session.views[0], wrong, session.views[2])
+    return replace(session, views=views).ended("enough")
+
+
+@pytest.mark.parametrize("when", ["never", "end"])
+def test_the_rest_is_placed_without_the_bad_view(three, when):
+    config = replace(three.config, alignment=AlignmentConfig(when=when))
+    rest = without_view(replace(three, config=config), 1)
+    assert len(rest.views) == len(rest.plans) == 2
+    for view, y in zip(rest.views, (PLACES[0], PLACES[2]), strict=True):
+        assert view.T_world_scan.distance(Pose2(-0.4, y, 0.0)) < 0.01
+        assert view.observation.T_odom_scan.y == y
+
+
+@pytest.mark.parametrize(("index", "words"), [(3, "there is no view 3"), (-1, "there is no view")])
+def test_there_is_no_such_view(three, index, words):
+    with pytest.raises(ConfigError, match=words):
+        without_view(three, index)
+
+
+def test_one_view_must_stay(three):
+    with pytest.raises(ConfigError, match="only view"):
+        without_view(replace(three, views=three.views[:1]), 0)
+
+
+def test_a_change_is_recorded_and_taken_back(three, tmp_path):
+    record(tmp_path, three)
+    dropped = drop_view(tmp_path, 1, lambda: 0.0)
+    assert same(dropped.session, without_view(three, 1))
+    assert dropped.session.stop_reason == "enough"
+    assert same(undo(tmp_path).session, three)
+    assert same(undo(tmp_path).session, dropped.session)
+    assert same(undo(tmp_path).session, three)
+
+
+def test_an_unfinished_session_is_changed_too_and_comes_back_unfinished(three, tmp_path):
+    record(tmp_path, three, finish=False)
+    before = (tmp_path / "session.mcap.part").read_bytes()
+    assert drop_view(tmp_path, 2, lambda: 0.0).finished
+    assert not undo(tmp_path).finished
+    assert (tmp_path / "session.mcap.part").read_bytes() == before
+
+
+def test_a_run_in_progress_is_left_alone(three, tmp_path):
+    record(tmp_path, three, finish=False)
+    with (tmp_path / "session.mcap.part").open("rb") as stream:
+        import fcntl
+
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        with pytest.raises(FileError, match="is being written by a run that goes on"):
+            drop_view(tmp_path, 1, lambda: 0.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["session.mcap.part"]
+
+
+def test_what_a_robot_said_before_it_failed_can_be_made_whole(tmp_path):
+    """No view was finished, and so there is nothing to go on from; others can read it still."""
+    recorder = Recorder(tmp_path, lambda: 0.0, {})
+    recorder.attach(make_robot())
+    recorder.abandon(keep=True)
+    assert recover(tmp_path, lambda: 0.0) == tmp_path / "session.1.mcap.part"
+    assert is_finished(tmp_path / "session.mcap")
+    assert recover(tmp_path, lambda: 0.0) is None
