@@ -32,9 +32,9 @@ class CandidatesEnv(ViewPlanEnv[np.int64]):
         self._candidates: tuple[Candidate, ...] = ()
 
     def own_space(self) -> dict[str, spaces.Space[Any]]:
-        """See ``ViewPlanEnv``: x, y, cos and sin of the heading, overlap, and the mask."""
+        """See ``ViewPlanEnv``: per candidate x, y, cos and sin of the heading, overlap."""
         return {
-            "candidates": spaces.Box(-1.0, 1.0, (K, 5), np.float32),
+            "candidates": spaces.Box(-1.0, 1.0, (5 * K,), np.float32),
             "action_mask": spaces.MultiBinary(K),
         }
 
@@ -49,7 +49,7 @@ class CandidatesEnv(ViewPlanEnv[np.int64]):
                     candidate.overlap,
                 )  # fmt: skip
         return {
-            "candidates": np.clip(rows, -1.0, 1.0).astype(np.float32),
+            "candidates": np.clip(rows, -1.0, 1.0).astype(np.float32).ravel(),
             "action_mask": self.action_masks().astype(np.int8),
         }
 

@@ -38,8 +38,8 @@ def observation_space() -> dict[str, spaces.Space[Any]]:
     """Return the spaces that all environments share."""
     return {
         "topdown": spaces.Box(0, 255, (4, SIDE, SIDE), np.uint8),
-        "range": spaces.Box(0.0, 1.0, (2, LINES, BEAMS), np.float32),
-        "profile": spaces.Box(-1.0, 1.0, (4, BINS), np.float32),
+        "range": spaces.Box(0, 255, (1, LINES, BEAMS), np.uint8),
+        "profile": spaces.Box(-1.0, 1.0, (4 * BINS,), np.float32),
         "pose": spaces.Box(-1.0, 1.0, (6,), np.float32),
         "stats": spaces.Box(0.0, 1.0, (8,), np.float32),
     }
@@ -51,7 +51,7 @@ def observe(situation: Situation) -> dict[str, Any]:
     return {
         "topdown": topdown(session, situation.costmap),
         "range": range_image(view, session.config.target.max_range),
-        "profile": profile(view, session),
+        "profile": profile(view, session).ravel(),
         "pose": pose(session),
         "stats": stats(situation),
     }
@@ -92,8 +92,8 @@ def _target(session: Session) -> Image:
     return image
 
 
-def range_image(view: View, most: float) -> Values:
-    """Return ranges in units of ``most`` [m] and their validity (2, LINES, BEAMS).
+def range_image(view: View, most: float) -> Image:
+    """Return the ranges (1, LINES, BEAMS): 0 for no return, 1 to 255 for 0 to ``most`` [m].
 
     Lines left to right, beams bottom to top; every n-th of the sweep's.
     """
@@ -101,11 +101,8 @@ def range_image(view: View, most: float) -> Values:
     rows = np.linspace(0, ranges.shape[0] - 1, LINES).astype(np.int64)
     columns = np.linspace(0, ranges.shape[1] - 1, BEAMS).astype(np.int64)
     shown = ranges[np.ix_(rows, columns)]
-    valid = np.isfinite(shown)
-    result: Values = np.stack(
-        [np.where(valid, np.clip(shown / most, 0.0, 1.0), 0.0), valid]
-    ).astype(np.float32)
-    return result
+    grey = 1 + 254 * np.clip(np.nan_to_num(shown, nan=0.0) / most, 0.0, 1.0)
+    return np.where(np.isfinite(shown), grey, 0.0).astype(np.uint8)[None]
 
 
 def profile(view: View, session: Session) -> Values:
