@@ -17,6 +17,8 @@ from scan3d_twin.recording.report import report_schema
 from scan3d_twin.recording.salvage import contents
 
 TWIN = [sys.executable, "-m", "scan3d_twin.cli"]
+HEAVY = ("mujoco", "trimesh", "open3d", "matplotlib", "viser")
+"""What a run of the real robot leaves out, so that its own small computer will do."""
 PIPES = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
 
 
@@ -121,7 +123,7 @@ def test_two_views_over_pseudo_terminals(ports, tmp_path):
     assert report["registration"][0]["converged"]
     assert report["peak_memory_mb"] < 200
     loaded = result.stderr.splitlines()[-1]
-    assert not [name for name in ("mujoco", "trimesh", "open3d", "matplotlib") if name in loaded]
+    assert not [name for name in HEAVY if name in loaded]
     saved = (tmp_path / "run/config.toml").read_text()
     assert saved.startswith("# Run again: twin real --config THIS_FILE\n")
     assert tomllib.loads(saved)["run"]["scene"] == "real"
