@@ -3,7 +3,8 @@
 ``python benchmarks/mount.py [--seeds 10] [--scene living_room] [--json]`` prints one object {name:
 {value, unit, peer, runs}}. Each seed is another robot of the `typical` world; it scans a full turn
 and, from the same place, 300 deg to both sides, at the rate of a run. Different wheels lean
-it: the true roll is that of the lidar to the floor.
+it, and it turns about a point that is not the middle of its axle: true are the lidar's roll to the
+floor and its offset from the axis it really turned about.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import argparse
 import json
 import math
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,14 +30,25 @@ LATERAL, ROLL = 0.010, math.radians(1.0)
 TURN, BACK = math.radians(360.0), math.radians(300.0)
 
 
-def take(scene: str, seed: int, width: float, passes: int) -> tuple[list[RangeImage], float, float]:
-    """Return sweeps from the spawn, the robot's lean to its right [rad] and its true yaw scale."""
+@dataclass(frozen=True)
+class Truly:
+    """What is to be found: offset [m], roll [rad] and yaw scale."""
+
+    lateral: float
+    roll: float
+    yaw_scale: float
+
+
+def take(scene: str, seed: int, width: float, passes: int) -> tuple[list[RangeImage], Truly]:
+    """Return sweeps from the spawn, and what is true of the first."""
     errors = replace(RobotErrorConfig(), mount_lateral=LATERAL, mount_roll=ROLL)
     config = replace(Config(), sweep=SweepConfig(width=width))
     with open_sim(scene, seed, replace(TwinConfig(), errors=errors)) as (robot, truth):
-        images = [sweep(robot, 0.0, config, lambda line: None).image for _ in range(passes)]
+        images = [sweep(robot, 0.0, config, lambda line: None).image]
+        across, scale = turning(images[0], truth)
+        images += [sweep(robot, 0.0, config, lambda line: None).image for _ in range(1, passes)]
         robot.lidar.read_line(1.0)
-        return images, lean(truth), yaw_scale(images[0], truth)
+        return images, Truly(LATERAL + across, lean(truth), scale)
 
 
 def lean(truth: Truth) -> float:
@@ -49,20 +61,30 @@ def lean(truth: Truth) -> float:
     return float(math.asin(abs(across[2])))
 
 
-def yaw_scale(image: RangeImage, truth: Truth) -> float:
-    """Return by which share more the robot turned in ``image`` than its odometry told."""
+def turning(image: RangeImage, truth: Truth) -> tuple[float, float]:
+    """Return how far left of the axis it turned about the base is [m], and the yaw scale.
+
+    The base at p and heading theta turns about c: p = c + R(theta) a.
+    """
     beam = image.spec.n_beams // 2
     lines = np.arange(0, image.n_lines, 10)
     stamps = image.stamps[lines] + image.spec.beam_times[beam]
-    true = np.unwrap([truth.pose_at(float(stamp)).yaw for stamp in stamps])
-    return float(np.polyfit(image.yaws[lines, beam], true, 1)[0]) - 1.0
+    poses = [truth.pose_at(float(stamp)) for stamp in stamps]
+    rows, right = [], []
+    for pose in poses:
+        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+        rows += [[1, 0, c, -s], [0, 1, s, c]]
+        right += [pose.x, pose.y]
+    a = np.linalg.lstsq(np.array(rows), np.array(right))[0]
+    true = np.unwrap([pose.yaw for pose in poses])
+    return float(a[3]), float(np.polyfit(image.yaws[lines, beam], true, 1)[0]) - 1.0
 
 
-def run(scene: str, seed: int) -> tuple[Calibration, float, float]:
-    """Return what was found, the true roll [rad] and the true yaw scale."""
-    turn, roll, scale = take(scene, seed, TURN, 1)
-    back, _, _ = take(scene, seed, BACK, 2)
-    return calibrate([turn, back]), roll, scale
+def run(scene: str, seed: int) -> tuple[Calibration, Truly]:
+    """Return what was found and what is true."""
+    turn, truly = take(scene, seed, TURN, 1)
+    back, _ = take(scene, seed, BACK, 2)
+    return calibrate([turn, back]), truly
 
 
 def main() -> None:
@@ -74,17 +96,19 @@ def main() -> None:
     arguments = parser.parse_args()
     errors = []
     for seed in range(arguments.seeds):
-        found, roll, scale = run(arguments.scene, seed)
+        found, true = run(arguments.scene, seed)
         m, s = found.mount, found.sigmas
         print(
-            f"seed {seed}: lateral {1e3 * m.lateral:.2f} +- {1e3 * s[0]:.2f} mm, roll "
+            f"seed {seed}: lateral {1e3 * m.lateral:.2f} +- {1e3 * s[0]:.2f} (true "
+            f"{1e3 * true.lateral:.2f}) mm, roll "
             f"{math.degrees(m.roll):.3f} +- {math.degrees(s[1]):.3f} (true "
-            f"{math.degrees(roll):.3f}) deg, yaw scale {m.yaw_scale:.4f} +- {s[3]:.4f} (true "
-            f"{scale:.4f})",
+            f"{math.degrees(true.roll):.3f}) deg, yaw scale {m.yaw_scale:.4f} +- {s[3]:.4f} (true "
+            f"{true.yaw_scale:.4f})",
             file=sys.stderr,
             flush=True,
         )
-        errors.append((abs(m.lateral - LATERAL), abs(m.roll - roll), abs(m.yaw_scale - scale)))
+        off = (m.lateral - true.lateral, m.roll - true.roll, m.yaw_scale - true.yaw_scale)
+        errors.append(np.abs(off))
     lateral, roll_error, scale_error = np.array(errors).T
     rows: dict[str, dict[str, Any]] = {}
 
