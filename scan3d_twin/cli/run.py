@@ -129,9 +129,13 @@ def _digitize_and_save(
         _finish(recorder, loop)
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     progress.event("evaluating and saving" if truth is not None else "saving")
-    report = save_run(
-        folder, name, settings, loop.session, loop.journey, effort, truth, onlooker.picture()
-    )
+    picture = onlooker.picture()
+    try:
+        report = save_run(
+            folder, name, settings, loop.session, loop.journey, effort, truth, picture
+        )
+    except FileError as error:  # the disk that was full before is full now
+        raise (loop.ended if isinstance(loop.ended, FileError) else error) from None
     return report, loop.ended or _failed(loop.session)
 
 

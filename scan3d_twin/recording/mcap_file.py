@@ -54,15 +54,20 @@ class Sink:
         except OSError as error:
             raise FileError(f"cannot write {path}: {error.strerror or error}") from error
         self._size = 0
+        self._failure: FileError | None = None
         with suppress(OSError):  # some network disks know no locks
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def write(self, data: bytes) -> int:
         """Write all of ``data``.
 
+        After a failure nothing more is written: an index would not fit to what is there.
+
         Raises:
-            FileError: The disk is full or gone; what was written before is kept.
+            FileError: The disk is full or gone, or was before; what was written then is kept.
         """
+        if self._failure is not None:
+            raise self._failure
         left = memoryview(data)
         try:
             while left:
@@ -71,7 +76,8 @@ class Sink:
             with suppress(OSError):
                 os.ftruncate(self._fd, self._size)
                 os.lseek(self._fd, self._size, os.SEEK_SET)
-            raise _cannot_record(self.path, error) from error
+            self._failure = _cannot_record(self.path, error)
+            raise self._failure from error
         self._size += len(data)
         return len(data)
 

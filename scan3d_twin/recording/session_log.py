@@ -119,10 +119,13 @@ class SessionState:
             raise FileError("no valid session in the file: it begins in the middle")
         text = records[-1][2][0]
         lengths = json.loads(text)["lengths"]
-        lists: dict[str, Any] = {
-            name: tuple(self._items.get(name, {})[k] for k in range(lengths.get(name, 0)))
-            for name in _lists()
-        }
+        try:
+            lists: dict[str, Any] = {
+                name: tuple(self._items.get(name, {})[k] for k in range(lengths.get(name, 0)))
+                for name in _lists()
+            }
+        except KeyError as error:
+            raise FileError(f"no valid session in the file: item {error} is missing") from None
         self.session, self.mark = replace(base, **lists), unpack(Mark, (text, b""))
         if not self.session.stop_reason:
             self.open_session = self.session

@@ -208,7 +208,11 @@ def test_a_full_disk_stops_the_robot_and_keeps_what_was_before(
     with pytest.raises(FileError, match=r"cannot record to .*No space left on device; what was"):
         seen += drive(recorder, robot, session)
     assert robot.base._base.speed == (0.0, 0.0)
+    monkeypatch.undo()
+    with pytest.raises(FileError, match="No space left on device"):
+        recorder.finish(session)
     recorder.close()
+    assert not recorder.path.exists()
     if seen[-1] is not None:
         assert same(load_session(tmp_path).session, seen[-1])
 
