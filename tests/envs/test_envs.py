@@ -192,7 +192,7 @@ def test_a_render_mode_that_is_none():
 
 def test_scenes_are_drawn_from_a_list(make):
     env = make(scene=["three_boxes", "sine_box", "random:3"])
-    names = {env.reset(seed=seed)[1]["scene"] for seed in range(9)}
+    names = {env.reset(seed=seed)[1]["scene"] for seed in range(12)}
     assert names == {"three_boxes", "sine_box", "random_3"}
 
 
