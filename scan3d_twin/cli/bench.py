@@ -36,7 +36,7 @@ class BenchOptions:
     """What is run, where and by whom."""
 
     suite: str | None = None
-    """Experiment of the package: smoke, paper-fig10, paper-fig13 or full."""
+    """Experiment of the package: smoke, paper-fig10, paper-fig13, full or costs."""
     scenes: Names = ()
     """Scenes, by name or file (default three_boxes)."""
     planners: Names = ()
