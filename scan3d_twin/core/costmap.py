@@ -121,8 +121,15 @@ class Costmap:
 
     def _disc(self, centre: FloatArray, radius: float) -> BoolArray:
         """Return the cells whose middle is within ``radius`` [m] of ``centre``."""
-        offset = _centres(self.origin, self.cells.shape) - centre
-        return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) <= radius)
+        shape, reach = np.array(self.cells.shape), radius + RESOLUTION
+        first = np.clip(self._cell(centre - reach), 0, shape)
+        end = np.clip(self._cell(centre + reach) + 1, first, shape)
+        i, j = (np.arange(a, b) for a, b in zip(first, end, strict=True))
+        x = self.origin[0] + (i[:, None] + 0.5) * RESOLUTION - centre[0]
+        y = self.origin[1] + (j + 0.5) * RESOLUTION - centre[1]
+        disc = np.zeros(self.cells.shape, dtype=bool)
+        disc[first[0] : end[0], first[1] : end[1]] = np.hypot(x, y) <= radius
+        return disc
 
 
 def build_costmap(
