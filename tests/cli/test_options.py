@@ -48,7 +48,7 @@ def test_the_help_shows_units_defaults_and_the_plain_lambda(twin):
 def test_defaults():
     settings = effective()
     assert settings.run.scene == "three_boxes"
-    assert settings.run.preset == "paper"
+    assert settings.run.preset == "best"
     assert settings.run.seed == 0
     assert settings.config.planning.epsilon == 0.010
     assert settings.config.max_views == 20
@@ -102,7 +102,7 @@ def test_sources_win_in_their_order(tmp_path, monkeypatch):
     planning = settings.config.planning
     assert (planning.trials, planning.quantile, planning.sigma) == (7, 0.6, 0.5)
     assert settings.config.max_views == 6
-    assert planning.gamma == PlanningConfig().gamma
+    assert planning.alpha == PlanningConfig().alpha
 
 
 def test_a_preset_lies_between_defaults_and_file(tmp_path, monkeypatch):

@@ -87,7 +87,10 @@ def test_a_finished_run_goes_on_with_other_options(finished, twin, tmp_path):
     assert report["views"] == 3
     assert report["path_m"] > finished[1]["path_m"]
     for name in ("views/000.npz", "views/001.npz"):
-        assert (finished[0] / name).read_bytes() == Path("run", name).read_bytes()
+        with np.load(finished[0] / name) as was, np.load(Path("run", name)) as now:
+            # Only where a view lies may change: more views align all of them anew.
+            assert np.array_equal(was["ranges"], now["ranges"], equal_nan=True)
+            assert np.array_equal(was["target_points"], now["target_points"])
     assert len(load_session(Path("run")).session.views) == 3
 
 

@@ -37,7 +37,7 @@ def test_the_report_fits_its_schema(finished):
 
 def test_the_report_tells_of_this_run(finished):
     report = finished[1]
-    assert (report["scene"], report["preset"], report["seed"]) == ("three_boxes", "paper", 0)
+    assert (report["scene"], report["preset"], report["seed"]) == ("three_boxes", "best", 0)
     assert report["views"] == 2
     assert [row["view"] for row in report["registration"]] == [1]
     assert 0 < report["coverage_20mm"] <= 1
