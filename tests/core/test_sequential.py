@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import betabinom
 
-from scan3d_twin.core.planning.sequential import allowed_failures, decided
+from scan3d_twin.core.planning.sequential import _at_most, allowed_failures, decided
 
 
 @given(st.integers(1, 40), st.floats(0.05, 1.0))
@@ -42,3 +43,9 @@ def test_less_certainty_saves_draws_and_seldom_changes_the_outcome(
         used, same = used + drawn, same + (early == (fails.sum() <= allowed_failures(20, 0.9)))
     assert used < most * 20 * runs
     assert same > 0.85 * runs
+
+
+@given(st.integers(0, 30), st.integers(0, 30), st.floats(0.5, 20.0), st.floats(0.5, 20.0))
+def test_the_distribution_is_the_beta_binomial(most: int, more: int, a: float, b: float) -> None:
+    n = most + more
+    assert _at_most(most, n, a, b) == pytest.approx(betabinom.cdf(most, n, a, b), rel=1e-9)

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 
-from scipy.stats import betabinom
+import numpy as np
+from scipy.special import betaln
 
 
 def allowed_failures(draws: int, quantile: float) -> int:
@@ -34,5 +35,15 @@ def decided(failures: int, drawn: int, draws: int, quantile: float, certainty: f
         return True
     if certainty >= 1.0:
         return False
-    good = float(betabinom.cdf(allowed - failures, left, 0.5 + failures, 0.5 + drawn - failures))
+    good = _at_most(allowed - failures, left, 0.5 + failures, 0.5 + drawn - failures)
     return max(good, 1.0 - good) >= certainty
+
+
+def _at_most(most: int, n: int, a: float, b: float) -> float:
+    """Return the probability of at most ``most`` of ``n`` failures of a beta-binomial distribution.
+
+    Written out: ``scipy.stats`` would take more memory than a small computer has left.
+    """
+    k = np.arange(most + 1)
+    ways = -np.log(n + 1.0) - betaln(n - k + 1.0, k + 1.0)
+    return float(np.sum(np.exp(ways + betaln(k + a, n - k + b) - betaln(a, b))))
