@@ -220,16 +220,19 @@ class RangeImage:
         """What functions computed of this image, by their name and arguments: it never changes."""
         return {}
 
-    @cached_property
+    @property
     def directions(self) -> FloatArray:
-        """Beam directions in ``scan`` (n_lines, n_beams, 3)."""
+        """Beam directions in ``scan`` (n_lines, n_beams, 3); made anew, as a session keeps many."""
         e = self.spec.elevations
         beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)
         return _rotate_z(beams @ self.T_base_lidar[:3, :3].T, self.yaws)
 
-    @cached_property
+    @property
     def points(self) -> FloatArray:
-        """Measured points in ``scan`` (n_lines, n_beams, 3) [m]; NaN where there is no return."""
+        """Measured points in ``scan`` (n_lines, n_beams, 3) [m]; NaN where there is no return.
+
+        Made anew each time: a session keeps its images, and points take six times their room.
+        """
         lever = np.broadcast_to(self.T_base_lidar[:3, 3], (*self.yaws.shape, 3))
         return _rotate_z(lever, self.yaws) + self.ranges[..., None] * self.directions
 

@@ -80,10 +80,10 @@ def find_edges(image: RangeImage, table: FloatArray, valid: BoolArray, yaw_sigma
         valid: Readings that are distances (n_lines, n_beams).
         yaw_sigma: Of a line [rad].
     """
-    found = []
+    found, points = [], image.points
     for side in (1, -1):
         for run in _runs(_jumps(image.ranges, table[..., VARIANCE] > 0, valid, side)):
-            found.append(_run(image, table, yaw_sigma, run, side))
+            found.append(_run(image.yaws, points, table, yaw_sigma, run, side))
     edges = [edge for edge in found if edge is not None]
     rows = np.array(edges).reshape(-1, 8)
     return Edges(rows[:, :2], rows[:, 2:4], rows[:, 4], rows[:, 5].astype(np.int64), rows[:, 6:])
@@ -123,16 +123,21 @@ def _runs(jumps: BoolArray) -> list[tuple[int, int, int]]:
 
 
 def _run(
-    image: RangeImage, table: FloatArray, yaw_sigma: float, run: tuple[int, int, int], side: int
+    yaws: FloatArray,
+    points: FloatArray,
+    table: FloatArray,
+    yaw_sigma: float,
+    run: tuple[int, int, int],
+    side: int,
 ) -> FloatArray | None:
     """Return a run as place, across, variance, side and heights (8,); None if it is no edge."""
     line, first, end = run
     beams = slice(first, end)
     rows = table[line - INWARDS if side > 0 else line + 1 + INWARDS, beams]
-    last = image.points[line if side > 0 else line + 1, beams]
+    last = points[line if side > 0 else line + 1, beams]
     off = np.abs(np.sum(rows[:, N] * (last - rows[:, X]), axis=1))
-    yaws = image.yaws[line : line + 2, beams]
-    middle = yaws.mean(axis=0)
+    both = yaws[line : line + 2, beams]
+    middle = both.mean(axis=0)
     ray = np.stack([np.cos(middle), np.sin(middle)], axis=1)
     n = rows[:, N]
     flat = np.sqrt(n[:, 0] ** 2 + n[:, 1] ** 2)

@@ -33,6 +33,8 @@ X, N, VARIANCE, NORMAL_VARIANCE = np.s_[0:3], np.s_[3:6], 6, 7
 variance of one reading along the normal by range noise [m2], that of the normal [rad2]."""
 MOMENTS = 11
 """Channels of the summed-area table: x x^T (6), x q (3), q^2, 1."""
+AT_ONCE = 8192
+"""Readings whose windows are computed at once: 10 MB, for robots with little memory."""
 UNKNOWN, EMPTY, SURFACE = 0, 1, 2
 """What a reading says of its ray."""
 HOLE = 2
@@ -65,13 +67,15 @@ def fit_surfels(
     q = np.divide(1.0, ranges, out=np.zeros_like(ranges), where=valid)
     sums = _summed_area(d + q[..., None] * o, q, valid)
     table = np.zeros((*ranges.shape, 8))
-    line, beam = np.nonzero(keep)
-    for half in windows:
-        total, area = _box_sums(sums, line, beam, half)
-        at = (o[line, beam], d[line, beam], q[line, beam])
-        rows, fits = _planes(total, area, *at, noise)
-        table[line[fits], beam[fits]] = rows[fits]
-        line, beam = line[~fits], beam[~fits]
+    lines, beams_kept = np.nonzero(keep)
+    for first in range(0, len(lines), AT_ONCE):
+        line, beam = lines[first : first + AT_ONCE], beams_kept[first : first + AT_ONCE]
+        for half in windows:
+            total, area = _box_sums(sums, line, beam, half)
+            at = (o[line, beam], d[line, beam], q[line, beam])
+            rows, fits = _planes(total, area, *at, noise)
+            table[line[fits], beam[fits]] = rows[fits]
+            line, beam = line[~fits], beam[~fits]
     return table
 
 
