@@ -33,8 +33,8 @@ X, N, VARIANCE, NORMAL_VARIANCE = np.s_[0:3], np.s_[3:6], 6, 7
 variance of one reading along the normal by range noise [m2], that of the normal [rad2]."""
 MOMENTS = 11
 """Channels of the summed-area table: x x^T (6), x q (3), q^2, 1."""
-AT_ONCE = 8192
-"""Readings whose windows are computed at once: 10 MB, for robots with little memory."""
+AT_ONCE = 24
+"""Lines that are fitted at once: some 15 MB, for robots with little memory."""
 UNKNOWN, EMPTY, SURFACE = 0, 1, 2
 """What a reading says of its ray."""
 HOLE = 2
@@ -63,19 +63,42 @@ def fit_surfels(
         noise: Range sigma at 0 [m] and its growth per metre (2,).
         windows: Half sizes in lines and beams, largest first (k, 2).
     """
+    table = np.zeros((*ranges.shape, 8))
+    margin = int(windows[0, 0])
+    for first in range(0, len(ranges), AT_ONCE):
+        inner = slice(first, first + AT_ONCE)
+        outer = slice(max(0, first - margin), first + AT_ONCE + margin)
+        wanted = np.zeros_like(keep[outer])
+        wanted[first - outer.start :][:AT_ONCE] = keep[inner]
+        block = _fit_lines(
+            ranges[outer], yaws[outer], beams, lever, valid[outer], wanted, noise, windows
+        )
+        table[inner] = block[first - outer.start :][:AT_ONCE]
+    return table
+
+
+def _fit_lines(
+    ranges: FloatArray,
+    yaws: FloatArray,
+    beams: FloatArray,
+    lever: FloatArray,
+    valid: BoolArray,
+    keep: BoolArray,
+    noise: FloatArray,
+    windows: IntArray,
+) -> FloatArray:
+    """Return the table of surfels of some lines, from those lines alone."""
     o, d = _turned(lever, yaws), _turned(beams, yaws)
     q = np.divide(1.0, ranges, out=np.zeros_like(ranges), where=valid)
     sums = _summed_area(d + q[..., None] * o, q, valid)
     table = np.zeros((*ranges.shape, 8))
-    lines, beams_kept = np.nonzero(keep)
-    for first in range(0, len(lines), AT_ONCE):
-        line, beam = lines[first : first + AT_ONCE], beams_kept[first : first + AT_ONCE]
-        for half in windows:
-            total, area = _box_sums(sums, line, beam, half)
-            at = (o[line, beam], d[line, beam], q[line, beam])
-            rows, fits = _planes(total, area, *at, noise)
-            table[line[fits], beam[fits]] = rows[fits]
-            line, beam = line[~fits], beam[~fits]
+    line, beam = np.nonzero(keep)
+    for half in windows:
+        total, area = _box_sums(sums, line, beam, half)
+        at = (o[line, beam], d[line, beam], q[line, beam])
+        rows, fits = _planes(total, area, *at, noise)
+        table[line[fits], beam[fits]] = rows[fits]
+        line, beam = line[~fits], beam[~fits]
     return table
 
 
