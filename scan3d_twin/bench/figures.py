@@ -234,7 +234,7 @@ def success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> Figure
     if not curves:
         return None
     x = axis_over(
-        "\N{GREEK SMALL LETTER LAMDA} of the planner",
+        "λ of the planner",
         [v for by in curves.values() for v in by],
         log=True,
     )
