@@ -9,7 +9,7 @@ from pathlib import Path
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.evaluate import evaluate
-from scan3d_twin.core.model import fuse
+from scan3d_twin.core.model import build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.recording.ply import ply_bytes
@@ -24,10 +24,10 @@ def main(folder: Path) -> None:
         session = digitize(robot, make_planner("siicp"), config, SEED, Unobserved())
         result = evaluate(session, truth)
 
-    points, view = fuse(session)
+    model = build_model(session)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "model.ply").write_bytes(ply_bytes(points, view))
-    print(f"{len(session.views)} views, {len(points)} points: {session.stop_reason}")
+    (folder / "model.ply").write_bytes(ply_bytes(model.points, model.view))
+    print(f"{len(session.views)} views, {len(model)} points: {session.stop_reason}")
     print(f"{result.coverage:.0%} of what can be covered is within 20 mm of the model")
 
 

@@ -16,7 +16,7 @@ from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import TwinError
 from scan3d_twin.core.evaluate import Evaluation, evaluate
-from scan3d_twin.core.model import fuse
+from scan3d_twin.core.model import build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.closed_loop import Loop, close_loop
@@ -93,7 +93,7 @@ def _quality(session: Session, evaluation: Evaluation) -> dict[str, Any]:
         "accuracy_p95": evaluation.accuracy.p95,
         "completeness": evaluation.completeness.median,
         "completeness_p95": evaluation.completeness.p95,
-        "points": len(fuse(session)[0]),
+        "points": len(build_model(session)),
     }
 
 
@@ -138,10 +138,10 @@ def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict
 
 
 def _picture(task: Task, record: Record, session: Session) -> str:
-    points, view = fuse(session)
+    model = build_model(session)
     return top_view(
-        points,
-        view,
+        model.points,
+        model.view,
         [each.T_world_scan for each in session.views],
         sweep_width=session.config.sweep.width,
         standoff=session.config.planning.standoff,

@@ -8,7 +8,7 @@ import numpy as np
 
 from scan3d_twin.core.evaluate import Distances, Truth, evaluate, mesh_accuracy
 from scan3d_twin.core.mesh import build_mesh
-from scan3d_twin.core.model import build_model, fuse
+from scan3d_twin.core.model import build_model
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.folder import write_file
 from scan3d_twin.recording.ply import ply_bytes
@@ -34,15 +34,15 @@ def save_run(
     The views are written once more, because the last alignment may have moved them.
     ``scene_picture`` is a PNG of the scene, or why there is none; empty where nobody can have one.
     """
-    points, view = fuse(session)
-    evaluation = evaluate(session, truth) if truth is not None and len(points) else None
+    model = build_model(session)
+    evaluation = evaluate(session, truth) if truth is not None and len(model) else None
     report = build_report(
         scene,
         settings,
         session,
         journey,
         effort,
-        len(points),
+        len(model),
         evaluation,
         None if truth is None else _mesh_accuracy(session, truth),
     )
@@ -50,20 +50,20 @@ def save_run(
         write_file(view_path(folder, index), view_bytes(each))
     _remove_views_from(len(session.views), folder)
     picture = top_view(
-        points,
-        view,
+        model.points,
+        model.view,
         [each.T_world_scan for each in session.views],
         sweep_width=session.config.sweep.width,
         standoff=session.config.planning.standoff,
         title=_title(report),
     )
-    write_file(folder / "model.ply", ply_bytes(points, view))
+    write_file(folder / "model.ply", ply_bytes(model.points, model.view))
     write_file(folder / "top_view.svg", picture)
     write_file(folder / "report.json", report_json(report))
     if isinstance(scene_picture, bytes):
         write_file(folder / "scene.png", scene_picture)
     pictures = Pictures(picture, scene_picture)
-    options, model = settings_toml(settings), build_model(session)
+    options = settings_toml(settings)
     page = report_page(report, options, session, model, pictures, evaluation)
     write_file(folder / "report.html", page)
     return report

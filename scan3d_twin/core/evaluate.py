@@ -16,10 +16,10 @@ from scipy.spatial import ConvexHull, cKDTree
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.mesh import Mesh
-from scan3d_twin.core.model import fuse, voxel_thin
+from scan3d_twin.core.model import build_model, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import BoolArray, FloatArray, Pose2, rms
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, rms
 
 COVERAGE_DISTANCE = 0.020
 """A surface point is covered when a model point is this near [m]: twice the range accuracy."""
@@ -136,11 +136,12 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
     if not any(len(view.target) for view in session.views):
         raise ScanError("no view shows anything of the target: there is no model to evaluate")
     T_map_world = map_of_world(session, truth)
-    model = T_map_world.apply(fuse(session)[0])
+    model = build_model(session)
+    points = T_map_world.apply(model.points)
     surface, normals, spacing = _samples(truth)
     coverable = coverable_surface(surface, normals, truth, session.config)
-    to_truth = surface_distance(model, surface, normals, spacing)
-    by_view = _distance_by_view(session, T_map_world, surface[coverable])
+    to_truth = surface_distance(points, surface, normals, spacing)
+    by_view = _distance_by_view(points, model.view, len(session.views), surface[coverable])
     to_model = by_view[-1]
     covered = tuple(float(np.mean(each <= COVERAGE_DISTANCE)) for each in by_view)
     return Evaluation(
@@ -150,7 +151,7 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
         completeness=Distances.of(to_model),
         f_score={
             d: _f_score(
-                surface_distance(voxel_thin(model, d / 2), surface, normals, spacing), to_model, d
+                surface_distance(voxel_thin(points, d / 2), surface, normals, spacing), to_model, d
             )
             for d in F_DISTANCES
         },
@@ -182,13 +183,14 @@ def map_of_world(session: Session, truth: Truth) -> Pose2:
     return true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
 
 
-def _distance_by_view(session: Session, T_map_world: Pose2, surface: FloatArray) -> FloatArray:
+def _distance_by_view(
+    points: FloatArray, view: IntArray, n_views: int, surface: FloatArray
+) -> FloatArray:
     """Return the distance of ``surface`` (n, 3) to the views up to each one (n_views, n) [m]."""
-    distances = np.full((len(session.views), len(surface)), np.inf)
-    for k, view in enumerate(session.views):
-        if len(view.target):
-            points = (T_map_world @ view.T_world_scan).apply(view.target.points)
-            distances[k], _ = nearest(cKDTree(points), surface)
+    distances = np.full((n_views, len(surface)), np.inf)
+    for k in range(n_views):
+        if len(seen := points[view == k]):
+            distances[k], _ = nearest(cKDTree(seen), surface)
     return np.asarray(np.minimum.accumulate(distances, axis=0))
 
 

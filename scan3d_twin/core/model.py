@@ -53,19 +53,10 @@ class Model:
         return Model(*(getattr(self, each.name)[mask] for each in fields(self)))
 
 
-def fuse(session: Session) -> tuple[FloatArray, IntArray]:
-    """Return the target's points (n, 3) in ``world`` [m] and the index of the view of each (n,)."""
-    clouds = [view.T_world_scan.apply(view.target.points) for view in session.views]
-    views = [np.full(len(cloud), k) for k, cloud in enumerate(clouds)]
-    if not clouds:
-        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    return np.concatenate(clouds), np.concatenate(views)
-
-
 def build_model(session: Session, voxel: float = 0.0) -> Model:
-    """Return the model without its outliers; fused in voxels of side ``voxel`` [m] unless it is 0.
+    """Return the target's points of all views without outliers.
 
-    Its points are those of ``fuse``, or fewer.
+    Fused in voxels of side ``voxel`` [m] unless it is 0.
     """
     model = joined([without_outliers(oriented(v, k)) for k, v in enumerate(session.views)])
     return fuse_voxels(model, voxel) if voxel > 0 else model
@@ -195,7 +186,8 @@ def scanned_share(session: Session) -> float:
 
     The front: of what the first look around found. All round: of the directions round its middle.
     """
-    model = fuse(session)[0][:, :2]
+    seen = [view.T_world_scan.apply(view.target.points)[:, :2] for view in session.views]
+    model = np.concatenate([np.zeros((0, 2)), *seen])
     if len(model) == 0:
         return 0.0
     if session.config.tour == "front":

@@ -10,7 +10,6 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.model import (
     Model,
     build_model,
-    fuse,
     fuse_voxels,
     joined,
     oriented,
@@ -95,9 +94,11 @@ def test_fusing_brings_the_model_nearer_to_the_surface(session):
     assert error(fused) < 0.7 * error(raw)
 
 
-def test_the_model_is_the_fused_cloud_but_for_outliers(session):
-    points, view = fuse(session)
+def test_the_model_is_all_points_of_the_target_but_outliers(session):
     model = build_model(session)
+    clouds = [view.T_world_scan.apply(view.target.points) for view in session.views]
+    points = np.concatenate(clouds)
+    view = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
     assert 0.9 * len(points) < len(model) < len(points)
     among = {tuple(row) for row in np.column_stack([points, view])}
     assert all(tuple(row) in among for row in np.column_stack([model.points, model.view]))
@@ -105,7 +106,7 @@ def test_the_model_is_the_fused_cloud_but_for_outliers(session):
 
 def test_no_views_are_no_points():
     empty = Session(Config(), 0, HINT, np.array([-1.0, 0.0]))
-    assert len(build_model(empty, voxel=0.01)) == len(fuse(empty)[0]) == 0
+    assert len(build_model(empty, voxel=0.01)) == len(build_model(empty)) == 0
     assert scanned_share(empty) == 0
 
 

@@ -7,7 +7,7 @@ import pytest
 from pixels import share_of
 
 from scan3d_twin.core.evaluate import Distances, Evaluation, PairError
-from scan3d_twin.core.model import Model, build_model, fuse
+from scan3d_twin.core.model import Model, build_model
 from scan3d_twin.recording.colours import colour
 from scan3d_twin.recording.report import Effort, Journey, build_report
 from scan3d_twin.recording.settings import Settings, settings_toml
@@ -27,15 +27,17 @@ PNG = b"\x89PNG\r\n\x1a\n not a real picture"
 
 
 def page_of(session, evaluation=EVALUATION, scene="no EGL here", model=None):
-    points, view = fuse(session)
+    cloud = build_model(session)
     settings, effort = Settings(), Effort(4.0, 0.5, 2e8)
     journey = Journey(2.5, 3.1, 100.0)
-    report = build_report("boxes", settings, session, journey, effort, len(points), evaluation)
+    report = build_report("boxes", settings, session, journey, effort, len(cloud), evaluation)
     poses = [each.T_world_scan for each in session.views]
-    drawing = top_view(points, view, poses, sweep_width=1.05, standoff=1.0, title="boxes")
+    drawing = top_view(
+        cloud.points, cloud.view, poses, sweep_width=1.05, standoff=1.0, title="boxes"
+    )
     pictures = Pictures(drawing, scene)
-    options, model = settings_toml(settings), model or build_model(session)
-    return report_page(report, options, session, model, pictures, evaluation)
+    options = settings_toml(settings)
+    return report_page(report, options, session, model or cloud, pictures, evaluation)
 
 
 @pytest.fixture(scope="module")
