@@ -17,6 +17,8 @@ from scan3d_twin.core.types import MIXED, BoolArray, FloatArray, RangeImage, rea
 
 STEEPEST = math.radians(80.0)
 """Incidence from which on a UBG-04LX-F01 returns gross errors: steeper steps are no surface."""
+NOISE = 0.04
+"""What two readings of the same place may differ by [m]; 4 sigma at 4 m."""
 
 
 def without_mixed_pixels(image: RangeImage, config: GapConfig) -> RangeImage:
@@ -34,12 +36,23 @@ def without_mixed_pixels(image: RangeImage, config: GapConfig) -> RangeImage:
     return replace(image, ranges=read_only(ranges), codes=read_only(codes, np.int64))
 
 
+def steepest_step(nearer: FloatArray, angle: FloatArray, noise: float = NOISE) -> FloatArray:
+    """Return by how much two readings of one surface differ at most [m].
+
+    Args:
+        nearer: The nearer of the two [m].
+        angle: Between their beams [rad].
+        noise: What two readings of the same place may differ by [m].
+    """
+    return np.asarray(np.maximum(noise, nearer * angle * math.tan(STEEPEST)))
+
+
 def _between(ranges: FloatArray, angles: FloatArray, noise: float) -> BoolArray:
     """Tell which readings of each row (m, n) lie between those before and after, far from both."""
     rise = np.diff(ranges, axis=1)
     with np.errstate(invalid="ignore"):
         nearer = np.minimum(ranges[:, 1:], ranges[:, :-1])
-        step = np.maximum(noise, nearer * np.diff(angles, axis=1) * math.tan(STEEPEST))
+        step = steepest_step(nearer, np.diff(angles, axis=1), noise)
         up, down = rise > step, rise < -step
     mixed = np.zeros(ranges.shape, dtype=bool)
     mixed[:, 1:-1] = (up[:, :-1] & up[:, 1:]) | (down[:, :-1] & down[:, 1:])

@@ -9,11 +9,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scan3d_twin.core.mixed_pixels import steepest_step
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.smoothing import smooth
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RangeImage
 
 SEEN_DISTANCE = 0.10
 """What the look around found counts as scanned with a model point this near [m]."""
@@ -21,12 +22,17 @@ SECTORS = 36
 """Directions round the target, for a tour all round."""
 PATCH = 24
 """Neighbours whose plane gives a normal: 4 cm across at 1 m, where 5 mm of noise tilt it 5 deg."""
-OUTLIER_NEIGHBOURS, OUTLIER_RATIO = 16, 2.0
-"""A point is an outlier when its mean distance to so many neighbours is this many standard
-deviations above the mean of all; Rusu et al., Robotics and Autonomous Systems 56, 2008, use 30
-and 1 on denser clouds."""
+SUPPORT = 3
+"""A reading is an outlier when fewer of the eight beside it can lie on one surface with it."""
 GRAZING = math.radians(85.0)
 """Incidence beyond which the spread of a beam on the surface grows no more; keeps it finite."""
+_PAIRS = (
+    (np.s_[:, 1:], np.s_[:, :-1]),
+    (np.s_[1:, :], np.s_[:-1, :]),
+    (np.s_[1:, 1:], np.s_[:-1, :-1]),
+    (np.s_[1:, :-1], np.s_[:-1, 1:]),
+)
+"""A grid and itself moved by one: four of the eight neighbours, each way."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,7 @@ def build_model(session: Session, voxel: float = 0.0) -> Model:
 
     Fused in voxels of side ``voxel`` [m] unless it is 0.
     """
-    model = joined([without_outliers(oriented(v, k)) for k, v in enumerate(session.views)])
+    model = joined([cleaned(view, k) for k, view in enumerate(session.views)])
     return fuse_voxels(model, voxel) if voxel > 0 else model
 
 
@@ -69,6 +75,33 @@ def joined(models: Sequence[Model]) -> Model:
     return Model(
         *(np.concatenate([getattr(m, each.name) for m in models]) for each in fields(Model))
     )
+
+
+def cleaned(view: View, index: int = 0) -> Model:
+    """Return a view's target points without outliers, as view ``index``.
+
+    Not the points that lie far apart, which are what a flat view of a surface gives, but those of
+    which no surface passes through their neighbours on the grid of lines and beams.
+    """
+    supported = _neighbours_on_surface(view.image) >= SUPPORT
+    return oriented(view, index).select(supported[view.target.lines, view.target.beams])
+
+
+def _neighbours_on_surface(image: RangeImage) -> IntArray:
+    """Return how many of the eight readings around each can lie on its surface (n_lines, n_beams).
+
+    They can where a surface from the one to the other is no steeper than a lidar measures.
+    """
+    yaws, elevations = image.yaws, np.broadcast_to(image.spec.elevations, image.yaws.shape)
+    count = np.zeros(image.ranges.shape, dtype=np.int64)
+    for a, b in _PAIRS:
+        r, s = image.ranges[a], image.ranges[b]
+        angle = np.hypot(yaws[a] - yaws[b], elevations[a] - elevations[b])
+        with np.errstate(invalid="ignore"):
+            near = np.abs(r - s) <= steepest_step(np.minimum(r, s), angle)
+        count[a] += near
+        count[b] += near
+    return count
 
 
 def oriented(view: View, index: int = 0) -> Model:
@@ -127,15 +160,6 @@ def estimate_normals(points: FloatArray, towards: FloatArray) -> FloatArray:
     normals = vectors[:, :, 0]
     inward = np.sum(normals * towards, axis=1) < 0
     return np.asarray(np.where(inward[:, None], -normals, normals))
-
-
-def without_outliers(model: Model) -> Model:
-    """Return ``model`` without points that lie apart: statistical outlier removal."""
-    if len(model) <= OUTLIER_NEIGHBOURS:
-        return model
-    found, _ = cKDTree(model.points).query(model.points, k=OUTLIER_NEIGHBOURS + 1)
-    mean = np.asarray(found)[:, 1:].mean(axis=1)
-    return model.select(mean <= mean.mean() + OUTLIER_RATIO * mean.std())
 
 
 def fuse_voxels(model: Model, size: float) -> Model:
