@@ -105,7 +105,7 @@ class Situation:
         view = self.view
         if self._goes_on:
             return False
-        if self.n_lines < len(self._whole.points):
+        if len(self._whole.points) - self.n_lines >= MIN_LINES:
             return bends_after(self._whole, self.n_lines)
         return ends_in_view(view.image, view.sweep, view.target, self.session.config.target)
 
