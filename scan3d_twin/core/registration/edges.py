@@ -10,9 +10,11 @@ with the viewpoint.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from scan3d_twin.core.registration.compiled import compiled
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage
 
@@ -24,6 +26,8 @@ MIN_HEIGHT = 0.05
 """... and its least height [m]."""
 MIN_COSINE = 0.35
 """A surface seen flatter at its edge (70 deg from the normal) may be turning away."""
+MIN_FLAT = 0.9
+"""Least length of a normal in the top view: a surface leaning more (26 deg) has no upright end."""
 MOST_SPREAD = 0.01
 """A run whose points scatter more about its mean in the top view is no vertical edge [m]."""
 OFF_PLANE = 0.03
@@ -56,6 +60,12 @@ class Edges:
     def __len__(self) -> int:
         return len(self.places)
 
+    @cached_property
+    def rows(self) -> FloatArray:
+        """The edges as place, across, variance, side and heights (n, 8)."""
+        parts = [self.places, self.across, self.variances[:, None], self.sides[:, None]]
+        return np.concatenate([*parts, self.heights], axis=1)
+
     def select(self, mask: BoolArray) -> Edges:
         """Return the edges where ``mask`` (n,) is True."""
         return Edges(
@@ -80,13 +90,44 @@ def find_edges(image: RangeImage, table: FloatArray, valid: BoolArray, yaw_sigma
         valid: Readings that are distances (n_lines, n_beams).
         yaw_sigma: Of a line [rad].
     """
-    found, points = [], image.points
-    for side in (1, -1):
-        for run in _runs(_jumps(image.ranges, table[..., VARIANCE] > 0, valid, side)):
-            found.append(_run(image.yaws, points, table, yaw_sigma, run, side))
-    edges = [edge for edge in found if edge is not None]
-    rows = np.array(edges).reshape(-1, 8)
+    run = compiled("edge_rows") or edge_rows
+    e, mount = image.spec.elevations, image.T_base_lidar
+    beams = np.cos(e)[:, None] * mount[:3, 0] + np.sin(e)[:, None] * mount[:3, 2]
+    rows = run(image.ranges, image.yaws, beams, mount[:3, 3].copy(), table, valid, yaw_sigma)
     return Edges(rows[:, :2], rows[:, 2:4], rows[:, 4], rows[:, 5].astype(np.int64), rows[:, 6:])
+
+
+def edge_rows(
+    ranges: FloatArray,
+    yaws: FloatArray,
+    beams: FloatArray,
+    lever: FloatArray,
+    table: FloatArray,
+    valid: BoolArray,
+    yaw_sigma: float,
+) -> FloatArray:
+    """Return the edges as place, across, variance, side and heights (n, 8).
+
+    Args:
+        ranges: (n_lines, n_beams) [m].
+        yaws: Of the base at each beam (n_lines, n_beams) [rad].
+        beams: Directions in ``base`` (n_beams, 3).
+        lever: Place of the lidar in ``base`` (3,) [m].
+        table: Surfels (n_lines, n_beams, 8).
+        valid: Readings that are distances (n_lines, n_beams).
+        yaw_sigma: Of a line [rad].
+    """
+    found = []
+    for side in (1, -1):
+        for line, first, end in _runs(_jumps(ranges, table[..., VARIANCE] > 0, valid, side)):
+            near = line if side > 0 else line + 1
+            part = (near, slice(first, end))
+            x, y, z = (lever + ranges[part][:, None] * beams[first:end]).T
+            c, s = np.cos(yaws[part]), np.sin(yaws[part])
+            last = np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+            found.append(_run(yaws, last, table, yaw_sigma, (line, first, end), side))
+    edges = [edge for edge in found if edge is not None]
+    return np.array(edges).reshape(-1, 8)
 
 
 def _jumps(ranges: FloatArray, surfel: BoolArray, valid: BoolArray, side: int) -> BoolArray:
@@ -124,17 +165,19 @@ def _runs(jumps: BoolArray) -> list[tuple[int, int, int]]:
 
 def _run(
     yaws: FloatArray,
-    points: FloatArray,
+    last: FloatArray,
     table: FloatArray,
     yaw_sigma: float,
     run: tuple[int, int, int],
     side: int,
 ) -> FloatArray | None:
-    """Return a run as place, across, variance, side and heights (8,); None if it is no edge."""
+    """Return a run as place, across, variance, side and heights (8,); None if it is no edge.
+
+    ``last`` are the points (m, 3) of the run's beams on the surface's last line.
+    """
     line, first, end = run
     beams = slice(first, end)
     rows = table[line - INWARDS if side > 0 else line + 1 + INWARDS, beams]
-    last = points[line if side > 0 else line + 1, beams]
     off = np.abs(np.sum(rows[:, N] * (last - rows[:, X]), axis=1))
     both = yaws[line : line + 2, beams]
     middle = both.mean(axis=0)
@@ -142,7 +185,7 @@ def _run(
     n = rows[:, N]
     flat = np.sqrt(n[:, 0] ** 2 + n[:, 1] ** 2)
     incidence = -np.sum(n[:, :2] * ray, axis=1)
-    upright = (incidence > MIN_COSINE) & (flat > 0.9) & (off < OFF_PLANE)
+    upright = (incidence > MIN_COSINE) & (flat > MIN_FLAT) & (off < OFF_PLANE)
     heights = rows[upright, 2]
     if np.count_nonzero(upright) < MIN_BEAMS or np.ptp(heights) < MIN_HEIGHT:
         return None
@@ -168,21 +211,29 @@ def edge_equations(
     Each source edge is paired with the nearest target edge of its side at its height; the residual
     is their distance across the target's ray.
     """
-    H, g = np.zeros((6, 6)), np.zeros(6)
     if len(target) == 0 or len(source) == 0:
-        return H, g
-    a = source.places @ T[:2, :2].T
-    apart = (a + T[:2, 3])[:, None] - target.places
+        return np.zeros((6, 6)), np.zeros(6)
+    run = compiled("edge_sums") or edge_sums
+    H, g = run(target.rows, source.rows, T, distance, robust)
+    return H, g
+
+
+def edge_sums(
+    target: FloatArray, source: FloatArray, T: FloatArray, distance: float, robust: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return what ``edge_equations`` does of edges as rows: (m, 8) and (n, 8)."""
+    a = source[:, :2] @ T[:2, :2].T
+    apart = (a + T[:2, 3])[:, None] - target[:, :2]
     far = np.hypot(apart[..., 0], apart[..., 1])
-    low = np.maximum(source.heights[:, None, 0], target.heights[:, 0])
-    high = np.minimum(source.heights[:, None, 1], target.heights[:, 1])
-    far[(source.sides[:, None] != target.sides) | (high <= low)] = np.inf
+    low = np.maximum(source[:, None, 6], target[:, 6])
+    high = np.minimum(source[:, None, 7], target[:, 7])
+    far[(source[:, None, 5] != target[:, 5]) | (high <= low)] = np.inf
     pick = np.argmin(far, axis=1)
     chosen = np.flatnonzero(far[np.arange(len(a)), pick] < distance)
     pick, a = pick[chosen], a[chosen]
-    n, c2 = target.across[pick], robust * robust
+    n, c2 = target[pick, 2:4], robust * robust
     e = np.sum(n * apart[chosen, pick], axis=1)
-    variance = source.variances[chosen] + target.variances[pick]
+    variance = source[chosen, 4] + target[pick, 4]
     w = (c2 / (c2 + e * e / variance)) ** 2 / variance
     J = np.zeros((len(e), 6))
     J[:, :2], J[:, 5] = n, n[:, 1] * a[:, 0] - n[:, 0] * a[:, 1]

@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
+from scan3d_twin.core.registration.edge_kernels import edge_rows, edge_sums
 from scan3d_twin.core.registration.free_space import MARGIN, SIGMAS
 from scan3d_twin.core.registration.point_to_plane import (
     MIN_NORMAL_COSINE,
@@ -26,6 +27,10 @@ from scan3d_twin.core.registration.surfels import (
     TOLERANCE,
     UNKNOWN,
 )
+
+__all__ = (
+    "edge_rows", "edge_sums", "fit_surfels", "line_residuals", "normal_equations", "violations",
+)  # fmt: skip
 
 _jit = njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
 
