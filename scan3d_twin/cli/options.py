@@ -44,6 +44,9 @@ class ScanOptions:
     )
     """What to scan: its place x,y in the odometry frame [m], or in the twin a target's name
     (default: what stands out)."""
+    targets: int | None = None
+    """Scan this many things one after the other, what stands out most first, each into its own
+    folder target-0, target-1, ... of --out."""
     config: Annotated[Path | None, env("CONFIG")] = None
     """TOML file with options; the command line and the environment win over it."""
     out: Annotated[Path | None, env("OUT")] = None

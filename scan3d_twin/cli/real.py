@@ -59,6 +59,7 @@ def real(
         TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
     """
     from scan3d_twin.cli.run import run
+    from scan3d_twin.cli.several import run_each
     from scan3d_twin.recording.recorder import SerialTaps
 
     given = {} if dotted is None else stated(dotted)
@@ -69,6 +70,18 @@ def real(
     if options.dry_run:
         with opening as (robot, _):
             rehearse(robot, as_json=options.json)
+        return
+    if options.targets is not None:
+        run_each(
+            effective,
+            REAL,
+            opening,
+            options.out,
+            options.targets,
+            as_json=options.json,
+            watch=Watch(options),
+            taps=taps,
+        )
         return
     run(
         effective,
@@ -96,7 +109,9 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
 def _going_on(options: RealOptions, folder: Path, sections: Options) -> Resume:
     """Return how the run in ``folder`` goes on."""
     from scan3d_twin.cli.resume import resume_real
+    from scan3d_twin.cli.several import refuse_resume
 
+    refuse_resume(folder, options.targets)
     return resume_real(folder, options.out, stated_options(options, sections))
 
 

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import cast
@@ -28,6 +28,23 @@ from scan3d_twin.recording.recorder import Recorder, SerialTaps
 from scan3d_twin.recording.report import Effort, Report, failure, report_json
 from scan3d_twin.recording.settings import Settings
 from scan3d_twin.sim.config import RobotName
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a run.
+
+    Attributes:
+        folder: Where it is saved.
+        report: What it was worth.
+        session: As far as it got.
+        ended: What ended it before its time or makes it a failure; None if nothing did.
+    """
+
+    folder: Path
+    report: Report
+    session: Session
+    ended: BaseException | None
 
 
 def run(
@@ -60,26 +77,53 @@ def run(
     if resume is not None:
         folder = resume.folder
     else:
-        folder = claim_folder(_default_folder(name) if out is None else out)
+        folder = claim_folder(default_folder(name) if out is None else out)
+    outcome = run_in(settings, name, opening, folder, taps=taps, resume=resume, watch=watch)
+    report = outcome.report
+    print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
+    end(outcome)
+
+
+def run_in(
+    settings: Settings,
+    name: str,
+    opening: Opening,
+    folder: Path,
+    *,
+    taps: SerialTaps | None = None,
+    resume: Resume | None = None,
+    watch: Watch = UNWATCHED,
+    begun: float = 0.0,
+) -> Outcome:
+    """Digitise with the robot of ``opening`` and save the results in the claimed ``folder``.
+
+    Arguments as of ``run``; ``begun`` is the robot's time from which its way counts [s].
+
+    Raises:
+        BaseException: Whatever ended it before there was anything to save.
+    """
     try:
         with (
             make_progress() as progress,
             watch.onlooker(name, progress.event) as onlooker,
             recording(folder, taps, resume) as recorder,
         ):
-            report, ended = _digitize_and_save(
-                settings, name, opening, recorder, progress, resume, onlooker
+            outcome = _digitize_and_save(
+                settings, name, opening, recorder, progress, resume, onlooker, begun
             )
-            onlooker.end(report["stop_reason"], progress.event)
+            onlooker.end(outcome.report["stop_reason"], progress.event)
     finally:
         release_folder(folder)
-    print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
-    if isinstance(ended, KeyboardInterrupt):
-        raise KeyboardInterrupt(
-            f"interrupted; finished views: {report['views']}, saved in {folder}"
-        )
-    if ended is not None:
-        raise ended
+    return outcome
+
+
+def end(outcome: Outcome) -> None:
+    """Raise what ended the run before its time or makes it a failure, if anything did."""
+    if isinstance(outcome.ended, KeyboardInterrupt):
+        views = outcome.report["views"]
+        raise KeyboardInterrupt(f"interrupted; finished views: {views}, saved in {outcome.folder}")
+    if outcome.ended is not None:
+        raise outcome.ended
 
 
 @contextmanager
@@ -111,8 +155,9 @@ def _digitize_and_save(
     progress: Progress,
     resume: Resume | None,
     onlooker: Onlooker,
-) -> tuple[Report, BaseException | None]:
-    """Return the report, and what ended the run before its time or makes it a failure."""
+    begun: float,
+) -> Outcome:
+    """Digitise, save and judge."""
     started, folder = time.perf_counter(), recorder.path.parent
     with opening as (robot, truth):
         name_of_base = cast(RobotName, robot.base.spec.name)
@@ -125,7 +170,7 @@ def _digitize_and_save(
             known = len(earlier.session.views)
             watching = Observers(watching, MovedCheck(known, watching.on_event))
         robot, watching = onlooker.attach(recorder.attach(robot), watching)
-        loop = close_loop(robot, truth, settings, watching, time.perf_counter, earlier)
+        loop = close_loop(robot, truth, settings, watching, time.perf_counter, earlier, begun)
         _finish(recorder, loop)
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     progress.event("evaluating and saving" if truth is not None else "saving")
@@ -136,7 +181,7 @@ def _digitize_and_save(
         )
     except FileError as error:  # the disk that was full before is full now
         raise (loop.ended if isinstance(loop.ended, FileError) else error) from None
-    return report, loop.ended or _failed(loop.session)
+    return Outcome(folder, report, loop.session, loop.ended or _failed(loop.session))
 
 
 def _finish(recorder: Recorder, loop: Loop) -> None:
@@ -164,5 +209,6 @@ def _peak_memory() -> float:
     return 1024.0 * int(peak)
 
 
-def _default_folder(scene: str) -> Path:
+def default_folder(scene: str) -> Path:
+    """Return a new folder under ``runs`` for a run in ``scene``."""
     return free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")

@@ -59,6 +59,7 @@ def sim(
         TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
     """
     from scan3d_twin.cli.run import run
+    from scan3d_twin.cli.several import run_each
     from scan3d_twin.sim.robot import open_sim
 
     given = {} if dotted is None else stated(dotted)
@@ -69,6 +70,17 @@ def sim(
         effective = resume.settings
     opened = open_sim(scene, effective.run.seed, effective.twin)
     watch = Watch(options, SPEED, lambda: picture_of(scene, effective.twin.robot))
+    if options.targets is not None:
+        run_each(
+            effective,
+            scene.name,
+            opened,
+            options.out,
+            options.targets,
+            as_json=options.json,
+            watch=watch,
+        )
+        return
     run(
         effective,
         scene.name,
@@ -102,8 +114,10 @@ def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
 def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Resume, Scene]:
     """Return how the run in ``folder`` goes on, and its scene."""
     from scan3d_twin.cli.resume import resume_sim
+    from scan3d_twin.cli.several import refuse_resume
     from scan3d_twin.sim.scene import load_scene
 
+    refuse_resume(folder, options.targets)
     resume = resume_sim(folder, options.out, stated_options(options, sections))
     run = resume.settings.run
     return resume, load_scene(run.scene, run.mesh_scale)

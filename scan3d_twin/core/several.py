@@ -15,7 +15,10 @@ from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.sweep import look_around
 from scan3d_twin.core.target import find_targets
-from scan3d_twin.core.types import FloatArray
+from scan3d_twin.core.types import FloatArray, Pose2
+
+Place = tuple[float, float]
+"""Where a target stands: (x, y) in ``odom`` [m]."""
 
 
 def digitize_each(
@@ -34,18 +37,33 @@ def digitize_each(
     """
     start = robot.base.odometry().T_odom_base
     observer.on_event(f"looking around for {count} targets")
-    hints = find_targets(look_around(robot, config, observer.on_line), count, config)
-    for k, hint in enumerate(hints):
-        place = _nearest_point(hint, np.array([start.x, start.y]))
+    places = find_places(robot, config, observer, count)
+    for k, place in enumerate(places):
         observer.on_event(f"target {k} at ({place[0]:.2f}, {place[1]:.2f}) m")
         session = digitize(robot, planner, config, seed, observer, place)
         yield session
-        if k + 1 < len(hints):
+        if k + 1 < len(places):
             observer.on_event("driving back to where it began")
-            drive(robot, start, session, observer)
+            drive_back(robot, start, session, observer)
 
 
-def _nearest_point(hint: FloatArray, start: FloatArray) -> tuple[float, float]:
+def find_places(robot: Robot, config: Config, observer: Observer, count: int) -> list[Place]:
+    """Return where the ``count`` most salient things stand, or fewer; most salient first.
+
+    Raises:
+        SceneError: There is no target.
+    """
+    start = robot.base.odometry().T_odom_base
+    hints = find_targets(look_around(robot, config, observer.on_line), count, config)
+    return [_nearest_point(hint, np.array([start.x, start.y])) for hint in hints]
+
+
+def drive_back(robot: Robot, start: Pose2, session: Session, observer: Observer) -> None:
+    """Drive to ``start`` over the floor that the views of ``session`` know."""
+    drive(robot, start, session, observer)
+
+
+def _nearest_point(hint: FloatArray, start: FloatArray) -> Place:
     """Return the point of a top view (n, 2) that is nearest to ``start`` (2,)."""
     x, y = hint[np.argmin(np.linalg.norm(hint - start, axis=1))]
     return float(x), float(y)

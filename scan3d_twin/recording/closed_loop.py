@@ -76,6 +76,7 @@ def close_loop(
     observer: Observer,
     timer: Timer,
     earlier: Earlier | None = None,
+    begun: float = 0.0,
 ) -> Loop:
     """Digitise with an open robot, whatever ends it.
 
@@ -86,12 +87,13 @@ def close_loop(
         observer: Sees every step.
         timer: Times the planner.
         earlier: What to go on from.
+        begun: The robot's time from which its way counts, unless there is an earlier one [s].
 
     Raises:
         BaseException: Whatever ended the loop before there was a view.
     """
     planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
-    log = _Log(robot, earlier)
+    log = _Log(robot, earlier, begun)
     target = _target(settings.run.target, truth)
     ended: BaseException | None = None
     try:
@@ -154,16 +156,19 @@ class Odometer:
 class _Log(Unobserved):
     """Keeps the last session at hand and notes the way by the end of each view."""
 
-    def __init__(self, robot: Robot, earlier: Earlier | None) -> None:
+    def __init__(self, robot: Robot, earlier: Earlier | None, begun: float) -> None:
         self.session = None if earlier is None else earlier.session
         self.journeys: list[Journey] = []
-        self._odometer = Odometer(robot.base, None if earlier is None else earlier.journey)
+        before = Journey(0.0, 0.0, begun) if earlier is None else earlier.journey
+        self._odometer = Odometer(robot.base, before)
+        self._begun = 0.0 if earlier is not None else begun
         self._clock = robot.clock
 
     def journey(self) -> Journey:
         """Return what the robot did so far."""
         self._odometer.read()
-        return Journey(self._odometer.path, self._odometer.turn, self._clock.now())
+        duration = self._clock.now() - self._begun
+        return Journey(self._odometer.path, self._odometer.turn, duration)
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
