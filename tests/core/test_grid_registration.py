@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import compiled as compiled_module
-from scan3d_twin.core.registration.gauss_newton import Problem, State, align, solve
+from scan3d_twin.core.registration.gauss_newton import Problem, State, align, determined, solve
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import (
@@ -152,6 +152,17 @@ def test_six_degrees_of_freedom_with_a_prior() -> None:
     assert error(source, result.T_target_source) < 0.002
     assert abs(result.T_target_source[2, 3]) < 0.002
     assert result.information.shape == (6, 6)
+
+
+def test_a_direction_without_any_information_is_not_determined() -> None:
+    H = np.diag([4.0, 0.0, 1.0])
+    kept, honest, dropped = determined(H, np.zeros((3, 3)), 1.0, "planar")
+    assert kept == pytest.approx(np.diag([1.0, 0.0, 1.0]))
+    assert honest == pytest.approx(kept)
+    assert np.abs(dropped) == pytest.approx(np.array([[0.0, 1.0, 0.0]]))
+    nothing = determined(np.zeros((3, 3)), np.zeros((3, 3)), 1.0, "planar")
+    assert not nothing[0].any()
+    assert len(nothing[2]) == 3
 
 
 def test_arrays_and_compiled_loops_agree(monkeypatch: pytest.MonkeyPatch) -> None:

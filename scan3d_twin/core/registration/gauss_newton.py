@@ -261,7 +261,7 @@ def determined(
     metric = unit[:, None] * unit
     values, vectors = np.linalg.eigh(H * metric)
     noise = np.sum(vectors * ((faked * metric) @ vectors), axis=0)
-    good = values >= SIGNAL * np.maximum(noise, 1e-12 * values[-1])
+    good = (values > 0) & (values >= SIGNAL * np.maximum(noise, 1e-12 * values[-1]))
     V, scaling = vectors[:, good], unit / unit[:, None]
     share = np.sqrt(1.0 - noise[good] / values[good])
     dropped = (vectors[:, ~good] * unit[:, None]).T

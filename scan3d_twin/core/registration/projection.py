@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.types import FloatArray, IntArray, RangeImage
 
 CELLS = 8192
@@ -116,6 +117,6 @@ def _table(angles: FloatArray) -> IntArray:
     index = np.concatenate(([order[-1]], order, [order[0]]))
     upper = np.clip(np.searchsorted(around, centres), 1, len(around) - 1)
     nearer = np.where(centres - around[upper - 1] <= around[upper] - centres, upper - 1, upper)
-    spacing = float(np.median(np.abs(np.diff(angles))))
+    spacing = median(np.abs(np.diff(angles)))
     near = np.abs(around[nearer] - centres) <= max(REACH * spacing, math.tau / CELLS)
     return np.where(near, index[nearer], -1).astype(np.int64)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.types import BoolArray, FloatArray, RangeImage
 
 LAG = 2
@@ -96,7 +97,7 @@ def estimate_range_noise(image: RangeImage, valid: BoolArray) -> tuple[float, fl
     deviation = np.abs(1 / before - 2 / r + 1 / after) * r * r * (MAD / np.sqrt(6.0))
     quarters = np.array_split(np.argsort(r), 4)
     x = np.array([r[part].mean() for part in quarters])
-    y = np.array([np.median(deviation[part]) for part in quarters])
+    y = np.array([median(deviation[part]) for part in quarters])
     spread = float(np.sum((x - x.mean()) ** 2))
     slope = float(np.sum((x - x.mean()) * y)) / spread if spread > 1e-3 else 0.0
     slope = max(0.0, min(slope, float(y.mean() / x.mean())))

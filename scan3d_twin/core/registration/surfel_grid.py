@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.compiled import compiled
 from scan3d_twin.core.registration.edges import Edges, find_edges
+from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.registration.projection import Projection
 from scan3d_twin.core.registration.scan_noise import (
     BIAS_PATCH,
@@ -68,7 +69,7 @@ class SurfelGrid:
     @cached_property
     def inflation(self) -> float:
         """Factor on the variance of a reading for what it shares with its neighbours."""
-        beam_spacing = float(np.median(np.abs(np.diff(self.image.spec.elevations))))
+        beam_spacing = median(np.abs(np.diff(self.image.spec.elevations)))
         return self.noise.inflation(BIAS_PATCH**2 / (self.line_spacing * beam_spacing))
 
     @cached_property
@@ -184,14 +185,17 @@ def _mask(keep: BoolArray | Scan3D | None, valid: BoolArray) -> BoolArray:
 
 def _fit(image: RangeImage, valid: BoolArray, keep: BoolArray, noise: ScanNoise) -> FloatArray:
     """Return the table of surfels; only the part of the grid that holds readings costs time."""
-    table = np.zeros((*valid.shape, 8))
     part = (_used(np.any(valid, axis=1)), _used(np.any(valid, axis=0)))
     ranges, yaws, beams, lever = _frame(image)
     run = compiled("fit_surfels") or fit_surfels
-    table[part] = run(
+    found: FloatArray = run(
         ranges[part], yaws[part], beams[part[1]], lever, valid[part], keep[part],
         np.array([noise.range_sigma, noise.range_sigma_per_metre]), _half_sizes(image),
     )  # fmt: skip
+    if found.shape[:2] == valid.shape:
+        return found
+    table = np.zeros((*valid.shape, 8))
+    table[part] = found
     return table
 
 
@@ -222,13 +226,11 @@ def _frame(image: RangeImage) -> tuple[FloatArray, FloatArray, FloatArray, Float
 
 def _half_sizes(image: RangeImage) -> IntArray:
     """Return the half sizes of the windows in lines and beams (4, 2), largest first."""
-    steps = np.array(
-        [_line_spacing(image), float(np.median(np.abs(np.diff(image.spec.elevations))))]
-    )
+    steps = np.array([_line_spacing(image), median(np.abs(np.diff(image.spec.elevations)))])
     halves = np.round(np.array(WINDOWS)[:, None] / np.maximum(steps, 1e-4))
     sizes: IntArray = np.clip(halves, 1, 12).astype(np.int64)
     return sizes
 
 
 def _line_spacing(image: RangeImage) -> float:
-    return float(np.median(np.abs(np.diff(image.yaws[:, image.spec.n_beams // 2]))))
+    return median(np.abs(np.diff(image.yaws[:, image.spec.n_beams // 2])))
