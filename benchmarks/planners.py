@@ -23,6 +23,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize, unplanned
 from scan3d_twin.core.evaluate import Truth
 from scan3d_twin.core.observer import Unobserved
+from scan3d_twin.core.placing import kept_surfels
 from scan3d_twin.core.planning import Planner, make_planner, planner_names
 from scan3d_twin.core.planning.situation import Situation, finish
 from scan3d_twin.core.presets import preset
@@ -117,9 +118,10 @@ def measure(scene: str, seed: int, repeats: int, steps: int) -> dict[str, list[f
 
 
 def fresh(session: Session) -> Session:
-    """Return ``session`` with its latest view as it comes from the robot, nothing computed yet.
+    """Return ``session`` with its latest view as a planner finds it, nothing computed yet.
 
-    What earlier decisions left in the earlier views is there in a closed loop as well.
+    What earlier decisions left in the earlier views is there in a closed loop as well, and so are
+    the surfels of a latest view that was registered.
     """
     view = session.views[-1]
     latest = replace(
@@ -128,6 +130,8 @@ def fresh(session: Session) -> Session:
         target=replace(view.target),
         observation=replace(view.observation, image=replace(view.observation.image)),
     )
+    if len(session.views) > 1:
+        kept_surfels(latest, session.config)
     return replace(session, views=(*session.views[:-1], latest))
 
 

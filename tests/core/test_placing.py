@@ -12,7 +12,7 @@ from synthetic import ROOM, Box, observe
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.placing import motion_prior
+from scan3d_twin.core.placing import SURFELS, motion_prior, surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.forecast import Forecast
 from scan3d_twin.core.planning.situation import Situation
@@ -77,6 +77,23 @@ def test_a_wall_leaves_the_slide_to_odometry() -> None:
     assert result is not None
     assert len(result.degenerate_directions) == 1
     assert error(session, true) <= 1.1 * 0.03
+
+
+@pytest.mark.parametrize("scope", ["target", "sweep"])
+def test_the_surfels_of_the_latest_view_alone_are_kept_and_are_the_same(scope: str) -> None:
+    session = session_at(PILASTERS, config(scope))
+    for y in (0.3, 0.5):
+        session = second_view(session, PILASTERS, Pose2(0.0, y, 0.0))
+    kept = [SURFELS in view.observation.image.derived for view in session.views]
+    assert kept == [False, False, True]
+    view = session.views[-1]
+    image = replace(view.observation.image)
+    anew = replace(view, observation=replace(view.observation, image=image))
+    found, made = (surfels_of(each, session.config) for each in (view, anew))
+    assert found.table is view.observation.image.derived[SURFELS][2]
+    np.testing.assert_array_equal(found.table, made.table)
+    np.testing.assert_array_equal(found.valid, made.valid)
+    assert found.noise == made.noise
 
 
 def test_views_without_overlap_keep_the_odometry() -> None:
