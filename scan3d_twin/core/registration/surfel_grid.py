@@ -99,7 +99,7 @@ class SurfelGrid:
             stride,
         )
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of surfels."""
         return int(np.count_nonzero(self.table[..., VARIANCE]))
