@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan3d_twin.core.evaluate import Distances, Truth, evaluate, mesh_accuracy
+from scan3d_twin.core.evaluate import Distances, Truth, evaluate, mesh_accuracy, shows_target
 from scan3d_twin.core.mesh import build_mesh
 from scan3d_twin.core.model import build_model
 from scan3d_twin.core.session import Session
@@ -32,10 +32,13 @@ def save_run(
     """Write the files of ``session`` to ``folder`` and return the report.
 
     The views are written once more, because the last alignment may have moved them.
-    ``scene_picture`` is a PNG of the scene, or why there is none; empty where nobody can have one.
+    The truth is asked only about the target it knows. ``scene_picture`` is a PNG of the scene, or
+    why there is none; empty where nobody can have one.
     """
     model = build_model(session)
-    evaluation = evaluate(session, truth) if truth is not None and len(model) else None
+    if truth is not None and not (len(model) and shows_target(session, truth)):
+        truth = None
+    evaluation = None if truth is None else evaluate(session, truth)
     report = build_report(
         scene,
         settings,

@@ -29,6 +29,8 @@ SPACING = 0.005
 """Distance of the truth's samples [m]: a quarter of ``COVERAGE_DISTANCE`` ..."""
 MOST_SAMPLES = 200_000
 """... or as much more as keeps them to this number on a large target."""
+HINT_DISTANCE = 0.3
+"""What a look around saw of the target lies this near to it [m]: lines 2 deg apart and odometry."""
 MIN_COSINE = 0.15
 """Flatter than this (81 deg from the normal) a surface counts as not visible."""
 POSE_STEP = 0.30
@@ -160,6 +162,13 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
             _pair_error(k, session, truth, T_map_world) for k in range(1, len(session.views))
         ),
     )
+
+
+def shows_target(session: Session, truth: Truth) -> bool:
+    """Tell whether ``session`` is of the target that ``truth`` knows, and not of another thing."""
+    surface, _ = truth.surface(HINT_DISTANCE)
+    hint = map_of_world(session, truth).apply(session.hint)
+    return bool(np.median(nearest(cKDTree(surface[:, :2]), hint)[0]) <= HINT_DISTANCE)
 
 
 def mesh_accuracy(

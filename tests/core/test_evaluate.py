@@ -14,6 +14,7 @@ from scan3d_twin.core.evaluate import (
     coverable_surface,
     displacement,
     evaluate,
+    shows_target,
     surface_distance,
     true_pose,
 )
@@ -97,6 +98,13 @@ def test_a_perfect_run_is_accurate_and_covers_what_it_saw() -> None:
     assert result.coverable_share > 0.95
     assert result.coverage == pytest.approx(front, abs=0.06)
     assert result.f_score[0.020] == pytest.approx(2 * front / (1 + front), abs=0.06)
+
+
+def test_the_truth_is_about_its_own_target_only() -> None:
+    session = session_of(FIRST)
+    assert shows_target(session, BoxTruth((FIRST,)))
+    other = replace(session, hint=np.array([[0.6, 1.5], [0.6, 1.7]]))
+    assert not shows_target(other, BoxTruth((FIRST,)))
 
 
 def test_the_error_of_a_pair_is_that_of_its_relative_pose() -> None:
