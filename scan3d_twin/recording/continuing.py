@@ -163,7 +163,7 @@ def warning(session: Session) -> str:
         return "the first view after going on shows nothing known: was the robot moved?"
     truly, points = Pose2.from_matrix(found.T_target_source), view.target.points
     off = max(truly.distance(move), rms(truly.apply(points) - move.apply(points)))
-    if not found.converged or off > MOVED:
+    if off > MOVED:
         return (
             f"the first view after going on lies {100 * off:.0f} cm from where the odometry has "
             "it: was the robot moved?"

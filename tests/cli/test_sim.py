@@ -5,6 +5,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import trimesh
+from scipy.spatial import cKDTree
 
 from scan3d_twin.recording.report import TIMINGS, report_schema
 from scan3d_twin.sim.scene import load_scene
@@ -46,7 +47,7 @@ def test_the_report_tells_of_this_run(finished):
     assert report["real_time_factor"] > 0
 
 
-def test_the_model_holds_the_points_of_all_views_in_the_world(finished):
+def test_the_model_holds_the_points_of_all_views_in_the_world_but_outliers(finished):
     folder, report = finished
     cloud = trimesh.load(folder / "model.ply")
     view = np.ravel(cloud.metadata["_ply_raw"]["vertex"]["data"]["view"])
@@ -57,9 +58,10 @@ def test_the_model_holds_the_points_of_all_views_in_the_world(finished):
             x, y, yaw = saved["T_world_scan"]
             c, s = np.cos(yaw), np.sin(yaw)
             placed = saved["target_points"] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-        np.testing.assert_allclose(
-            cloud.vertices[view == index], placed + np.array([x, y, 0]), atol=1e-5
-        )
+        kept = cloud.vertices[view == index]
+        assert 0.97 * len(placed) < len(kept) <= len(placed)
+        distance, _ = cKDTree(placed + np.array([x, y, 0])).query(kept)
+        assert distance.max() < 1e-5
 
 
 def test_the_saved_settings_are_the_effective_ones(finished):
