@@ -91,7 +91,7 @@ def normals() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         image = take(wall(), Pose2(), 65.0, Noise(0.010), rng)
-        table = prepare(image, noise=ScanNoise(0.010, 0.010)).table
+        table = prepare(image, noise=ScanNoise(0.010, 0.010)).at(np.s_[:, :])
         beam = image.spec.n_beams // 2
         for line in range(HALF_WINDOW, image.n_lines - HALF_WINDOW):
             yaw = image.yaws[line, beam]
@@ -125,8 +125,9 @@ def normals() -> None:
 
 def surfels_in_plan(grid: SurfelGrid, T: Pose2) -> FloatArray:
     """Return a band of surfels at half height in the top view (n, 2)."""
-    rows = grid.table[:, grid.image.spec.n_beams // 2 - 8 : grid.image.spec.n_beams // 2 + 8 : 4]
-    rows = rows[rows[..., VARIANCE] > 0]
+    middle = grid.image.spec.n_beams // 2
+    index = grid.index[:, middle - 8 : middle + 8 : 4]
+    rows = grid.rows[index[index >= 0]]
     return T.apply(rows[:, X])[:, :2]
 
 

@@ -117,7 +117,7 @@ def oriented(view: View, index: int = 0) -> Model:
     r = np.linalg.norm(rays, axis=1)
     normals = estimate_normals(smoothed, -rays)
     valid = np.isfinite(image.ranges)
-    known = estimate_range_noise(image, valid) or (
+    known = estimate_range_noise(image.ranges, valid) or (
         ScanNoise().range_sigma,
         ScanNoise().range_sigma_per_metre,
     )

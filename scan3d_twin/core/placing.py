@@ -124,7 +124,9 @@ def kept_surfels(view: View, config: Config) -> SurfelGrid:
     """
     grid, scope = surfels_of(view, config), _in_scope(view, config.registration.scope)
     # Not the grid itself: it holds the image, and a circle is freed late.
-    view.observation.image.derived[SURFELS] = (scope, grid.noise, grid.table, grid.valid)
+    view.observation.image.derived[SURFELS] = (
+        scope, grid.noise, grid.rows, grid.index, grid.valid
+    )  # fmt: skip
     return grid
 
 

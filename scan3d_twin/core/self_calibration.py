@@ -199,7 +199,7 @@ def _gather(places: Sequence[Sequence[RangeImage]]) -> Samples:
 
 def _sample(image: RangeImage, place: int) -> tuple[FloatArray | IntArray, ...]:
     """Return the fields of ``Samples`` for one sweep, the mean of each window as its reading."""
-    table = prepare(image).table[::STRIDE, ::STRIDE]
+    table = prepare(image).at(np.s_[::STRIDE, ::STRIDE])
     yaws, e = image.yaws[::STRIDE, ::STRIDE], image.spec.elevations[::STRIDE]
     beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1)
     lidar = _turned(np.broadcast_to(image.T_base_lidar[:3, 3], (*yaws.shape, 3)), yaws)
@@ -245,8 +245,8 @@ def _gap(image: RangeImage) -> float | None:
     if turn < math.tau - SEAM / 4:
         return None
     count = max(MIN_SEAM, int(np.count_nonzero(middle >= middle[-1] + math.tau)))
-    table = prepare(image).table
-    a, b = table[:count], table[-count:]
+    grid = prepare(image)
+    a, b = grid.at(np.s_[:count, :]), grid.at(np.s_[-count:, :])
     both = (a[..., VARIANCE] > 0) & (b[..., VARIANCE] > 0)
     n, m = a[both][:, N], b[both][:, N]
     upright = (np.abs(n[:, 2]) < 0.5) & (np.sum(n * m, axis=1) > math.cos(SEAM))

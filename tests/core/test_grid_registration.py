@@ -117,7 +117,7 @@ def test_the_gradient_is_the_derivative_of_the_cost() -> None:
 
 
 def _frozen_cost(target: SurfelGrid, source: SurfelGrid, T: FloatArray, at: FloatArray) -> float:
-    rows, table = source.sample(4).rows, target.table.reshape(-1, 8)
+    rows, table = source.sample(4).rows, target.at(np.s_[:, :]).reshape(-1, 8)
     frozen = rows[:, :3] @ at[:3, :3].T + at[:3, 3]
     index = target.projection.lookup(frozen, table[:, 6])
     q, n_t = table[index, :3], table[index, 3:6]
@@ -156,11 +156,11 @@ def test_six_degrees_of_freedom_with_a_prior() -> None:
 
 def test_a_direction_without_any_information_is_not_determined() -> None:
     H = np.diag([4.0, 0.0, 1.0])
-    kept, honest, dropped = determined(H, np.zeros((3, 3)), 1.0, "planar")
+    kept, honest, dropped = determined(H, np.zeros((3, 3)), 1.0)
     assert kept == pytest.approx(np.diag([1.0, 0.0, 1.0]))
     assert honest == pytest.approx(kept)
     assert np.abs(dropped) == pytest.approx(np.array([[0.0, 1.0, 0.0]]))
-    nothing = determined(np.zeros((3, 3)), np.zeros((3, 3)), 1.0, "planar")
+    nothing = determined(np.zeros((3, 3)), np.zeros((3, 3)), 1.0)
     assert not nothing[0].any()
     assert len(nothing[2]) == 3
 
@@ -197,7 +197,7 @@ def test_a_wrong_wheel_base_is_found_from_two_sweeps() -> None:
         noise = ScanNoise(SIGMA, yaw_scale_sigma=0.02)
         grids.append(prepare(bent, keep=keep, noise=noise))
     problem = Problem(grids[0], grids[1], prior_at(MOVE))
-    state = align(problem, MOVE.matrix())[0]
+    state = align(problem, MOVE.matrix()).state
     assert state.scale == pytest.approx(-wrong, abs=0.006)
 
 
@@ -263,7 +263,8 @@ def test_spread_is_the_mean_displacement() -> None:
 def test_a_step_at_the_solution_is_nothing() -> None:
     target, source = featureful()
     problem = Problem(target, source, prior_at(MOVE))
-    state, _, _, settled = align(problem, MOVE.matrix())
-    assert settled
-    step = solve(problem, State(state.T), problem.stride, Gate(0.03, 1.5)).step
+    outcome = align(problem, MOVE.matrix())
+    assert outcome.settled
+    scans, here = problem.scans(), State(outcome.state.T, 0.0)
+    step = solve(scans, problem.beforehand, here, scans.fine, Gate(0.03, 1.5)).step
     assert np.abs(step[list(PLANAR)]).max() < 1e-4

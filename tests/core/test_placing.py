@@ -90,8 +90,9 @@ def test_the_surfels_of_the_latest_view_alone_are_kept_and_are_the_same(scope: s
     image = replace(view.observation.image)
     anew = replace(view, observation=replace(view.observation, image=image))
     found, made = (surfels_of(each, session.config) for each in (view, anew))
-    assert found.table is view.observation.image.derived[SURFELS][2]
-    np.testing.assert_array_equal(found.table, made.table)
+    assert found.rows is view.observation.image.derived[SURFELS][2]
+    np.testing.assert_array_equal(found.rows, made.rows)
+    np.testing.assert_array_equal(found.index, made.index)
     np.testing.assert_array_equal(found.valid, made.valid)
     assert found.noise == made.noise
 

@@ -19,7 +19,7 @@ from scan3d_twin.core.planning.simulate import Simulation, displaced
 from scan3d_twin.core.planning.situation import Situation, readings_of
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Surface
 from scan3d_twin.core.registration.pose_prior import PLANAR
-from scan3d_twin.core.registration.surfels import VARIANCE, N
+from scan3d_twin.core.registration.surfels import N
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Pose2
 
@@ -126,7 +126,7 @@ def test_the_little_noise_left_in_the_planes_does_not_look_like_features(wall: S
     surface = surface_of(wall)
     table = surface.here
     ours = table.normals[table.met & table.keep][:, 1]
-    fitted = surface.grid.table[surface.grid.table[..., VARIANCE] > 0][:, N][:, 1]
+    fitted = surface.grid.rows[:, N][:, 1]
     assert np.std(ours) < 0.5 * np.std(fitted)
 
 

@@ -12,7 +12,7 @@ from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import compiled as compiled_module
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
 from scan3d_twin.core.registration.surfel_grid import prepare
-from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, N, X
+from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N, X
 from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
 
 WALL = (synthetic.Box((1.0, -3.0, 0.0), (1.5, 3.0, 2.0)),)
@@ -36,7 +36,7 @@ def upright(image: RangeImage) -> np.ndarray:
 def test_surfels_of_a_noise_free_wall_lie_on_it() -> None:
     image = wall(0.0)
     grid = prepare(image, keep=upright(image), noise=ScanNoise(0.004))
-    rows = grid.table[grid.table[..., VARIANCE] > 0]
+    rows = grid.rows
     deep = rows[(rows[:, 2] > 0.1) & (rows[:, 2] < 1.9)]
     assert np.abs(deep[:, 0] - 1.0).max() < 1e-9
     assert np.abs(deep[:, N] - [-1.0, 0.0, 0.0]).max() < 1e-7
@@ -46,8 +46,7 @@ def test_normals_have_no_bias_and_the_stated_variance() -> None:
     """A plane fitted to the points would lean towards the rays by several degrees here."""
     image = wall(0.010)
     grid = prepare(image, keep=upright(image), noise=ScanNoise(0.010))
-    lines = slice(10, 35)  # incidence 12 to 25 deg
-    rows = grid.table[lines][grid.table[lines][..., VARIANCE] > 0]
+    rows = grid.rows[grid.index[10:35][grid.index[10:35] >= 0]]  # incidence 12 to 25 deg
     rows = rows[(rows[:, 2] > 0.2) & (rows[:, 2] < 1.0)]
     lean = rows[:, 4]
     assert abs(lean.mean()) < 0.012
@@ -56,15 +55,14 @@ def test_normals_have_no_bias_and_the_stated_variance() -> None:
 
 def test_smoothing_leaves_a_fraction_of_the_noise() -> None:
     image = wall(0.010)
-    rows = prepare(image, keep=upright(image), noise=ScanNoise(0.010)).table
-    rows = rows[rows[..., VARIANCE] > 0]
+    rows = prepare(image, keep=upright(image), noise=ScanNoise(0.010)).rows
     assert np.std(rows[:, 0]) < 0.004
 
 
 @pytest.mark.parametrize("sigma", [0.003, 0.010])
 def test_range_noise_is_estimated_from_the_scan(sigma: float) -> None:
     image = wall(sigma)
-    found = estimate_range_noise(image, np.isfinite(image.ranges))
+    found = estimate_range_noise(image.ranges, np.isfinite(image.ranges))
     assert found is not None
     assert found[0] + found[1] == pytest.approx(sigma, rel=0.15)
 
@@ -88,10 +86,10 @@ def test_arrays_and_compiled_loops_agree(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(compiled_module, "load_kernels", lambda: None)
     slow = prepare(image)
     assert fast.noise.yaw_sigma == pytest.approx(slow.noise.yaw_sigma, abs=1e-9)
-    differs = (fast.table[..., VARIANCE] > 0) != (slow.table[..., VARIANCE] > 0)
-    assert differs.mean() < 1e-4
-    both = (fast.table[..., VARIANCE] > 0) & (slow.table[..., VARIANCE] > 0)
-    assert np.abs(fast.table[both][:, X] - slow.table[both][:, X]).max() < 1e-5
+    both = (fast.index >= 0) & (slow.index >= 0)
+    assert np.mean(both != ((fast.index >= 0) | (slow.index >= 0))) < 1e-4
+    differ = fast.rows[fast.index[both]] - slow.rows[slow.index[both]]
+    assert np.abs(differ[:, X]).max() < 1e-5
 
 
 def test_points_project_back_to_the_reading_they_came_from() -> None:
@@ -143,8 +141,9 @@ def test_filled_gaps_are_no_readings() -> None:
     image = wall(0.004)
     codes = np.array(image.codes)
     codes[:, 300:340] = 0
-    table = prepare(replace(image, codes=read_only(codes, np.int64))).table
-    assert not table[:, 300:340, VARIANCE].any()
+    grid = prepare(replace(image, codes=read_only(codes, np.int64)))
+    assert (grid.index[:, 300:340] < 0).all()
+    assert not grid.at(np.s_[:, 300:340]).any()
     assert VALID not in codes[:, 300:340]
 
 

@@ -116,7 +116,7 @@ class Forecast:
         """Which of the surfels belong to the target."""
         first = self._stride // 2
         grid = np.s_[first :: self._stride, first :: self._stride]
-        return np.asarray(self.on_target[grid][self.grid.table[grid][..., VARIANCE] > 0])
+        return np.asarray(self.on_target[grid][self.grid.index[grid] >= 0])
 
     @cached_property
     def _sweep(self) -> NextSweep:
@@ -165,7 +165,7 @@ class Forecast:
         block = np.ix_(PLANAR, PLANAR)
         reach = float(np.sqrt(np.mean(self._ranges**2)))
         raw, faked = equations.information[:6, :6][block], equations.faked[block]
-        honest = determined(raw, MARGIN * faked, reach, "planar")[1]
+        honest = determined(raw, MARGIN * faked, reach)[1]
         total = honest @ H[block] @ honest.T + self._edges(viewpoint)[block]
         total += motion_prior(viewpoint, self.config.planning, self.scale).information(PLANAR)
         covariance = np.zeros((6, 6))

@@ -24,7 +24,7 @@ from scan3d_twin.core.planning.situation import Situation, readings_of
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.pose_prior import PLANAR
-from scan3d_twin.core.registration.surfels import VARIANCE, X
+from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2, read_only, rms
 
 MIN_SEEN = 10
@@ -90,8 +90,8 @@ class Simulation:
             yield from repeat(math.inf, draws)
             return
         prior = motion_prior(viewpoint, self.config.planning, self.scale)
-        points = self.grid.table[self.on_target & (self.grid.table[..., VARIANCE] > 0)]
-        points = points[::THINNING, X]
+        index = self.grid.index[self.on_target]
+        points = self.grid.rows[index[index >= 0][::THINNING], X]
         for k in range(draws):
             yield self._error(k, planes, points, prior)
 

@@ -209,16 +209,13 @@ class Surface:
         beams = np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2]
         steps = np.array([self.grid.line_spacing, float(np.median(np.abs(np.diff(e))))])
         halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MOST_HALF)
-        valid = self.grid.valid
-        run = compiled("fit_surfels") or fit_surfels
-        return np.asarray(
-            run(
-                image.ranges, image.yaws, beams,
-                np.ascontiguousarray(image.T_base_lidar[:3, 3]), valid, valid,
-                np.array([noise.range_sigma, noise.range_sigma_per_metre]),
-                halves.astype(np.int64),
-            )
+        valid, run = self.grid.valid, compiled("fit_surfels") or fit_surfels
+        rows, index = run(
+            np.array(image.ranges), np.array(image.yaws), beams,
+            np.array(image.T_base_lidar[:3, 3]), valid, valid,
+            np.array([noise.range_sigma, noise.range_sigma_per_metre]), halves.astype(np.int64),
         )  # fmt: skip
+        return np.where(index[..., None] >= 0, rows[index], 0.0)
 
     @cached_property
     def _in_scope(self) -> BoolArray:
@@ -244,11 +241,12 @@ class Surface:
         at = np.s_[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE]
         eyes, rays = _eyes(image)[at], image.directions[at]
         free = np.ones(rays.shape[:2], dtype=bool)
-        rows, known = grid.table.reshape(-1, 8), grid.known
+        known, row_of = grid.known, grid.index.reshape(-1)
         for way in np.linspace(0.5, self.most, STEPS):
             places = viewpoint.apply((eyes + way * rays).reshape(-1, 3))
             index = grid.projection.lookup(places, known)
-            before = np.sum(rows[index, N] * (places - rows[index, X]), axis=1) > FREE_MARGIN
+            rows = grid.rows[row_of[index]]
+            before = np.sum(rows[:, N] * (places - rows[:, X]), axis=1) > FREE_MARGIN
             through = (known[index] == EMPTY) | ((known[index] == SURFACE) & before)
             free &= ((index >= 0) & through).reshape(free.shape)
         whole = np.kron(free, np.ones((COARSE, COARSE), dtype=bool))

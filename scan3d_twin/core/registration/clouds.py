@@ -219,7 +219,7 @@ class _Pair:
         H, g = ((J * w[:, None]).T @ J)[block], (J.T @ (w * e))[rows]
         faked = faked_information(w * tilt * scale**2, a, J)[block]
         reach = math.sqrt(float(np.mean(np.sum(a * a, axis=1))))
-        kept, honest, dropped = determined(H, faked, reach, self.dof)
+        kept, honest, dropped = determined(H, faked, reach)
         prior, pull = self._prior(T, dims)
         motion, information = np.zeros(6), np.zeros((6, 6))
         motion[rows] = -_inverse(kept @ H @ kept.T + prior) @ (kept @ g + pull)

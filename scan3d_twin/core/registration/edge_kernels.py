@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from scan3d_twin.core.registration import edges
 from scan3d_twin.core.registration.edges import (
     EMPTY,
     INWARDS,
@@ -21,12 +21,11 @@ from scan3d_twin.core.registration.edges import (
     MOST_SPREAD,
     OFF_PLANE,
 )
+from scan3d_twin.core.registration.jit import jit, twin_of
 
-_jit = njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
 
-
-@_jit
-def edge_rows(ranges, yaws, beams, lever, table, valid, yaw_sigma):  # type: ignore[no-untyped-def]
+@jit
+def edge_rows(ranges, yaws, beams, lever, rows, index, valid, yaw_sigma):  # type: ignore[no-untyped-def]
     """See ``edges.edge_rows``."""
     n_lines, n_beams = ranges.shape
     found, count = np.empty((2 * n_lines * (n_beams // MIN_BEAMS + 1), 8)), 0
@@ -37,7 +36,7 @@ def edge_rows(ranges, yaws, beams, lever, table, valid, yaw_sigma):  # type: ign
             near = pair if side > 0 else pair + 1
             if not 0 <= near - INWARDS * side < n_lines:
                 continue
-            if _mark(ranges, table, valid, near, side, jumps) < MIN_BEAMS:
+            if _mark(ranges, index, valid, near, side, jumps) < MIN_BEAMS:
                 continue
             first = -1
             for j in range(n_beams + 1):
@@ -47,15 +46,15 @@ def edge_rows(ranges, yaws, beams, lever, table, valid, yaw_sigma):  # type: ign
                 if first >= 0 and j - first >= MIN_BEAMS:
                     n = _places(
                         ranges[near], yaws[near], yaws[near + side], beams, lever,
-                        table[near - INWARDS * side], first, j, places,
+                        rows, index[near - INWARDS * side], first, j, places,
                     )  # fmt: skip
                     count += _edge(places[:n], variance, side, found[count])
                 first = -1
     return found[:count].copy()
 
 
-@_jit
-def _mark(ranges, table, valid, near, side, out):  # type: ignore[no-untyped-def]
+@jit
+def _mark(ranges, index, valid, near, side, out):  # type: ignore[no-untyped-def]
     """Write at which beams the surface on line ``near`` ends towards ``side``; return how many."""
     n, inner = 0, near - INWARDS * side
     for j in range(valid.shape[1]):
@@ -71,23 +70,24 @@ def _mark(ranges, table, valid, near, side, out):  # type: ignore[no-untyped-def
             ):
                 k += 1
             out[j] = k > EMPTY
-        out[j] = out[j] and table[inner, j, 6] > 0
+        out[j] = out[j] and index[inner, j] >= 0
         n += out[j]
     return n
 
 
-@_jit
-def _places(ranges, yaws, next_yaws, beams, lever, surfels, first, end, out):  # type: ignore[no-untyped-def]
+@jit
+def _places(ranges, yaws, next_yaws, beams, lever, rows, index, first, end, out):  # type: ignore[no-untyped-def]
     """Write x, y of the edge and z of the surfel for each upright beam of a run; return how many.
 
-    The arrays are those of single lines: of the last readings and of the surfels that carry them.
+    All but the surfels ``rows`` are of single lines: of the last readings and of those that carry
+    them.
     """
     n = 0
     for j in range(first, end):
         c, s = math.cos(yaws[j]), math.sin(yaws[j])
         bx, by = lever[0] + ranges[j] * beams[j, 0], lever[1] + ranges[j] * beams[j, 1]
         x, y, z = c * bx - s * by, s * bx + c * by, lever[2] + ranges[j] * beams[j, 2]
-        q = surfels[j]
+        q = rows[index[j]]
         off = abs(q[3] * (x - q[0]) + q[4] * (y - q[1]) + q[5] * (z - q[2]))
         middle = (yaws[j] + next_yaws[j]) / 2
         c, s = math.cos(middle), math.sin(middle)
@@ -100,7 +100,7 @@ def _places(ranges, yaws, next_yaws, beams, lever, surfels, first, end, out):  #
     return n
 
 
-@_jit
+@jit
 def _edge(places, spread, side, out):  # type: ignore[no-untyped-def]
     """Write the edge through ``places`` (n, 3); return 1, or 0 if it is none."""
     n = len(places)
@@ -121,7 +121,7 @@ def _edge(places, spread, side, out):  # type: ignore[no-untyped-def]
     return 1
 
 
-@_jit
+@twin_of(edges.edge_sums)
 def edge_sums(target, source, T, distance, robust):  # type: ignore[no-untyped-def]
     """See ``edges.edge_sums``."""
     H, g, J = np.zeros((6, 6)), np.zeros(6), np.zeros(6)

@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.registration.compiled import compiled
-from scan3d_twin.core.registration.surfels import VARIANCE, N, X
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage
+from scan3d_twin.core.registration.surfels import N, X
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage, SmallIntArray
 
 JUMP = 0.10
 """Least step in range at an edge [m]; several sigma, and more than a steep face within a line."""
@@ -81,20 +81,24 @@ class Edges:
         return replace(self, places=T.apply(self.places), across=T.rotate(self.across))
 
 
-def find_edges(image: RangeImage, table: FloatArray, valid: BoolArray, yaw_sigma: float) -> Edges:
+def find_edges(
+    image: RangeImage, rows: FloatArray, index: SmallIntArray, valid: BoolArray, yaw_sigma: float
+) -> Edges:
     """Return the vertical edges of a sweep.
 
     Args:
         image: The sweep.
-        table: Its surfels (n_lines, n_beams, 8).
+        rows: Its surfels (m, 8).
+        index: Row of each reading (n_lines, n_beams), or -1.
         valid: Readings that are distances (n_lines, n_beams).
         yaw_sigma: Of a line [rad].
     """
     run = compiled("edge_rows") or edge_rows
     e, mount = image.spec.elevations, image.T_base_lidar
     beams = np.cos(e)[:, None] * mount[:3, 0] + np.sin(e)[:, None] * mount[:3, 2]
-    rows = run(image.ranges, image.yaws, beams, mount[:3, 3].copy(), table, valid, yaw_sigma)
-    return Edges(rows[:, :2], rows[:, 2:4], rows[:, 4], rows[:, 5].astype(np.int64), rows[:, 6:])
+    found = run(image.ranges, image.yaws, beams, mount[:3, 3].copy(), rows, index, valid, yaw_sigma)
+    sides = found[:, 5].astype(np.int64)
+    return Edges(found[:, :2], found[:, 2:4], found[:, 4], sides, found[:, 6:])
 
 
 def edge_rows(
@@ -102,7 +106,8 @@ def edge_rows(
     yaws: FloatArray,
     beams: FloatArray,
     lever: FloatArray,
-    table: FloatArray,
+    rows: FloatArray,
+    index: SmallIntArray,
     valid: BoolArray,
     yaw_sigma: float,
 ) -> FloatArray:
@@ -113,19 +118,21 @@ def edge_rows(
         yaws: Of the base at each beam (n_lines, n_beams) [rad].
         beams: Directions in ``base`` (n_beams, 3).
         lever: Place of the lidar in ``base`` (3,) [m].
-        table: Surfels (n_lines, n_beams, 8).
+        rows: Surfels (m, 8).
+        index: Row of each reading (n_lines, n_beams), or -1.
         valid: Readings that are distances (n_lines, n_beams).
         yaw_sigma: Of a line [rad].
     """
     found = []
     for side in (1, -1):
-        for line, first, end in _runs(_jumps(ranges, table[..., VARIANCE] > 0, valid, side)):
+        for line, first, end in _runs(_jumps(ranges, index >= 0, valid, side)):
             near = line if side > 0 else line + 1
             part = (near, slice(first, end))
             x, y, z = (lever + ranges[part][:, None] * beams[first:end]).T
             c, s = np.cos(yaws[part]), np.sin(yaws[part])
             last = np.stack([c * x - s * y, s * x + c * y, z], axis=1)
-            found.append(_run(yaws, last, table, yaw_sigma, (line, first, end), side))
+            carrier = index[line - INWARDS if side > 0 else line + 1 + INWARDS, first:end]
+            found.append(_run(yaws, last, rows[carrier], yaw_sigma, (line, first, end), side))
     edges = [edge for edge in found if edge is not None]
     return np.array(edges).reshape(-1, 8)
 
@@ -166,18 +173,18 @@ def _runs(jumps: BoolArray) -> list[tuple[int, int, int]]:
 def _run(
     yaws: FloatArray,
     last: FloatArray,
-    table: FloatArray,
+    rows: FloatArray,
     yaw_sigma: float,
     run: tuple[int, int, int],
     side: int,
 ) -> FloatArray | None:
     """Return a run as place, across, variance, side and heights (8,); None if it is no edge.
 
-    ``last`` are the points (m, 3) of the run's beams on the surface's last line.
+    ``last`` are the points (m, 3) of the run's beams on the surface's last line, ``rows`` the
+    surfels (m, 8) that carry it.
     """
     line, first, end = run
     beams = slice(first, end)
-    rows = table[line - INWARDS if side > 0 else line + 1 + INWARDS, beams]
     off = np.abs(np.sum(rows[:, N] * (last - rows[:, X]), axis=1))
     both = yaws[line : line + 2, beams]
     middle = both.mean(axis=0)
@@ -206,13 +213,7 @@ def _run(
 def edge_equations(
     target: Edges, source: Edges, T: FloatArray, distance: float, robust: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return information (6, 6) and gradient (6,) of the edges at ``T`` (4, 4).
-
-    Each source edge is paired with the nearest target edge of its side at its height; the residual
-    is their distance across the target's ray.
-    """
-    if len(target) == 0 or len(source) == 0:
-        return np.zeros((6, 6)), np.zeros(6)
+    """Return what ``edge_sums`` does."""
     run = compiled("edge_sums") or edge_sums
     H, g = run(target.rows, source.rows, T, distance, robust)
     return H, g
@@ -221,7 +222,20 @@ def edge_equations(
 def edge_sums(
     target: FloatArray, source: FloatArray, T: FloatArray, distance: float, robust: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what ``edge_equations`` does of edges as rows: (m, 8) and (n, 8)."""
+    """Return information (6, 6) and gradient (6,) of the edges at ``T`` (4, 4).
+
+    Each source edge is paired with the nearest target edge of its side at its height; the residual
+    is their distance across the target's ray.
+
+    Args:
+        target: As rows (m, 8).
+        source: As rows (n, 8).
+        T: ``T_target_source``.
+        distance: Farther edges are not paired [m].
+        robust: c of the weights, in standard deviations.
+    """
+    if len(target) == 0 or len(source) == 0:
+        return np.zeros((6, 6)), np.zeros(6)
     a = source[:, :2] @ T[:2, :2].T
     apart = (a + T[:2, 3])[:, None] - target[:, :2]
     far = np.hypot(apart[..., 0], apart[..., 1])

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.registration.compiled import compiled
-from scan3d_twin.core.registration.projection import Projection
+from scan3d_twin.core.registration.scan_arrays import Target
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.registration.surfels import EMPTY, SURFACE, UNKNOWN, VARIANCE, N, X
-from scan3d_twin.core.types import FloatArray, IntArray
+from scan3d_twin.core.types import FloatArray, SmallIntArray
 
 MARGIN = 0.02
 """In front by this much is a full violation [m], or by ..."""
@@ -24,51 +24,29 @@ SIGMAS = 3.0
 
 def contradiction(target: SurfelGrid, source: SurfelGrid, T: FloatArray, stride: int) -> float:
     """Return the mean violation, 0..1, of the surfels that each scan sees of the other at ``T``."""
-    R, t = T[:3, :3], T[:3, 3]
-    back = np.concatenate([R.T, -(R.T @ t)[:, None]], axis=1)
-    cost, seen = _one_way(target, source, np.ascontiguousarray(T[:3]), stride)
-    cost_back, seen_back = _one_way(source, target, back, stride)
-    return (cost + cost_back) / max(1, seen + seen_back)
-
-
-def _one_way(
-    target: SurfelGrid, source: SurfelGrid, T: FloatArray, stride: int
-) -> tuple[float, int]:
-    run, p = compiled("violations") or violations, target.projection
-    rows = source.sample(stride).rows
-    cost, seen = run(
-        target.table.reshape(-1, 8), target.known, p.lines, p.beams, p.offsets, p.mount, rows, T
-    )
-    return float(cost), int(seen)
+    run = compiled("violations") or violations
+    cost, seen = run(target.target, target.known, source.sample(stride).rows, np.array(T))
+    back = np.asarray(np.linalg.inv(T), dtype=np.float64)
+    cost_back, seen_back = run(source.target, source.known, target.sample(stride).rows, back)
+    return float(cost + cost_back) / max(1, seen + seen_back)
 
 
 def violations(
-    table: FloatArray,
-    known: IntArray,
-    lines: IntArray,
-    beams: IntArray,
-    offsets: FloatArray,
-    mount: FloatArray,
-    rows: FloatArray,
-    T: FloatArray,
+    target: Target, known: SmallIntArray, rows: FloatArray, T: FloatArray
 ) -> tuple[float, int]:
     """Return the sum of the violations, and how many surfels a reading says something of.
 
     Args:
-        table: The target's surfels (n, 8).
-        known: What each reading says of its ray (n,).
-        lines: With ``beams``, ``offsets`` and ``mount`` the target's ``Projection``.
-        beams: See there.
-        offsets: See there.
-        mount: See there.
-        rows: The source's surfels (m, 8).
-        T: ``T_target_source`` (3, 4).
+        target: The scan that is asked.
+        known: What each of its readings says of its ray (n,).
+        rows: Surfels of the other scan (m, 8).
+        T: ``T_target_source`` (4, 4).
     """
-    points = rows[:, X] @ T[:, :3].T + T[:, 3]
-    index = Projection(lines, beams, offsets, mount).lookup(points, known)
-    state = np.where(index >= 0, known[index], UNKNOWN)
-    e = np.sum(table[index, N] * (points - table[index, X]), axis=1)
-    margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + table[index, VARIANCE]))
+    points = rows[:, X] @ T[:3, :3].T + T[:3, 3]
+    at = target.projection.lookup(points, known)
+    state, met = np.where(at >= 0, known[at], UNKNOWN), target.rows[target.row_of[at]]
+    e = np.sum(met[:, N] * (points - met[:, X]), axis=1)
+    margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + met[:, VARIANCE]))
     hit = np.where(e < -margin, 0.0, np.minimum(1.0, (e / margin) ** 2))
     cost = np.where(state == SURFACE, hit, np.where(state == EMPTY, 1.0, 0.0))
     return float(cost.sum()), int(np.count_nonzero(state != UNKNOWN))

@@ -10,6 +10,8 @@ noise of the normals fakes, v^T H v >= 2 v^T H_faked v (Hatleskog and Alexis, ar
 a wall the rest would be a slide that looks like knowledge, so it is left to prior and edges. Twice
 means: as much signal as noise. The covariance is the inverse of the left side, less what is faked
 and what yaw jitter hides; for point to plane that is sound (Bonnabel et al., arXiv 1410.7632).
+
+``kernels`` compiles ``iterate`` and what it calls as they stand here.
 """
 
 from __future__ import annotations
@@ -17,23 +19,32 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.edges import edge_equations
-from scan3d_twin.core.registration.point_to_plane import Equations, Gate, linearise
+from scan3d_twin.core.registration.compiled import compiled
+from scan3d_twin.core.registration.edges import edge_sums
+from scan3d_twin.core.registration.point_to_plane import (
+    Equations,
+    Gate,
+    Weighting,
+    normal_equations,
+    weighting,
+)
 from scan3d_twin.core.registration.pose_prior import (
     PLANAR,
     PosePrior,
     about_target,
+    deviation,
     displaced,
     spread,
 )
+from scan3d_twin.core.registration.scan_arrays import Sample, Target
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.registration.surfels import X
-from scan3d_twin.core.types import FloatArray, IntArray, RegistrationResult, read_only
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RegistrationResult, read_only
 
 Dof = Literal["planar", "se3"]
 MIN_PAIRS = 12
@@ -50,18 +61,94 @@ LAST_GATE, LAST_ROBUST = 0.03, 1.5
 """... down to these: a few times the range noise, and a robust kernel of 1.5 sigma."""
 FIRST_ROBUST = 4.0
 """The kernel of the first step [sigma]."""
+SAME_BASIN = 0.010
+"""Poses that displace the source by less than this from each other are one basin [m]."""
 EDGE_ROBUST = 2.0
 """The kernel of edges, in kernels of surfels: their errors are uniform, not normal."""
 
 
-@dataclass(frozen=True, slots=True)
-class Criteria:
+class Criteria(NamedTuple):
     """When the iteration ends, and the widest gate."""
 
     max_iterations: int = 30
     translation_epsilon: float = 2e-5
     rotation_epsilon: float = 2e-5
     max_correspondence_distance: float = 0.10
+
+
+class Scans(NamedTuple):
+    """What the iteration needs of two grids.
+
+    Attributes:
+        target: What the source is laid on.
+        coarse: Surfels of the source for the first steps.
+        fine: For the last ones.
+        target_edges: As rows (m, 8), see ``edges``.
+        source_edges: As rows (n, 8).
+        both: What the sweeps err by.
+        reach: Length that makes turns of the source comparable with shifts [m].
+    """
+
+    target: Target
+    coarse: Sample
+    fine: Sample
+    target_edges: FloatArray
+    source_edges: FloatArray
+    both: Weighting
+    reach: float
+
+
+class Prior(NamedTuple):
+    """What is known beforehand.
+
+    Attributes:
+        mean: Of ``T_target_source`` (4, 4).
+        information: On the estimated entries of x y z rx ry rz (k, k); 0 when nothing is known.
+        rows: These entries (k,).
+        yaw_scale: Information of the common relative error of the yaws; infinite when exact.
+    """
+
+    mean: FloatArray
+    information: FloatArray
+    rows: IntArray
+    yaw_scale: float
+
+
+class State(NamedTuple):
+    """Where the iteration stands: ``T_target_source`` (4, 4) and the yaw scale error."""
+
+    T: FloatArray
+    scale: float
+
+
+class Solution(NamedTuple):
+    """One Gauss-Newton step and what is known there.
+
+    Attributes:
+        step: Of x y z rx ry rz about the viewpoint (6,).
+        scale_step: Of the yaw scale error.
+        information: Left side of the equation, less what is faked (k, k).
+        dropped: Directions (j, k) that the surfels do not determine.
+        edges: Information of the edges (k, k).
+        equations: Of the surfels.
+    """
+
+    step: FloatArray
+    scale_step: float
+    information: FloatArray
+    dropped: FloatArray
+    edges: FloatArray
+    equations: Equations
+
+
+class Outcome(NamedTuple):
+    """Where the iteration ended: the solution is that of the last step, the state after it."""
+
+    state: State
+    solution: Solution
+    iterations: int
+    settled: bool
+    overlap: bool
 
 
 @dataclass(frozen=True)
@@ -73,7 +160,6 @@ class Problem:
     prior: PosePrior | None = None
     dof: Dof = "planar"
     criteria: Criteria = field(default_factory=Criteria)
-    thinning: int = 1
 
     def __post_init__(self) -> None:
         if self.dof not in ("planar", "se3"):
@@ -85,38 +171,20 @@ class Problem:
         return PLANAR if self.dof == "planar" else (0, 1, 2, 3, 4, 5)
 
     @cached_property
-    def rows(self) -> IntArray:
-        """``dims`` as an index."""
-        return np.array(self.dims)
-
-    @cached_property
-    def block(self) -> tuple[IntArray, IntArray]:
-        """Index of the rows and columns of ``dims`` of a matrix (6, 6)."""
-        return self.rows[:, None], self.rows[None, :]
-
-    @cached_property
-    def L0(self) -> FloatArray:  # noqa: N802
-        """Information (k, k) of the prior on the estimated entries; 0 without one."""
-        if self.prior is None:
-            return np.zeros((len(self.dims), len(self.dims)))
-        return self.prior.information(self.dims)
-
-    def deviation(self, T: FloatArray) -> FloatArray:
-        """Return by how much ``T`` lies off the prior's mean on the estimated entries (k,)."""
-        if self.prior is None:
-            return np.zeros(len(self.dims))
-        return np.asarray(self.prior.deviation(T)[list(self.dims)])
-
-    @cached_property
-    def yaw_scale_information(self) -> float:
-        """Of the common relative error of the yaws; infinite when they are taken as exact."""
+    def beforehand(self) -> Prior:
+        """The prior on the estimated entries, and that of the yaw scale."""
+        k = len(self.dims)
         sigma = max(self.target.noise.yaw_scale_sigma, self.source.noise.yaw_scale_sigma)
-        return 1.0 / sigma**2 if sigma > 0 else math.inf
+        mean, information = np.eye(4), np.zeros((k, k))
+        if self.prior is not None:
+            mean, information = np.array(self.prior.T), self.prior.information(self.dims)
+        yaw_scale = 1.0 / sigma**2 if sigma > 0 else math.inf
+        return Prior(mean, information, np.array(self.dims), yaw_scale)
 
     @cached_property
     def stride(self) -> int:
-        """Of the source's surfels in the last steps: 2 to 4, times ``thinning``."""
-        return self.thinning * min(4, max(2, round(math.sqrt(self.source.count / WANTED))))
+        """Of the source's surfels in the last steps: 2 to 4."""
+        return min(4, max(2, round(math.sqrt(self.source.count / WANTED))))
 
     @cached_property
     def reach(self) -> float:
@@ -124,171 +192,232 @@ class Problem:
         rows = self.source.sample(self.stride).rows[:, X]
         return float(np.sqrt(np.mean(np.sum(rows**2, axis=1))))
 
-
-@dataclass(frozen=True)
-class State:
-    """Where the iteration stands: ``T_target_source`` (4, 4) and the yaw scale error."""
-
-    T: FloatArray
-    scale: float = 0.0
-
-
-@dataclass(frozen=True)
-class Solution:
-    """One Gauss-Newton step and what is known there.
-
-    Attributes:
-        step: Of x y z rx ry rz about the viewpoint (6,).
-        scale_step: Of the yaw scale error.
-        information: Left side of the equation, less what is faked (k, k).
-        degenerate: Directions (j, k) that neither scans nor edges determine.
-        equations: Of the scans.
-    """
-
-    step: FloatArray
-    scale_step: float
-    information: FloatArray
-    degenerate: FloatArray
-    equations: Equations
+    def scans(self, thinning: int = 1) -> Scans:
+        """Return the arrays for the iteration, of every ``thinning``-th line and beam taken."""
+        fine = self.stride * thinning
+        return Scans(
+            target=self.target.target,
+            coarse=self.source.sample(2 * fine),
+            fine=self.source.sample(fine),
+            target_edges=self.target.edges.rows,
+            source_edges=self.source.edges.rows,
+            both=weighting(self.target, self.source),
+            reach=self.reach,
+        )
 
 
-def align(problem: Problem, init: FloatArray) -> tuple[State, Solution, int, bool]:
-    """Return the last state, the solution there, the iterations run and whether they settled.
+def align(problem: Problem, init: FloatArray) -> Outcome:
+    """Return where Gauss-Newton steps from ``init`` (4, 4) end.
 
     Raises:
         RegistrationError: The scans do not overlap at ``init``, or lost each other on the way.
     """
-    state, criteria = State(init), problem.criteria
-    for iteration in range(criteria.max_iterations):
-        gate = _gate(iteration, criteria)
-        final = gate.distance <= LAST_GATE and gate.robust <= LAST_ROBUST
-        stride = problem.stride if final else 2 * problem.stride
-        solution = solve(problem, state, stride, gate)
-        state = State(displaced(state.T, solution.step), state.scale + solution.scale_step)
-        settled = (
-            float(np.linalg.norm(solution.step[:3])) < criteria.translation_epsilon
-            and float(np.linalg.norm(solution.step[3:])) < criteria.rotation_epsilon
+    outcome = follow(problem, problem.scans(), problem.criteria, init[None])[1]
+    if not outcome.overlap:
+        raise RegistrationError(
+            f"no overlap: only {outcome.solution.equations.pairs} pairs of surfels in reach, "
+            f"{MIN_PAIRS} are needed; give a better init_T_target_source"
         )
-        if final and settled:
-            return state, solution, iteration + 1, True
-    return state, solution, criteria.max_iterations, False
+    return outcome
 
 
-def _gate(iteration: int, criteria: Criteria) -> Gate:
+def follow(
+    problem: Problem, scans: Scans, criteria: Criteria, starts: FloatArray
+) -> tuple[FloatArray, Outcome]:
+    """Return what ``descend`` does."""
+    run = compiled("descend") or descend
+    ends, outcome = run(scans, problem.beforehand, criteria, np.array(starts))
+    return ends, outcome
+
+
+def descend(
+    scans: Scans, prior: Prior, criteria: Criteria, starts: FloatArray
+) -> tuple[FloatArray, Outcome]:
+    """Return where the steps from ``starts`` (n, 4, 4) end (m, 4, 4), and how the last did.
+
+    Ends that met are one, those without overlap left out.
+    """
+    ends, n = np.empty_like(starts), 0
+    for start in range(len(starts)):
+        state = State(starts[start].copy(), 0.0)
+        for iteration in range(criteria.max_iterations):
+            gate = tightened(iteration, criteria.max_correspondence_distance)
+            final = gate.distance <= LAST_GATE and gate.robust <= LAST_ROBUST
+            solution = solve(scans, prior, state, scans.fine if final else scans.coarse, gate)
+            state = State(displaced(state.T, solution.step), state.scale + solution.scale_step)
+            overlap = solution.equations.pairs >= MIN_PAIRS
+            shift, turn = length(solution.step[:3]), length(solution.step[3:])
+            small = shift < criteria.translation_epsilon and turn < criteria.rotation_epsilon
+            settled = final and small and overlap
+            if settled or not overlap:
+                break
+        if overlap and new_basin(state.T, ends[:n], scans.reach):
+            ends[n] = state.T
+            n += 1
+    return ends[:n].copy(), Outcome(state, solution, iteration + 1, settled, overlap)
+
+
+def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:
+    """Tell whether ``T`` (4, 4) lies in none of the basins of ``others`` (n, 4, 4)."""
+    for k in range(len(others)):  # noqa: SIM110
+        if apart(T, others[k], reach) <= SAME_BASIN:
+            return False
+    return True
+
+
+def apart(a: FloatArray, b: FloatArray, reach: float) -> float:
+    """Return by how much two poses (4, 4) displace points at a distance ``reach`` [m]."""
+    square = 0.0
+    for i in range(3):
+        square += (a[i, 3] - b[i, 3]) ** 2
+        for j in range(3):
+            square += (reach * (a[i, j] - b[i, j])) ** 2 / 2.0
+    return math.sqrt(square)
+
+
+def length(v: FloatArray) -> float:
+    """Return the length of a vector (3,)."""
+    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+
+
+def tightened(iteration: int, widest: float) -> Gate:
+    """Return the gate of a step."""
     tight = TIGHTEN**iteration
-    widest = criteria.max_correspondence_distance
     return Gate(max(min(LAST_GATE, widest), tight * widest), max(LAST_ROBUST, FIRST_ROBUST * tight))
 
 
-def solve(problem: Problem, state: State, stride: int, gate: Gate) -> Solution:
+def solve(scans: Scans, prior: Prior, state: State, sample: Sample, gate: Gate) -> Solution:
     """Return the Gauss-Newton step at ``state``; the equation is at the module's head."""
-    equations = linearise(problem.target, problem.source, stride, state.T, state.scale, gate)
-    if equations.pairs < MIN_PAIRS:
-        raise RegistrationError(
-            f"no overlap: only {equations.pairs} pairs of surfels within {gate.distance:g} m, "
-            f"{MIN_PAIRS} are needed; give a better init_T_target_source"
-        )
-    H, g, per_step = without_scale(equations, problem.yaw_scale_information, state.scale)
-    dims, block = problem.rows, problem.block
-    H, g, faked = H[block], g[dims], equations.faked[block]
-    seen = equations.information[block]
-    kept, honest, dropped = determined(seen, faked, problem.reach, problem.dof)
-    H_edges, g_edges = edge_equations(
-        problem.target.edges,
-        problem.source.edges,
-        state.T,
-        gate.distance,
-        EDGE_ROBUST * gate.robust,
+    rows, beforehand = prior.rows, prior.information
+    equations = normal_equations(scans.target, sample, state.T, state.scale, gate, scans.both, rows)
+    H, g, per_step = without_scale(equations, prior.yaw_scale, state.scale)
+    k = len(rows)
+    kept, honest, dropped = determined(equations.information[:k, :k], equations.faked, scans.reach)
+    H_edges, g_edges = edge_sums(
+        scans.target_edges, scans.source_edges, state.T, gate.distance, EDGE_ROBUST * gate.robust
     )
-    H_edges, g_edges = H_edges[block], g_edges[dims]
-    others = H_edges + problem.L0
-    left = kept @ H @ kept.T + others
-    right = kept @ g + g_edges + problem.L0 @ problem.deviation(state.T)
-    step = np.zeros(6)
-    step[dims] = -_inverse(problem, left) @ right
-    free = np.array([v for v in dropped if v @ H_edges @ v <= v @ problem.L0 @ v])
-    scale_step = 0.0 if per_step is None else float(per_step[0] + per_step[1:] @ step)
-    return Solution(
-        step, scale_step, honest @ H @ honest.T + others, free.reshape(-1, len(dims)), equations
-    )
+    H_edges = block(H_edges, rows)
+    off = deviation(state.T, prior.mean)[rows]
+    right = kept @ g + g_edges[rows] + beforehand @ off
+    left = projected(kept, H) + H_edges + beforehand
+    small = -(inverse(left, beforehand) @ right)
+    step, scale_step = np.zeros(6), per_step[k]
+    for i in range(k):
+        step[rows[i]] = small[i]
+        scale_step += per_step[i] * small[i]
+    information = projected(honest, H) + H_edges + beforehand
+    return Solution(step, scale_step, information, dropped, H_edges, equations)
 
 
-def _inverse(problem: Problem, information: FloatArray) -> FloatArray:
+def block(M: FloatArray, rows: IntArray) -> FloatArray:
+    """Return these rows and columns of a matrix (k, k)."""
+    result = np.empty((len(rows), len(rows)))
+    for i in range(len(rows)):
+        for j in range(len(rows)):
+            result[i, j] = M[rows[i], rows[j]]
+    return result
+
+
+def projected(K: FloatArray, H: FloatArray) -> FloatArray:
+    """Return K H K^T (k, k)."""
+    return K @ H @ K.T
+
+
+def inverse(information: FloatArray, prior: FloatArray) -> FloatArray:
     """Return the inverse (k, k); without a prior, 0 on the directions that nothing determines."""
-    if problem.prior is not None:
-        return np.asarray(np.linalg.inv(information), dtype=np.float64)
-    inverse = np.linalg.pinv(information, rcond=UNKNOWN, hermitian=True)
-    return np.asarray(inverse, dtype=np.float64)
+    values, vectors = np.linalg.eigh(information)
+    least = 0.0 if prior[0, 0] > 0.0 else UNKNOWN * values[-1]
+    result = np.zeros(information.shape)
+    for m in range(len(values)):
+        if values[m] > least:
+            for i in range(len(values)):
+                for j in range(len(values)):
+                    result[i, j] += vectors[i, m] * vectors[j, m] / values[m]
+    return result
 
 
 def without_scale(
     equations: Equations, prior: float, scale: float
-) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Eliminate the yaw scale by its Schur complement.
 
     Returns:
-        Information (6, 6) and gradient (6,) of the pose, and the scale's step as an affine function
-        of the pose's (7,); None when the scale is taken as exact.
+        Information (k, k) and gradient (k,) of the pose, and the scale's step as an affine function
+        of the pose's (k + 1,), the constant last; 0 when the scale is taken as exact.
     """
-    H, g = equations.information - equations.lost, equations.gradient
-    if math.isinf(prior):
-        return H[:6, :6], g[:6], None
-    own, right = H[6, 6] + prior, g[6] + prior * scale
-    cross = H[:6, 6]
-    affine = -np.concatenate([[right], cross]) / own
-    return H[:6, :6] - np.outer(cross, cross) / own, g[:6] - cross * (right / own), affine
+    k = len(equations.gradient) - 1
+    H, affine = equations.information - equations.lost, np.zeros(k + 1)
+    own = H[k, k] + prior
+    right = 0.0 if math.isinf(prior) else equations.gradient[k] + prior * scale
+    for i in range(k):
+        affine[i] = -H[i, k] / own
+    affine[k] = -right / own
+    reduced, g = np.empty((k, k)), np.empty(k)
+    for i in range(k):
+        for j in range(k):
+            reduced[i, j] = H[i, j] + affine[i] * H[j, k]
+        g[i] = equations.gradient[i] + affine[i] * right
+    return reduced, g, affine
 
 
 def determined(
-    H: FloatArray, faked: FloatArray, reach: float, dof: Dof
+    H: FloatArray, faked: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Tell which directions the scans determine.
 
     Args:
-        H: Information of the scans (k, k).
+        H: Information of the scans (k, k), on x, y, theta or all six.
         faked: What noise of the normals fakes of it (k, k).
         reach: Length that makes turns comparable with shifts [m].
-        dof: Which entries the rows are.
 
     Returns:
         The projector K (k, k) such that K H K^T and K g keep the determined directions, the same
         with each shortened by the root of the share that is not faked (k, k), and the others as
         unit rows (j, k).
     """
-    turns = 1 if dof == "planar" else 3
-    unit = np.ones(len(H))
-    unit[-turns:] = 1.0 / reach
-    metric = unit[:, None] * unit
-    values, vectors = np.linalg.eigh(H * metric)
-    noise = np.sum(vectors * ((faked * metric) @ vectors), axis=0)
-    good = (values > 0) & (values >= SIGNAL * np.maximum(noise, 1e-12 * values[-1]))
-    V, scaling = vectors[:, good], unit / unit[:, None]
-    share = np.sqrt(1.0 - noise[good] / values[good])
-    dropped = (vectors[:, ~good] * unit[:, None]).T
-    dropped /= np.sqrt(np.sum(dropped * dropped, axis=1, keepdims=True))
-    return (
-        (V @ V.T) * scaling,
-        (V * share) @ V.T * scaling,
-        dropped,
-    )
+    k = len(H)
+    unit = np.ones(k)
+    unit[2 if k == 3 else 3 :] = 1.0 / reach
+    scaled = np.empty((k, k))
+    for i in range(k):
+        scaled[i] = H[i] * unit[i] * unit
+    values, vectors = np.linalg.eigh(scaled)
+    kept, honest, dropped, n = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), 0
+    for m in range(k):
+        direction = vectors[:, m] * unit
+        noise = quadratic(faked, direction)
+        if values[m] > 0 and values[m] >= SIGNAL * max(noise, 1e-12 * values[-1]):
+            share = math.sqrt(1.0 - noise / values[m])
+            for i in range(k):
+                onto = vectors[i, m] / unit[i] * direction
+                kept[i] += onto
+                honest[i] += share * onto
+        else:
+            dropped[n] = direction / math.sqrt(np.sum(direction * direction))
+            n += 1
+    return kept, honest, dropped[:n].copy()
 
 
-def report(
-    problem: Problem,
-    state: State,
-    solution: Solution,
-    iterations: int,
-    settled: bool,
-    ambiguity_gap: float,
-) -> RegistrationResult:
+def quadratic(M: FloatArray, v: FloatArray) -> float:
+    """Return v . M v."""
+    result = 0.0
+    for i in range(len(v)):
+        for j in range(len(v)):
+            result += v[i] * M[i, j] * v[j]
+    return result
+
+
+def report(problem: Problem, outcome: Outcome, ambiguity_gap: float) -> RegistrationResult:
     """Return the result for the last state, with covariances about the target's origin."""
+    state, solution, prior = outcome.state, outcome.solution, problem.beforehand
     dims, equations = list(problem.dims), solution.equations
     sample = problem.source.sample(problem.stride)
     covariance, information = np.zeros((6, 6)), np.zeros((6, 6))
-    covariance[np.ix_(dims, dims)] = _inverse(problem, solution.information)
+    covariance[np.ix_(dims, dims)] = inverse(solution.information, prior.information)
     information[np.ix_(dims, dims)] = solution.information
-    degenerate = np.zeros((len(solution.degenerate), 6))
-    degenerate[:, dims] = solution.degenerate
+    free = solution.dropped[_without_edges(solution, prior)]
+    degenerate = np.zeros((len(free), 6))
+    degenerate[:, dims] = free
     shift = about_target(state.T)
     back = np.linalg.inv(shift)
     return RegistrationResult(
@@ -299,8 +428,15 @@ def report(
         inlier_rmse=math.sqrt(equations.square / equations.pairs),
         predicted_rmse=spread(sample.rows[:, X] @ state.T[:3, :3].T, covariance),
         num_inliers=equations.pairs,
-        iterations=iterations,
-        converged=settled,
+        iterations=outcome.iterations,
+        converged=outcome.settled,
         degenerate_directions=read_only(degenerate @ shift.T),
         ambiguity_gap=ambiguity_gap,
     )
+
+
+def _without_edges(solution: Solution, prior: Prior) -> BoolArray:
+    """Tell in which of the dropped directions edges do not know more than the prior (j,)."""
+    v = solution.dropped
+    by_edges = np.sum(v @ solution.edges * v, axis=1)
+    return np.asarray(by_edges <= np.sum(v @ prior.information * v, axis=1))

@@ -8,7 +8,8 @@ prior is taken.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.special import ndtri
@@ -16,24 +17,24 @@ from scipy.special import ndtri
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.free_space import contradiction
 from scan3d_twin.core.registration.gauss_newton import (
+    SAME_BASIN,
     Criteria,
     Dof,
+    Outcome,
     Problem,
-    Solution,
-    State,
     align,
+    apart,
+    follow,
     report,
 )
-from scan3d_twin.core.registration.pose_prior import PosePrior, displaced
+from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displaced
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
-from scan3d_twin.core.types import FloatArray, RegistrationResult
+from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
 ROUGH_ITERATIONS = (2, 3)
 """Steps of each start before those that met are made one, in two rounds."""
 THINNING = 2
 """Factor of the stride for these steps."""
-SAME_BASIN = 0.010
-"""Poses that displace the source by less than this from each other are one basin [m]."""
 NO_OVERLAP = "no overlap: none of {} starts found pairs of surfels; is the prior right?"
 MOST_BASINS = 6
 """Basins, least contradictory first, that are worth aligning to the end."""
@@ -43,21 +44,15 @@ AMBIGUOUS = 0.01
 
 @dataclass(frozen=True)
 class Basin:
-    """A pose that the iteration ends at.
+    """A pose that the iteration ends at, and its contradiction with free space, 0..1."""
 
-    Attributes:
-        state: The pose.
-        solution: The equations there.
-        iterations: Run to get there.
-        settled: Whether it converged.
-        contradiction: With free space, 0..1.
-    """
-
-    state: State
-    solution: Solution
-    iterations: int
-    settled: bool
+    outcome: Outcome
     contradiction: float
+
+    @property
+    def T(self) -> FloatArray:
+        """The pose ``T_target_source`` (4, 4)."""
+        return self.outcome.state.T
 
 
 def register_grids(
@@ -88,7 +83,7 @@ def register_grids(
     problem = Problem(target, source, prior, dof, criteria or Criteria())
     init = _first_guess(init_T_target_source, prior)
     basin, gap = search(problem, init, starts)
-    return report(problem, basin.state, basin.solution, basin.iterations, basin.settled, gap)
+    return report(problem, basin.outcome, gap)
 
 
 def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
@@ -109,91 +104,72 @@ def search(problem: Problem, init: FloatArray, starts: int) -> tuple[Basin, floa
     if starts < 1:
         raise ConfigError(f"starts must be >= 1, got {starts}")
     if starts == 1:
-        return _settle(problem, init, judge=False), 1.0
-    poses = spread_starts(problem, init, starts)
+        return Basin(align(problem, init), 0.0), 1.0
+    poses, scans = spread_starts(problem, init, starts), problem.scans(THINNING)
     for iterations in ROUGH_ITERATIONS:
-        poses = _distinct(problem, _rough(problem, poses, iterations))
-    if not poses:
-        raise RegistrationError(NO_OVERLAP.format(starts))
+        criteria = problem.criteria._replace(max_iterations=iterations)
+        poses = follow(problem, scans, criteria, poses)[0]
+        if len(poses) == 0:
+            raise RegistrationError(NO_OVERLAP.format(starts))
     ranked = sorted(poses, key=lambda pose: _contradiction(problem, pose))[:MOST_BASINS]
     basins = []
     for pose in ranked:
         with suppress(RegistrationError):
-            basins.append(_settle(problem, pose, judge=True))
+            outcome = align(problem, pose)
+            basins.append(Basin(outcome, _contradiction(problem, outcome.state.T)))
     if not basins:
         raise RegistrationError(NO_OVERLAP.format(starts))
     return _choose(problem, basins)
 
 
-def spread_starts(problem: Problem, init: FloatArray, starts: int) -> list[FloatArray]:
-    """Return ``init`` and poses (4, 4) spread over the prior by a low-discrepancy sequence.
+def spread_starts(problem: Problem, init: FloatArray, starts: int) -> FloatArray:
+    """Return ``init`` and poses spread over the prior (starts, 4, 4).
 
-    The additive sequence of the generalised golden ratio g, g^(k+1) = g + 1, fills the cube evenly
-    for any number of points; quantiles of the normal distribution make it one.
+    Raises:
+        ConfigError: There is no prior.
     """
     if problem.prior is None:
         raise ConfigError("several starts need a prior to be spread over")
     dims = list(problem.dims)
-    g = 1.5
-    for _ in range(60):
-        g = (1.0 + g) ** (1.0 / (len(dims) + 1))
-    steps = g ** -np.arange(1.0, len(dims) + 1)
-    cube = (0.5 + np.arange(1, starts)[:, None] * steps) % 1.0
     half = np.linalg.cholesky(problem.prior.covariance[np.ix_(dims, dims)])
     offsets = np.zeros((starts - 1, 6))
-    offsets[:, dims] = ndtri(cube) @ half.T
-    return [init, *(displaced(problem.prior.T, offset) for offset in offsets)]
+    offsets[:, dims] = spread_normal(starts - 1, len(dims)) @ half.T
+    return np.stack([init, *(displaced(problem.prior.T, offset) for offset in offsets)])
 
 
-def _rough(problem: Problem, starts: list[FloatArray], iterations: int) -> list[FloatArray]:
-    """Return where a few steps on few surfels lead from those starts at which the scans overlap."""
-    few = replace(problem.criteria, max_iterations=iterations)
-    coarse = replace(problem, criteria=few, thinning=THINNING)
-    ends = []
-    for start in starts:
-        with suppress(RegistrationError):
-            ends.append(align(coarse, start)[0].T)
-    return ends
+@cache
+def spread_normal(n: int, k: int) -> FloatArray:
+    """Return n points (n, k) spread over the standard normal distribution of k dimensions.
 
-
-def _distinct(problem: Problem, poses: list[FloatArray]) -> list[FloatArray]:
-    kept: list[FloatArray] = []
-    for pose in poses:
-        if all(_apart(problem, pose, other) > SAME_BASIN for other in kept):
-            kept.append(pose)
-    return kept
-
-
-def _apart(problem: Problem, a: FloatArray, b: FloatArray) -> float:
-    """Return by how much two poses displace the source from each other [m]."""
-    turn = np.linalg.norm(a[:3, :3] - b[:3, :3]) / np.sqrt(2.0)
-    return float(np.hypot(np.linalg.norm(a[:3, 3] - b[:3, 3]), problem.reach * turn))
+    The additive sequence of the generalised golden ratio g, g^(k+1) = g + 1, fills the cube evenly
+    for any number of points; quantiles of the normal distribution make it one.
+    """
+    g = 1.5
+    for _ in range(60):
+        g = (1.0 + g) ** (1.0 / (k + 1))
+    steps = g ** -np.arange(1.0, k + 1)
+    return read_only(ndtri((0.5 + np.arange(1, n + 1)[:, None] * steps) % 1.0))
 
 
 def _contradiction(problem: Problem, pose: FloatArray) -> float:
     return contradiction(problem.target, problem.source, pose, 2 * problem.stride)
 
 
-def _settle(problem: Problem, pose: FloatArray, *, judge: bool) -> Basin:
-    state, solution, iterations, settled = align(problem, pose)
-    score = _contradiction(problem, state.T) if judge else 0.0
-    return Basin(state, solution, iterations, settled, score)
-
-
 def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
     """Return the least contradictory basin; among equals the one nearest to the prior."""
     distinct: list[Basin] = []
     for basin in sorted(basins, key=lambda basin: basin.contradiction):
-        if all(_apart(problem, basin.state.T, b.state.T) > SAME_BASIN for b in distinct):
+        if all(apart(basin.T, b.T, problem.reach) > SAME_BASIN for b in distinct):
             distinct.append(basin)
     if len(distinct) == 1:
         return distinct[0], 1.0
     gap = distinct[1].contradiction - distinct[0].contradiction
     equal = [b for b in distinct if b.contradiction - distinct[0].contradiction < AMBIGUOUS]
-    return min(equal, key=lambda basin: _unlikelihood(problem, basin.state.T)), gap
+    return min(equal, key=lambda basin: _unlikelihood(problem, basin.T)), gap
 
 
 def _unlikelihood(problem: Problem, pose: FloatArray) -> float:
     """Return the squared Mahalanobis distance of a pose from the prior's mean."""
-    deviation = problem.deviation(pose)
-    return float(deviation @ problem.L0 @ deviation)
+    prior = problem.beforehand
+    off = deviation(pose, prior.mean)[prior.rows]
+    return float(off @ prior.information @ off)

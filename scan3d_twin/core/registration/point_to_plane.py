@@ -25,12 +25,12 @@ the information w nu (B B^T - J J^T), B = (I, [a]x), in directions that the surf
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from scan3d_twin.core.registration.compiled import compiled
-from scan3d_twin.core.registration.projection import Projection
+from scan3d_twin.core.registration.scan_arrays import Sample, Target
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, N, X
 from scan3d_twin.core.types import FloatArray, IntArray
@@ -43,8 +43,7 @@ MOST_LINES = 20.0
 """Lines of one scan for each of the other at most, for grazing views."""
 
 
-@dataclass(frozen=True, slots=True)
-class Gate:
+class Gate(NamedTuple):
     """Which pairs count.
 
     Attributes:
@@ -56,15 +55,32 @@ class Gate:
     robust: float
 
 
-@dataclass(frozen=True, slots=True)
-class Equations:
-    """J^T W J step = -J^T W e, in the order x y z rx ry rz and yaw scale.
+class Weighting(NamedTuple):
+    """What two sweeps err by beside the noise of single readings.
 
     Attributes:
-        information: J^T W J (7, 7).
-        lost: What of it the yaw jitter leaves unknown (7, 7).
-        gradient: J^T W e, less what is lost (7,).
-        faked: Share of the information that noise of the normals fakes (6, 6).
+        jitter: Variance of the yaw of a source line [rad2].
+        target_jitter: Variance of the yaw of a target line [rad2].
+        density: Target line spacing in source line spacings.
+        share: Of the readings, those that count in spite of a common bias.
+        tilt: Variance of a surface's tilt by a range error that changes along it [rad2].
+    """
+
+    jitter: float
+    target_jitter: float
+    density: float
+    share: float
+    tilt: float
+
+
+class Equations(NamedTuple):
+    """J^T W J step = -J^T W e, on k entries of x y z rx ry rz, and on the yaw scale as the last.
+
+    Attributes:
+        information: J^T W J (k + 1, k + 1).
+        lost: What of it the yaw jitter leaves unknown (k + 1, k + 1).
+        gradient: J^T W e, less what is lost (k + 1,).
+        faked: Share of the information that noise of the normals fakes (k, k).
         pairs: Number of pairs.
         square: Sum of their squared residuals [m2].
     """
@@ -77,95 +93,90 @@ class Equations:
     square: float
 
 
+def weighting(target: SurfelGrid, source: SurfelGrid) -> Weighting:
+    """Return what the two sweeps err by."""
+    return Weighting(
+        jitter=source.noise.yaw_sigma**2,
+        target_jitter=target.noise.yaw_sigma**2,
+        density=target.line_spacing / source.line_spacing,
+        share=2.0 / (source.inflation + target.inflation),
+        tilt=(source.noise.tilt_variance + target.noise.tilt_variance) / 4,
+    )
+
+
 def linearise(
     target: SurfelGrid, source: SurfelGrid, stride: int, T: FloatArray, scale: float, gate: Gate
 ) -> Equations:
-    """Return the normal equations at the pose ``T`` (4, 4) and the yaw scale error ``scale``."""
-    sample, projection = source.sample(stride), target.projection
+    """Return the normal equations of all six entries and the scale.
+
+    Args:
+        target: What the source is laid on.
+        source: Every ``stride``-th of its surfels takes part.
+        stride: Along lines and beams.
+        T: ``T_target_source`` (4, 4).
+        scale: Relative error of the yaws.
+        gate: Which pairs count.
+    """
     run = compiled("normal_equations") or normal_equations
-    limits = np.array(
-        [
-            gate.distance,
-            gate.robust,
-            sample.stride**2,
-            scale,
-            source.noise.yaw_sigma**2,
-            target.noise.yaw_sigma**2,
-            target.line_spacing / source.line_spacing,
-            2.0 / (source.inflation + target.inflation),
-            (source.noise.tilt_variance + target.noise.tilt_variance) / 4,
-        ]
-    )
-    yaws = target.image.yaws.reshape(-1)
-    result = run(
-        target.table.reshape(-1, 8), yaws, target.middle_yaw,
-        projection.lines, projection.beams, projection.offsets, projection.mount,
-        sample.rows, sample.yaws, sample.lines, np.ascontiguousarray(T[:3]), limits,
-    )  # fmt: skip
-    return Equations(*result)
+    both, sample = weighting(target, source), source.sample(stride)
+    found = run(target.target, sample, np.array(T), scale, gate, both, np.arange(6))
+    return Equations(*found)
 
 
 def normal_equations(
-    table: FloatArray,
-    yaws: FloatArray,
-    middle_yaw: float,
-    lines: IntArray,
-    beams: IntArray,
-    offsets: FloatArray,
-    mount: FloatArray,
-    rows: FloatArray,
-    source_yaws: FloatArray,
-    source_lines: IntArray,
+    target: Target,
+    sample: Sample,
     T: FloatArray,
-    limits: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
-    """Return the fields of ``Equations``; the method is at the module's head.
+    scale: float,
+    gate: Gate,
+    both: Weighting,
+    entries: IntArray,
+) -> Equations:
+    """Return the normal equations; the method is at the module's head.
 
     Args:
-        table: The target's surfels (n, 8).
-        yaws: At which each was measured (n,) [rad].
-        middle_yaw: Of the target's sweep [rad].
-        lines: With ``beams``, ``offsets`` and ``mount`` the target's ``Projection``.
-        beams: See there.
-        offsets: See there.
-        mount: See there.
-        rows: The source's surfels (m, 8).
-        source_yaws: At which each was measured, from the middle of the sweep (m,) [rad].
-        source_lines: Line of each (m,), ascending.
-        T: ``T_target_source`` (3, 4).
-        limits: Gate distance, c, area, yaw scale error, variances of the source's and the target's
-            yaw jitter, target line spacing in source line spacings, share of
-            the readings that count in spite of a common bias, variance of the tilt by it (9,).
+        target: What the sample is laid on.
+        sample: Surfels of the source.
+        T: ``T_target_source`` (4, 4).
+        scale: Relative error of the yaws of both sweeps.
+        gate: Which pairs count.
+        both: What the sweeps err by.
+        entries: Of x y z rx ry rz, those that are wanted (k,), ascending.
     """
-    distance, robust, area, scale, jitter, target_jitter, density, share, tilt = limits
-    a, n_s = rows[:, X] @ T[:, :3].T, rows[:, N] @ T[:, :3].T
-    moved = a + T[:, 3]
-    index = Projection(lines, beams, offsets, mount).lookup(moved, table[:, VARIANCE])
-    q, n_t = table[index, X], table[index, N]
+    rows, area = sample.rows, float(sample.stride**2)
+    a, n_s = rows[:, X] @ T[:3, :3].T, rows[:, N] @ T[:3, :3].T
+    moved = a + T[:3, 3]
+    at = target.projection.lookup(moved, target.row_of >= 0)
+    at = np.where(at >= 0, target.row_of[at], -1)
+    met = target.rows[at]
+    q, n_t = met[:, X], met[:, N]
     n = n_s + n_t
     length = np.sqrt(np.sum(n * n, axis=1))
-    paired = (index >= 0) & (table[index, VARIANCE] > 0) & (rows[:, VARIANCE] > 0)
-    paired &= np.sum(n_s * n_t, axis=1) > MIN_NORMAL_COSINE
+    paired = (at >= 0) & (np.sum(n_s * n_t, axis=1) > MIN_NORMAL_COSINE)
     n /= np.maximum(length, 1e-9)[:, None]
     swing = n[:, 1] * a[:, 0] - n[:, 0] * a[:, 1]  # n . (z x a)
-    g = source_yaws * swing - (yaws[index] - middle_yaw) * (n[:, 1] * q[:, 0] - n[:, 0] * q[:, 1])
+    g = sample.yaws * swing - target.yaws[at] * (n[:, 1] * q[:, 0] - n[:, 0] * q[:, 1])
     e = np.sum(n * (moved - q), axis=1) + g * scale
-    paired &= np.abs(e) < distance
-    paired &= np.sum((moved - q) ** 2, axis=1) < (MOST_ALONG_RAY * distance) ** 2
+    paired &= np.abs(e) < gate.distance
+    paired &= np.sum((moved - q) ** 2, axis=1) < (MOST_ALONG_RAY * gate.distance) ** 2
     a, n, q, g, e, swing = (v[paired] for v in (a, n, q, g, e, swing))
-    variance = rows[paired, VARIANCE] + table[index[paired], VARIANCE]
-    c2 = robust * robust
+    variance = rows[paired, VARIANCE] + met[paired, VARIANCE]
+    c2 = gate.robust * gate.robust
     turn = n[:, 1] * q[:, 0] - n[:, 0] * q[:, 1]
-    k = _lines_per_line(n, a, q, density)
-    own = np.sqrt(jitter * swing**2 + target_jitter * k * turn**2) * np.sign(swing)
-    w = share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
+    k = _lines_per_line(n, a, q, both.density)
+    own = np.sqrt(both.jitter * swing**2 + both.target_jitter * k * turn**2) * np.sign(swing)
+    w = both.share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
     J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
-    information, gradient, lost = (J * w[:, None]).T @ J, J.T @ (w * e), np.zeros((7, 7))
-    if jitter > 0 or target_jitter > 0:
-        lost, taken = _lost(_per_line(w, own, J, e, source_lines[paired]), area)
+    J = J[:, np.append(entries, 6)]
+    information, gradient = (J * w[:, None]).T @ J, J.T @ (w * e)
+    lost = np.zeros_like(information)
+    if both.jitter > 0 or both.target_jitter > 0:
+        lost, taken = _lost(_per_line(w, own, J, e, sample.lines[paired]), area)
         gradient -= taken
-    nu = (rows[paired, NORMAL_VARIANCE] + table[index[paired], NORMAL_VARIANCE]) / 4 + tilt
-    return information, lost, gradient, faked_information(w * nu, a, J[:, :6]), len(e), float(e @ e)
+    nu = (rows[paired, NORMAL_VARIANCE] + met[paired, NORMAL_VARIANCE]) / 4 + both.tilt
+    faked = swung(w * nu, a)[np.ix_(entries, entries)]
+    faked -= (J[:, :-1] * (w * nu)[:, None]).T @ J[:, :-1]
+    return Equations(information, lost, gradient, faked, len(e), float(e @ e))
 
 
 def _lines_per_line(n: FloatArray, a: FloatArray, q: FloatArray, density: float) -> FloatArray:
@@ -181,26 +192,31 @@ def _lines_per_line(n: FloatArray, a: FloatArray, q: FloatArray, density: float)
 def _per_line(
     w: FloatArray, own: FloatArray, J: FloatArray, e: FloatArray, line: IntArray
 ) -> FloatArray:
-    """Return sum w c J (7), sum w c e and sum w c^2 of each source line (k, 9)."""
+    """Return sum w c J, sum w c e and sum w c^2 of each source line (n, k + 3)."""
     columns = np.concatenate([J, e[:, None], own[:, None]], axis=1) * (w * own)[:, None]
     starts = np.flatnonzero(np.diff(line, prepend=-1))
     if len(starts) == 0:
-        return np.zeros((0, 9))
+        return np.zeros((0, columns.shape[1]))
     return np.asarray(np.add.reduceat(columns, starts, axis=0))
 
 
 def _lost(per_line: FloatArray, area: float) -> tuple[FloatArray, FloatArray]:
-    """Return what the yaw error of each line takes from information (7, 7) and gradient (7,).
+    """Return what the yaw error of each line takes from information and gradient.
 
     A sampled line stands for sqrt(area) lines, each with an error of its own.
     """
-    h, r, s = per_line[:, :7], per_line[:, 7], per_line[:, 8]
+    h, r, s = per_line[:, :-2], per_line[:, -2], per_line[:, -1]
     share = 1.0 / (np.sqrt(area) + s)
     return (h * share[:, None]).T @ h, h.T @ (share * r)
 
 
 def faked_information(weights: FloatArray, a: FloatArray, J: FloatArray) -> FloatArray:
     """Return sum w nu (B B^T - J J^T) (6, 6)."""
+    return swung(weights, a) - (J * weights[:, None]).T @ J
+
+
+def swung(weights: FloatArray, a: FloatArray) -> FloatArray:
+    """Return sum w nu B B^T (6, 6)."""
     result = np.zeros((6, 6))
     result[:3, :3] = np.eye(3) * weights.sum()
     x, y, z = weights @ a
@@ -208,4 +224,4 @@ def faked_information(weights: FloatArray, a: FloatArray, J: FloatArray) -> Floa
     result[3:, :3], result[:3, 3:] = cross, cross.T
     outer = (a * weights[:, None]).T @ a
     result[3:, 3:] = np.eye(3) * np.trace(outer) - outer
-    return result - (J * weights[:, None]).T @ J
+    return result

@@ -56,34 +56,55 @@ class PosePrior:
 
     def deviation(self, T: FloatArray) -> FloatArray:
         """Return by how much ``T`` (4, 4) lies off the mean (6,), x y z rx ry rz."""
-        return np.concatenate([T[:3, 3] - self.T[:3, 3], log_so3(T[:3, :3] @ self.T[:3, :3].T)])
+        return deviation(T, self.T)
+
+
+def deviation(T: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return by how much ``T`` lies off ``mean``, both (4, 4), as x y z rx ry rz (6,)."""
+    R, result = np.zeros((3, 3)), np.empty(6)
+    for i in range(3):
+        result[i] = T[i, 3] - mean[i, 3]
+        for j in range(3):
+            for k in range(3):
+                R[i, j] += T[i, k] * mean[j, k]
+    result[3:] = log_so3(R)
+    return result
 
 
 def displaced(T: FloatArray, step: FloatArray) -> FloatArray:
     """Return ``T`` (4, 4) after a small motion (6,) of the source about its own origin."""
-    moved = T.copy()
-    moved[:3, :3] = exp_so3(step[3:]) @ T[:3, :3]
-    moved[:3, 3] += step[:3]
+    R, moved = exp_so3(step[3:]), T.copy()
+    for i in range(3):
+        moved[i, 3] += step[i]
+        for j in range(3):
+            moved[i, j] = R[i, 0] * T[0, j] + R[i, 1] * T[1, j] + R[i, 2] * T[2, j]
     return moved
 
 
 def exp_so3(rotation: FloatArray) -> FloatArray:
     """Return the rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues' formula."""
-    angle = math.sqrt(float(rotation @ rotation))
-    x, y, z = rotation
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-8:
-        return np.asarray(np.eye(3) + K + 0.5 * (K @ K))
-    share = (1.0 - math.cos(angle)) / angle**2
-    return np.asarray(np.eye(3) + (math.sin(angle) / angle) * K + share * (K @ K))
+    x, y, z = rotation[0], rotation[1], rotation[2]
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    small = angle < 1e-8
+    c = math.cos(angle)
+    s = 1.0 if small else math.sin(angle) / angle
+    v = 0.5 if small else (1.0 - c) / square
+    return np.array(
+        [
+            [c + v * x * x, v * x * y - s * z, v * x * z + s * y],
+            [v * x * y + s * z, c + v * y * y, v * y * z - s * x],
+            [v * x * z - s * y, v * y * z + s * x, c + v * z * z],
+        ]
+    )
 
 
 def log_so3(R: FloatArray) -> FloatArray:
     """Return the rotation vector (3,) of a rotation matrix by less than half a turn."""
     axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine = math.sqrt(float(axis @ axis))
-    angle = math.atan2(sine, 0.5 * (float(np.trace(R)) - 1.0))
-    return axis if sine < 1e-9 else np.asarray(axis * (angle / sine))
+    sine = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    angle = math.atan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
+    return axis if sine < 1e-9 else axis * (angle / sine)
 
 
 def about_target(T: FloatArray) -> FloatArray:

@@ -9,38 +9,43 @@ Rz(psi) t. A point at azimuth phi and distance rho from the yaw axis lies in it 
 with a and kappa + pi / 2 the length and azimuth of k in the plane of the floor. The first solution
 is seen ahead of the axis, the second over the zenith behind it. In the scan plane the elevation
 follows from the point relative to the lidar. Tables then give the nearest line and beam.
+
+No angle is computed: a direction (c, s) is looked up by how far round the square |c| + |s| = 1 it
+lies, which grows with its angle.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from scan3d_twin.core.registration.median import median
-from scan3d_twin.core.types import FloatArray, IntArray, RangeImage
+from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, SmallIntArray, read_only
 
-CELLS = 8192
-"""Entries of the tables over a full turn: 0.04 deg each."""
+CELLS = 16384
+"""Entries of the tables over a full turn: 0.016 to 0.031 deg each."""
 REACH = 0.75
 """A direction belongs to the nearest line or beam within this many spacings."""
 
 
-@dataclass(frozen=True)
-class Projection:
+class Projection(NamedTuple):
     """Tables and mount of one sweep.
 
     Attributes:
         lines: Line by yaw of its middle beam (CELLS,); -1 where there is none.
         beams: Beam by elevation (CELLS,); -1 where there is none.
-        offsets: Yaw of each beam relative to its line's middle beam (n_lines, n_beams) [rad].
-        mount: cos kappa, sin kappa, kappa, a, k . t, k_z, then t (3), x axis (3), z axis (3) of
-            the lidar in ``base`` (15,).
+        offsets: Yaw of each beam relative to its line's middle beam (n_lines, n_beams) [rad]; a
+            line takes a tenth of a second, so that they stay small.
+        mount: cos kappa, sin kappa, a, k . t, k_z, then t (3), x axis (3), z axis (3) of the lidar
+            in ``base`` (14,).
     """
 
-    lines: IntArray
-    beams: IntArray
+    lines: SmallIntArray
+    beams: SmallIntArray
     offsets: FloatArray
     mount: FloatArray
 
@@ -52,7 +57,7 @@ class Projection:
         k = R[:, 1]
         kappa = math.atan2(k[1], k[0]) - math.pi / 2
         a = max(math.hypot(k[0], k[1]), 1e-9)
-        head = [math.cos(kappa), math.sin(kappa), kappa, a, float(k @ t), k[2]]
+        head = [math.cos(kappa), math.sin(kappa), a, float(k @ t), k[2]]
         return Projection(
             _table(middle),
             _table(image.spec.elevations),
@@ -60,7 +65,7 @@ class Projection:
             np.concatenate([head, t, R[:, 0], R[:, 2]]),
         )
 
-    def lookup(self, points: FloatArray, seen: FloatArray | IntArray) -> IntArray:
+    def lookup(self, points: FloatArray, seen: npt.NDArray[Any]) -> IntArray:
         """Return the flat index of the reading (m,) that sees each of ``points`` (m, 3), or -1.
 
         Of two readings the one ahead of the axis counts, unless ``seen`` is 0 there.
@@ -77,46 +82,58 @@ class Projection:
         return found
 
     def _branch(self, points: FloatArray, *, ahead: bool) -> IntArray:
-        cos_kappa, sin_kappa, kappa, a, k_t, k_z = self.mount[:6]
-        t, x_axis, z_axis = self.mount[6:9], self.mount[9:12], self.mount[12:15]
-        rho = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
-        sine = np.clip((k_t - k_z * points[:, 2]) / (a * rho), -1.0, 1.0)
+        cos_kappa, sin_kappa, a, k_t, k_z = self.mount[:5]
+        t, x_axis, z_axis = self.mount[5:8], self.mount[8:11], self.mount[11:14]
+        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        rho = np.maximum(np.sqrt(x * x + y * y), 1e-9)
+        sine = np.clip((k_t - k_z * z) / (a * rho), -1.0, 1.0)
         cosine = np.sqrt(1.0 - sine * sine)
         if not ahead:
             cosine = -cosine
-        beta = np.arctan2(sine, cosine)
-        forward = rho * (cos_kappa * cosine - sin_kappa * sine) - t[0]
-        left = rho * (sin_kappa * cosine + cos_kappa * sine) - t[1]
-        up = points[:, 2] - t[2]
-        elevation = np.arctan2(
-            forward * z_axis[0] + left * z_axis[1] + up * z_axis[2],
-            forward * x_axis[0] + left * x_axis[1] + up * x_axis[2],
-        )
-        beam = self.beams[_cell(elevation)]
-        yaw = np.arctan2(points[:, 1], points[:, 0]) - kappa - beta
-        line = self.lines[_cell(yaw)]
-        line = self.lines[_cell(yaw - self.offsets[line, beam])]
+        c, s = cos_kappa * cosine - sin_kappa * sine, sin_kappa * cosine + cos_kappa * sine
+        forward, left, up = rho * c - t[0], rho * s - t[1], z - t[2]
+        beam = self.beams[
+            cell(
+                forward * x_axis[0] + left * x_axis[1] + up * x_axis[2],
+                forward * z_axis[0] + left * z_axis[1] + up * z_axis[2],
+            )
+        ]
+        cos_yaw, sin_yaw = x * c + y * s, y * c - x * s  # times rho
+        line = self.lines[cell(cos_yaw, sin_yaw)]
+        turn = self.offsets[line, beam]
+        line = self.lines[cell(cos_yaw + turn * sin_yaw, sin_yaw - turn * cos_yaw)]
         found = line * self.offsets.shape[1] + beam
         return np.where((line >= 0) & (beam >= 0), found, -1)
 
 
-def _cell(angles: FloatArray) -> IntArray:
-    """Return the entry of the tables for ``angles`` [rad]."""
-    turns = angles * (1.0 / math.tau)
-    return ((turns - np.floor(turns)) * CELLS).astype(np.int64) % CELLS
+def cell(c: FloatArray, s: FloatArray) -> IntArray:
+    """Return the entry of the tables for directions along (c, s)."""
+    way = s / (np.abs(c) + np.abs(s) + 1e-300)  # -1 to 1 within a half turn
+    around = np.where(c < 0, 2.0 - way, np.where(s < 0, 4.0 + way, way))
+    return (around * (CELLS / 4)).astype(np.int64) % CELLS
 
 
-def _table(angles: FloatArray) -> IntArray:
+def _table(angles: FloatArray) -> SmallIntArray:
     """Return the index of the nearest of ``angles`` (n,) [rad] for each cell, -1 beyond reach."""
-    centres = (np.arange(CELLS) + 0.5) * (math.tau / CELLS)
-    folded = np.mod(angles, math.tau)
+    folded, centres = np.mod(angles, math.tau), _centres()
     order = np.argsort(folded, kind="stable")
-    around = np.concatenate(
-        ([folded[order[-1]] - math.tau], folded[order], [folded[order[0]] + math.tau])
-    )
     index = np.concatenate(([order[-1]], order, [order[0]]))
-    upper = np.clip(np.searchsorted(around, centres), 1, len(around) - 1)
-    nearer = np.where(centres - around[upper - 1] <= around[upper] - centres, upper - 1, upper)
-    spacing = median(np.abs(np.diff(angles)))
-    near = np.abs(around[nearer] - centres) <= max(REACH * spacing, math.tau / CELLS)
-    return np.where(near, index[nearer], -1).astype(np.int64)
+    around = folded[index] + np.concatenate(([-math.tau], np.zeros(len(order)), [math.tau]))
+    reach = max(REACH * median(np.abs(np.diff(angles))), math.tau / CELLS)
+    middles = (around[1:] + around[:-1]) / 2
+    low = np.maximum(around - reach, np.append(-math.inf, middles))
+    high = np.minimum(around + reach, np.append(middles, math.inf))
+    first = np.searchsorted(centres, low)
+    counts = np.maximum(np.searchsorted(centres, high) - first, 0)
+    before = np.cumsum(counts) - counts
+    table = np.full(CELLS, -1, dtype=np.int32)
+    table[np.repeat(first - before, counts) + np.arange(counts.sum())] = np.repeat(index, counts)
+    return table
+
+
+@cache
+def _centres() -> FloatArray:
+    """Return the angles in the middle of the tables' entries (CELLS,) [rad]."""
+    around = (np.arange(CELLS) + 0.5) * (4.0 / CELLS)
+    quarter, share = np.divmod(around, 1.0)
+    return read_only(quarter * (math.pi / 2) + np.arctan2(share, 1.0 - share))

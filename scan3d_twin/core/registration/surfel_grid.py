@@ -14,6 +14,7 @@ from scan3d_twin.core.registration.compiled import compiled
 from scan3d_twin.core.registration.edges import Edges, find_edges
 from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.registration.projection import Projection
+from scan3d_twin.core.registration.scan_arrays import Sample, Target
 from scan3d_twin.core.registration.scan_noise import (
     BIAS_PATCH,
     ScanNoise,
@@ -21,8 +22,16 @@ from scan3d_twin.core.registration.scan_noise import (
     line_residuals,
     yaw_jitter,
 )
-from scan3d_twin.core.registration.surfels import VARIANCE, fit_surfels, knowledge
-from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray, RangeImage, Scan3D
+from scan3d_twin.core.registration.surfels import fit_surfels, knowledge
+from scan3d_twin.core.types import (
+    VALID,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    RangeImage,
+    Scan3D,
+    SmallIntArray,
+)
 
 WINDOWS = tuple(math.radians(angle) for angle in (2.1, 1.45, 0.85, 0.0))
 """Half sizes of the windows along lines and beams [rad]; at least one reading to each side."""
@@ -37,14 +46,21 @@ class SurfelGrid:
     Attributes:
         image: What they were made from.
         noise: What the sweep's readings were taken to err by.
-        table: (n_lines, n_beams, 8), columns as above; the variance is 0 where there is no surfel.
+        rows: Surfels (m, 8), columns as in ``surfels``, line by line.
+        index: Row of each reading (n_lines, n_beams), -1 where there is no surfel.
         valid: Readings that are distances (n_lines, n_beams).
     """
 
     image: RangeImage
     noise: ScanNoise
-    table: FloatArray
+    rows: FloatArray
+    index: SmallIntArray
     valid: BoolArray
+
+    def at(self, part: tuple[slice, slice]) -> FloatArray:
+        """Return the surfels of a part of the grid (n, m, 8), 0 where there is none."""
+        index = self.index[part]
+        return np.where(index[..., None] >= 0, self.rows[index], 0.0)
 
     @cached_property
     def projection(self) -> Projection:
@@ -52,14 +68,24 @@ class SurfelGrid:
         return Projection.of(self.image)
 
     @cached_property
-    def edges(self) -> Edges:
-        """Vertical edges at which surfaces end in view."""
-        return find_edges(self.image, self.table, self.valid, self.noise.yaw_sigma)
+    def target(self) -> Target:
+        """What other scans are laid on."""
+        return Target(self.rows, self.yaws, self.index.reshape(-1), self.projection)
 
     @cached_property
-    def known(self) -> IntArray:
+    def yaws(self) -> FloatArray:
+        """At which each surfel was measured, from the middle of the sweep (m,) [rad]."""
+        return self.image.yaws[self.index >= 0] - self.middle_yaw
+
+    @cached_property
+    def edges(self) -> Edges:
+        """Vertical edges at which surfaces end in view."""
+        return find_edges(self.image, self.rows, self.index, self.valid, self.noise.yaw_sigma)
+
+    @cached_property
+    def known(self) -> SmallIntArray:
         """What each reading says of its ray (n_lines * n_beams,): see ``free_space``."""
-        return knowledge(self.table, self.valid)
+        return knowledge(self.index, self.valid)
 
     @cached_property
     def line_spacing(self) -> float:
@@ -89,37 +115,15 @@ class SurfelGrid:
 
     def _sample(self, stride: int) -> Sample:
         first = stride // 2
-        rows = self.table[first::stride, first::stride]
-        line, beam = np.nonzero(rows[..., VARIANCE] > 0)
-        yaws = self.image.yaws[first::stride, first::stride][line, beam] - self.middle_yaw
-        return Sample(
-            np.ascontiguousarray(rows[line, beam]),
-            np.ascontiguousarray(yaws),
-            line * stride + first,
-            stride,
-        )
+        index = self.index[first::stride, first::stride]
+        line, beam = np.nonzero(index >= 0)
+        chosen = index[line, beam]
+        return Sample(self.rows[chosen], self.yaws[chosen], line * stride + first, stride)
 
-    @cached_property
+    @property
     def count(self) -> int:
         """Number of surfels."""
-        return int(np.count_nonzero(self.table[..., VARIANCE]))
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Surfels taken from a grid.
-
-    Attributes:
-        rows: (m, 8), columns as in ``SurfelGrid.table``, sorted by line.
-        yaws: At which each was measured, from the middle of the sweep (m,) [rad].
-        lines: Line of each (m,), ascending.
-        stride: Each stands for ``stride`` squared readings.
-    """
-
-    rows: FloatArray
-    yaws: FloatArray
-    lines: IntArray
-    stride: int
+        return len(self.rows)
 
 
 def prepare(
@@ -139,20 +143,88 @@ def prepare(
     _check(image)
     with np.errstate(invalid="ignore"):
         valid = (image.codes == VALID) & (image.ranges > 0) & np.isfinite(image.ranges)
-    mask = _mask(keep, valid)
+    mask, used = _mask(keep, valid), Used.of(image, valid)
     if noise is None:
-        noise = _estimated_range_noise(image, valid)
-        table = _fit(image, valid, mask, noise)
-        noise = replace(noise, yaw_sigma=_estimated_jitter(image, table))
+        noise = used.range_noise()
+        rows, part = used.fit(mask, noise)
+        noise = replace(noise, yaw_sigma=used.yaw_jitter(rows, part))
     else:
-        table = _fit(image, valid, mask, noise)
-    grid = SurfelGrid(image, noise, table, valid)
+        rows, part = used.fit(mask, noise)
+    index = np.full(valid.shape, -1, dtype=np.int32)
+    index[used.part] = part
+    grid = SurfelGrid(image, noise, rows, index, valid)
     if grid.count < MIN_SURFELS:
         raise RegistrationError(
             f"the scan shows too little surface: {int(mask.sum())} readings of {image.ranges.size} "
             f"gave {grid.count} surfels, {MIN_SURFELS} are needed"
         )
     return grid
+
+
+@dataclass(frozen=True)
+class Used:
+    """The part of a sweep from its first to its last line and beam with a reading: all that counts.
+
+    Attributes:
+        image: The sweep.
+        part: Slices of its lines and beams.
+        valid: Readings that are distances, of that part (n, m).
+    """
+
+    image: RangeImage
+    part: tuple[slice, slice]
+    valid: BoolArray
+
+    @staticmethod
+    def of(image: RangeImage, valid: BoolArray) -> Used:
+        """Return the part of ``image`` with readings; one if there is none."""
+        part = (_extent(np.any(valid, axis=1)), _extent(np.any(valid, axis=0)))
+        return Used(image, part, np.ascontiguousarray(valid[part]))
+
+    @cached_property
+    def ranges(self) -> FloatArray:
+        """Ranges of the part (n, m) [m]."""
+        return np.array(self.image.ranges[self.part])
+
+    @cached_property
+    def yaws(self) -> FloatArray:
+        """Yaws of the part (n, m) [rad]."""
+        return np.array(self.image.yaws[self.part])
+
+    def range_noise(self) -> ScanNoise:
+        """Return the noise of the readings as they tell it themselves, or as usual."""
+        estimated = estimate_range_noise(self.ranges, self.valid)
+        if estimated is None:
+            return ScanNoise()
+        return replace(ScanNoise(), range_sigma=estimated[0], range_sigma_per_metre=estimated[1])
+
+    def yaw_jitter(self, rows: FloatArray, index: SmallIntArray) -> float:
+        """Return the jitter of the lines' yaws by the surfels of ``fit`` [rad]."""
+        run = compiled("line_residuals") or line_residuals
+        return yaw_jitter(run(self.ranges, self.yaws, _lever(self.image), rows, index))
+
+    def fit(self, keep: BoolArray, noise: ScanNoise) -> tuple[FloatArray, SmallIntArray]:
+        """Return what ``fit_surfels`` does, for the readings to ``keep`` (n_lines, n_beams)."""
+        run, lever = compiled("fit_surfels") or fit_surfels, _lever(self.image)
+        e, R = self.image.spec.elevations[self.part[1]], self.image.T_base_lidar[:3, :3]
+        beams = np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2]
+        sigmas = np.array([noise.range_sigma, noise.range_sigma_per_metre])
+        rows, index = run(
+            self.ranges, self.yaws, beams, lever, self.valid, np.array(keep[self.part]),
+            sigmas, _half_sizes(self.image),
+        )  # fmt: skip
+        return rows, index
+
+
+def _extent(any_valid: npt.ArrayLike) -> slice:
+    """Return the slice from the first to the last True; one entry if there is none."""
+    used = np.flatnonzero(any_valid)
+    return slice(used[0], used[-1] + 1) if len(used) else slice(0, 1)
+
+
+def _lever(image: RangeImage) -> FloatArray:
+    """Return the place of the lidar in ``base`` (3,) [m]."""
+    return np.array(image.T_base_lidar[:3, 3])
 
 
 def _check(image: RangeImage) -> None:
@@ -181,47 +253,6 @@ def _mask(keep: BoolArray | Scan3D | None, valid: BoolArray) -> BoolArray:
     if keep.shape != valid.shape:
         raise ConfigError(f"keep has shape {keep.shape}, the range image {valid.shape}")
     return np.asarray(keep & valid)
-
-
-def _fit(image: RangeImage, valid: BoolArray, keep: BoolArray, noise: ScanNoise) -> FloatArray:
-    """Return the table of surfels; only the part of the grid that holds readings costs time."""
-    part = (_used(np.any(valid, axis=1)), _used(np.any(valid, axis=0)))
-    ranges, yaws, beams, lever = _frame(image)
-    run = compiled("fit_surfels") or fit_surfels
-    found: FloatArray = run(
-        ranges[part], yaws[part], beams[part[1]], lever, valid[part], keep[part],
-        np.array([noise.range_sigma, noise.range_sigma_per_metre]), _half_sizes(image),
-    )  # fmt: skip
-    if found.shape[:2] == valid.shape:
-        return found
-    table = np.zeros((*valid.shape, 8))
-    table[part] = found
-    return table
-
-
-def _used(any_valid: npt.ArrayLike) -> slice:
-    """Return the slice from the first to the last True; one entry if there is none."""
-    used = np.flatnonzero(any_valid)
-    return slice(used[0], used[-1] + 1) if len(used) else slice(0, 1)
-
-
-def _estimated_range_noise(image: RangeImage, valid: BoolArray) -> ScanNoise:
-    estimated = estimate_range_noise(image, valid)
-    if estimated is None:
-        return ScanNoise()
-    return replace(ScanNoise(), range_sigma=estimated[0], range_sigma_per_metre=estimated[1])
-
-
-def _estimated_jitter(image: RangeImage, table: FloatArray) -> float:
-    run = compiled("line_residuals") or line_residuals
-    return yaw_jitter(run(image.ranges, image.yaws, image.T_base_lidar[:3, 3].copy(), table))
-
-
-def _frame(image: RangeImage) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return ranges and yaws (n_lines, n_beams), the beams in ``base`` (n_beams, 3), the lever."""
-    e, R = image.spec.elevations, image.T_base_lidar[:3, :3]
-    beams = np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2]
-    return image.ranges, image.yaws, beams, np.ascontiguousarray(image.T_base_lidar[:3, 3])
 
 
 def _half_sizes(image: RangeImage) -> IntArray:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray
 
 FILLED = 0.6
 """A window counts when this share of its readings is there."""
@@ -50,8 +50,8 @@ def fit_surfels(
     keep: BoolArray,
     noise: FloatArray,
     windows: IntArray,
-) -> FloatArray:
-    """Return the table of surfels (n_lines, n_beams, 8) [m]; the method is at the module's head.
+) -> tuple[FloatArray, SmallIntArray]:
+    """Return the surfels; the method is at the module's head.
 
     Args:
         ranges: (n_lines, n_beams) [m].
@@ -62,9 +62,13 @@ def fit_surfels(
         keep: Readings that get a surfel (n_lines, n_beams).
         noise: Range sigma at 0 [m] and its growth per metre (2,).
         windows: Half sizes in lines and beams, largest first (k, 2).
+
+    Returns:
+        Rows (m, 8), columns as above, line by line, and the row of each reading (n_lines, n_beams);
+        -1 where no plane fits.
     """
-    table = np.zeros((*ranges.shape, 8))
-    margin = int(windows[0, 0])
+    margin, n = int(windows[:, 0].max()), 0
+    index, found = np.full(ranges.shape, -1, dtype=np.int32), []
     for first in range(0, len(ranges), AT_ONCE):
         inner = slice(first, first + AT_ONCE)
         outer = slice(max(0, first - margin), first + AT_ONCE + margin)
@@ -72,9 +76,12 @@ def fit_surfels(
         wanted[first - outer.start :][:AT_ONCE] = keep[inner]
         block = _fit_lines(
             ranges[outer], yaws[outer], beams, lever, valid[outer], wanted, noise, windows
-        )
-        table[inner] = block[first - outer.start :][:AT_ONCE]
-    return table
+        )[first - outer.start :][:AT_ONCE]
+        fits = block[..., VARIANCE] > 0
+        found.append(block[fits])
+        index[inner][fits] = n + np.arange(len(found[-1]))
+        n += len(found[-1])
+    return np.concatenate(found), index
 
 
 def _fit_lines(
@@ -186,7 +193,7 @@ def _trace_cubed(xx: FloatArray, yy: FloatArray, zz: FloatArray) -> FloatArray:
     return (xx + yy + zz) ** 3
 
 
-def knowledge(table: FloatArray, valid: BoolArray) -> IntArray:
+def knowledge(index: SmallIntArray, valid: BoolArray) -> SmallIntArray:
     """Return what each reading says of its ray (n_lines * n_beams,)."""
     near = valid.copy()
     for axis in (0, 1):
@@ -194,6 +201,6 @@ def knowledge(table: FloatArray, valid: BoolArray) -> IntArray:
         for k in range(1, HOLE + 1):
             wide |= np.roll(near, k, axis=axis) | np.roll(near, -k, axis=axis)
         near = wide
-    known = np.where(near, UNKNOWN, EMPTY)
-    known[table[..., VARIANCE] > 0] = SURFACE
-    return np.asarray(known.reshape(-1), dtype=np.int64)
+    known = np.where(near, UNKNOWN, EMPTY).astype(np.int32)
+    known[index >= 0] = SURFACE
+    return known.reshape(-1)
