@@ -410,23 +410,23 @@ def quadratic(M: FloatArray, v: FloatArray) -> float:
 def report(problem: Problem, outcome: Outcome, ambiguity_gap: float) -> RegistrationResult:
     """Return the result for the last state, with covariances about the target's origin."""
     state, solution, prior = outcome.state, outcome.solution, problem.beforehand
-    dims, equations = list(problem.dims), solution.equations
-    sample = problem.source.sample(problem.stride)
+    rows, equations = problem.source.sample(problem.stride).rows, solution.equations
+    entries = prior.rows[:, None], prior.rows[None, :]
     covariance, information = np.zeros((6, 6)), np.zeros((6, 6))
-    covariance[np.ix_(dims, dims)] = inverse(solution.information, prior.information)
-    information[np.ix_(dims, dims)] = solution.information
+    covariance[entries] = inverse(solution.information, prior.information)
+    information[entries] = solution.information
     free = solution.dropped[_without_edges(solution, prior)]
     degenerate = np.zeros((len(free), 6))
-    degenerate[:, dims] = free
+    degenerate[:, prior.rows] = free
     shift = about_target(state.T)
-    back = np.linalg.inv(shift)
+    back = 2.0 * np.eye(6) - shift
     return RegistrationResult(
         T_target_source=read_only(state.T),
         covariance=read_only(shift @ covariance @ shift.T),
         information=read_only(back.T @ information @ back),
-        fitness=equations.pairs / len(sample.rows),
+        fitness=equations.pairs / len(rows),
         inlier_rmse=math.sqrt(equations.square / equations.pairs),
-        predicted_rmse=spread(sample.rows[:, X] @ state.T[:3, :3].T, covariance),
+        predicted_rmse=spread(rows[:, X] @ state.T[:3, :3].T, covariance),
         num_inliers=equations.pairs,
         iterations=outcome.iterations,
         converged=outcome.settled,

@@ -12,6 +12,7 @@ from scan3d_twin.core.types import FloatArray, Pose2, read_only
 
 PLANAR = (0, 1, 5)
 """Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
+_PLANAR_ROWS, _PLANAR_COLUMNS = np.ix_(PLANAR, PLANAR)
 SIGMA_Z = 0.001
 """A robot on a floor keeps its height [m]: the floor's unevenness under three wheels."""
 SIGMA_TILT = 0.001
@@ -46,8 +47,9 @@ class PosePrior:
     @staticmethod
     def of_robot(pose: Pose2, covariance: FloatArray) -> PosePrior:
         """Return the prior of a robot on a floor with the covariance (3, 3) of x, y and yaw."""
-        full = np.diag(np.square([0.0, 0.0, SIGMA_Z, SIGMA_TILT, SIGMA_TILT, 0.0]))
-        full[np.ix_(PLANAR, PLANAR)] = covariance
+        full = np.zeros((6, 6))
+        full[2, 2], full[3, 3], full[4, 4] = SIGMA_Z**2, SIGMA_TILT**2, SIGMA_TILT**2
+        full[_PLANAR_ROWS, _PLANAR_COLUMNS] = covariance
         return PosePrior(read_only(pose.matrix()), read_only(full))
 
     def information(self, dims: tuple[int, ...]) -> FloatArray:

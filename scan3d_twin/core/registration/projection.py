@@ -17,7 +17,7 @@ lies, which grows with its angle.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,7 +60,7 @@ class Projection(NamedTuple):
         head = [math.cos(kappa), math.sin(kappa), a, float(k @ t), k[2]]
         return Projection(
             _table(middle),
-            _table(image.spec.elevations),
+            _beams(np.ascontiguousarray(image.spec.elevations).tobytes()),
             image.yaws - middle[:, None],
             np.concatenate([head, t, R[:, 0], R[:, 2]]),
         )
@@ -129,6 +129,12 @@ def _table(angles: FloatArray) -> SmallIntArray:
     table = np.full(CELLS, -1, dtype=np.int32)
     table[np.repeat(first - before, counts) + np.arange(counts.sum())] = np.repeat(index, counts)
     return table
+
+
+@lru_cache(maxsize=16)
+def _beams(elevations: bytes) -> SmallIntArray:
+    """Return the table of the beams: a lidar's are the same in all its sweeps."""
+    return _table(np.frombuffer(elevations))
 
 
 @cache

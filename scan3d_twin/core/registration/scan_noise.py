@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.types import BoolArray, FloatArray, SmallIntArray
 
 LAG = 2
@@ -95,18 +95,21 @@ def estimate_range_noise(ranges: FloatArray, valid: BoolArray) -> tuple[float, f
     if len(flat) < MIN_READINGS:
         return None
     flat = flat[:: max(1, len(flat) // MOST_READINGS)]
+    flat = flat[: len(flat) // 4 * 4]
     line, beam = np.divmod(flat, middle.shape[1])
-    r = middle[line, beam]
+    r, quarter = middle[line, beam], len(flat) // 4
     before, after = ranges[line, beam], ranges[line, beam + 2 * LAG]
-    deviation = np.abs(1 / before - 2 / r + 1 / after) * r * r * (MAD / np.sqrt(6.0))
-    cuts = [len(r) // 4, len(r) // 2, 3 * len(r) // 4]
-    quarters = np.split(np.argpartition(r, cuts), cuts)
-    x = np.array([r[part].mean() for part in quarters])
-    y = np.array([median(deviation[part]) for part in quarters])
-    spread = float(np.sum((x - x.mean()) ** 2))
-    slope = float(np.sum((x - x.mean()) * y)) / spread if spread > 1e-3 else 0.0
-    slope = max(0.0, min(slope, float(y.mean() / x.mean())))
-    return max(LEAST_SIGMA, float(y.mean() - slope * x.mean())), slope
+    deviation = np.abs(1 / before - 2 / r + 1 / after) * r * r * (MAD / math.sqrt(6.0))
+    cuts = [quarter, 2 * quarter, 3 * quarter]
+    quarters = np.argpartition(r, cuts).reshape(4, quarter)
+    x = np.sum(r[quarters], axis=1) / quarter
+    y = np.partition(deviation[quarters], quarter // 2, axis=1)[:, quarter // 2]
+    x_mean, y_mean = float(np.sum(x)) / 4, float(np.sum(y)) / 4
+    off = x - x_mean
+    spread = float(off @ off)
+    slope = float(off @ y) / spread if spread > 1e-3 else 0.0
+    slope = max(0.0, min(slope, y_mean / x_mean))
+    return max(LEAST_SIGMA, y_mean - slope * x_mean), slope
 
 
 def line_residuals(
