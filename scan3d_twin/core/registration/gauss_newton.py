@@ -51,8 +51,9 @@ MIN_PAIRS = 12
 """Fewer correspondences than this determine nothing reliably."""
 SIGNAL = 2.0
 """A direction is determined when its information is this many times what noise fakes of it."""
-WANTED = 3000
-"""Surfels used of a source: more add work and no accuracy, as their windows overlap."""
+WANTED, WANTED_LAST = 3000, 12000
+"""Surfels used of a source, and in the very last step: fewer lose accuracy where the surface bends,
+as windows are small and overlap little there."""
 UNKNOWN = 1e-9
 """Share of the largest information below which a direction is taken as unknown."""
 TIGHTEN = 0.7
@@ -82,7 +83,8 @@ class Scans(NamedTuple):
     Attributes:
         target: What the source is laid on.
         coarse: Surfels of the source for the first steps.
-        fine: For the last ones.
+        fine: For the steps at the last gate.
+        every: For the one step after these have settled.
         target_edges: As rows (m, 8), see ``edges``.
         source_edges: As rows (n, 8).
         both: What the sweeps err by.
@@ -92,6 +94,7 @@ class Scans(NamedTuple):
     target: Target
     coarse: Sample
     fine: Sample
+    every: Sample
     target_edges: FloatArray
     source_edges: FloatArray
     both: Weighting
@@ -142,10 +145,20 @@ class Solution(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Where the iteration ended: the solution is that of the last step, the state after it."""
+    """Where the iteration ended.
+
+    Attributes:
+        state: After the last step.
+        solution: Of the last step.
+        surfels: Of the source that took part in it.
+        iterations: Steps in all.
+        settled: Whether they became small enough.
+        overlap: Whether enough surfels found a partner.
+    """
 
     state: State
     solution: Solution
+    surfels: int
     iterations: int
     settled: bool
     overlap: bool
@@ -183,8 +196,13 @@ class Problem:
 
     @cached_property
     def stride(self) -> int:
-        """Of the source's surfels in the last steps: 2 to 4."""
+        """Of the source's surfels in the steps at the last gate: 2 to 4."""
         return min(4, max(2, round(math.sqrt(self.source.count / WANTED))))
+
+    @property
+    def last_stride(self) -> int:
+        """Of the source's surfels in the very last step."""
+        return max(1, round(math.sqrt(self.source.count / WANTED_LAST)))
 
     @cached_property
     def reach(self) -> float:
@@ -199,6 +217,7 @@ class Problem:
             target=self.target.target,
             coarse=self.source.sample(2 * fine),
             fine=self.source.sample(fine),
+            every=self.source.sample(self.last_stride),
             target_edges=self.target.edges.rows,
             source_edges=self.source.edges.rows,
             both=weighting(self.target, self.source),
@@ -239,22 +258,24 @@ def descend(
     """
     ends, n = np.empty_like(starts), 0
     for start in range(len(starts)):
-        state = State(starts[start].copy(), 0.0)
+        state, settled = State(starts[start].copy(), 0.0), False
         for iteration in range(criteria.max_iterations):
             gate = tightened(iteration, criteria.max_correspondence_distance)
             final = gate.distance <= LAST_GATE and gate.robust <= LAST_ROBUST
-            solution = solve(scans, prior, state, scans.fine if final else scans.coarse, gate)
+            sample = scans.every if settled else (scans.fine if final else scans.coarse)
+            solution = solve(scans, prior, state, sample, gate)
             state = State(displaced(state.T, solution.step), state.scale + solution.scale_step)
             overlap = solution.equations.pairs >= MIN_PAIRS
-            shift, turn = length(solution.step[:3]), length(solution.step[3:])
-            small = shift < criteria.translation_epsilon and turn < criteria.rotation_epsilon
-            settled = final and small and overlap
             if settled or not overlap:
                 break
+            shift, turn = length(solution.step[:3]), length(solution.step[3:])
+            small = shift < criteria.translation_epsilon and turn < criteria.rotation_epsilon
+            settled = final and small
         if overlap and new_basin(state.T, ends[:n], scans.reach):
             ends[n] = state.T
             n += 1
-    return ends[:n].copy(), Outcome(state, solution, iteration + 1, settled, overlap)
+    last = Outcome(state, solution, len(sample.rows), iteration + 1, settled, overlap)
+    return ends[:n].copy(), last
 
 
 def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:
@@ -424,7 +445,7 @@ def report(problem: Problem, outcome: Outcome, ambiguity_gap: float) -> Registra
         T_target_source=read_only(state.T),
         covariance=read_only(shift @ covariance @ shift.T),
         information=read_only(back.T @ information @ back),
-        fitness=equations.pairs / len(rows),
+        fitness=equations.pairs / outcome.surfels,
         inlier_rmse=math.sqrt(equations.square / equations.pairs),
         predicted_rmse=spread(rows[:, X] @ state.T[:3, :3].T, covariance),
         num_inliers=equations.pairs,
