@@ -31,6 +31,8 @@ else:
 
 REHEARSED_LINES = 20
 """Lines read by a dry run: 2 s at 10 Hz."""
+SMALL_COMPUTER = {"spare": "memory"}
+"""What a robot's own computer asks for unless told otherwise."""
 USABLE_SHARE = 0.1
 """A lidar that sees less than this share of its beams is blind; a cover is on it."""
 
@@ -58,10 +60,12 @@ def real(
     Raises:
         TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
     """
+    from scan3d_twin.cli.memory import give_back_memory
     from scan3d_twin.cli.run import run
     from scan3d_twin.cli.several import run_each
     from scan3d_twin.recording.recorder import SerialTaps
 
+    give_back_memory()
     given = {} if dotted is None else stated(dotted)
     resume = None if options.resume is None else _going_on(options, options.resume, given)
     effective = resolve(options, given) if resume is None else resume.settings
@@ -101,7 +105,7 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
 
     given = stated_options(options, sections)
     name = settings([given]).run.preset
-    effective = settings([preset(name), given, {"run": {"scene": REAL}}])
+    effective = settings([preset(name), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
     check_planner(effective.config.planner, truth_known=False)
     return effective
 

@@ -22,8 +22,9 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.placing import motion_prior, odometry_scale, surfels_of
+from scan3d_twin.core.placing import motion_prior, odometry_scale
 from scan3d_twin.core.pose_graph import GATE, PoseGraph, Solution
+from scan3d_twin.core.prepared import Prepared
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.multistart import AMBIGUOUS
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
@@ -51,6 +52,10 @@ STRIDE = 8
 CERTAIN = 0.03
 """A prior that lets the source move by less than this has one basin [m]: a quarter of the starts
 will do, in case it does not."""
+
+
+Grids = Sequence[SurfelGrid | None] | Prepared
+"""Surfels of each view; None for one without a surface."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +211,7 @@ def align_views(views: Sequence[View], config: Config) -> tuple[list[Edge], Solu
     """Return the registered pairs of two views or more, and how all of them lie together."""
     scale = odometry_scale(views, config) if config.registration.engine == "grid" else 1.0
     return align_grids(
-        [_surfels(view, config) for view in views],
+        Prepared(views, config),
         [_odometry(a, b, config, scale) for a, b in pairwise(views)],
         first=views[0].T_world_scan,
         starts=config.registration.starts,
@@ -215,7 +220,7 @@ def align_views(views: Sequence[View], config: Config) -> tuple[list[Edge], Solu
 
 
 def align_grids(
-    grids: Sequence[SurfelGrid | None],
+    grids: Grids,
     odometry: Sequence[PosePrior],
     *,
     first: Pose2 | None = None,
@@ -248,21 +253,12 @@ def align_grids(
     return edges, solution
 
 
-def _surfels(view: View, config: Config) -> SurfelGrid | None:
-    try:
-        return surfels_of(view, config)
-    except RegistrationError:
-        return None
-
-
 def _odometry(previous: View, view: View, config: Config, scale: float) -> PosePrior:
     move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     return motion_prior(move, config.planning, scale)
 
 
-def register_pair(
-    grids: Sequence[SurfelGrid | None], i: int, j: int, prior: PosePrior, starts: int
-) -> Edge | None:
+def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -> Edge | None:
     """Return what the scans i and j say of each other; None where they do not overlap."""
     target, source = grids[i], grids[j]
     if target is None or source is None:
@@ -323,9 +319,7 @@ def _prior(solution: Solution, i: int, j: int) -> PosePrior:
     return PosePrior.of_robot(T, (C + C.T) / 2)
 
 
-def overlapping(
-    grids: Sequence[SurfelGrid | None], poses: Sequence[Pose2], least: float
-) -> Iterator[tuple[int, int]]:
+def overlapping(grids: Grids, poses: Sequence[Pose2], least: float) -> Iterator[tuple[int, int]]:
     """Yield the pairs that share ``least`` or more, best first, at most ``MOST_LINKS`` per view."""
     shares = [
         (share, i, j)

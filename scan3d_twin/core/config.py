@@ -13,6 +13,7 @@ from typing import Literal
 from scan3d_twin.core.errors import ConfigError
 
 Tour = Literal["front", "full"]
+Spare = Literal["time", "memory"]
 Scope = Literal["target", "sweep"]
 Border = Literal["drop", "keep"]
 Engine = Literal["icp", "grid"]
@@ -363,6 +364,9 @@ class Config:
     """Name of the planner."""
     max_views: int = 20
     """The run stops after this many views."""
+    spare: Spare = "time"
+    """What there is least of, time or memory: what a run computed and may need again is kept, or
+    made anew; the results are the same."""
     sweep: SweepConfig = field(default_factory=SweepConfig)
     mount: MountConfig = field(default_factory=MountConfig)
     gaps: GapConfig = field(default_factory=GapConfig)
@@ -375,6 +379,9 @@ class Config:
 
     def __post_init__(self) -> None:
         _check(self.tour in ("front", "full"), f"tour must be front or full, got {self.tour!r}")
+        _check(
+            self.spare in ("time", "memory"), f"spare must be time or memory, got {self.spare!r}"
+        )
         _check(self.max_views >= 1, f"max_views must be >= 1, got {self.max_views}")
         _check(
             self.planning.virtual_scan != "visible" or self.registration.engine == "grid",

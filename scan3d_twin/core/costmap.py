@@ -183,8 +183,7 @@ def extended(costmap: Costmap, observation: Observation, config: Config, start: 
 def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config: Config) -> None:
     """Write what one observation saw into ``cells``."""
     image, pose, felt = observation.image, observation.T_odom_scan, cells == TOUCHED
-    points, reach = _floor(image, config)
-    yaws = image.yaws[:, image.spec.n_beams // 2]
+    points, reach, yaws = _floor(image, config)
     local = pose.inverse().apply(_centres(origin, (cells.shape[0], cells.shape[1])))
     cells[_swept(local, yaws, reach)] = FREE
     _put(cells, origin, pose.apply(points), OBSTACLE)
@@ -199,17 +198,23 @@ def _put(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> 
     cells[hit[inside, 0], hit[inside, 1]] = what
 
 
-def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray]:
-    """Return the top view (n, 2) of the obstacles in an image, and its free reach (n_lines,) [m].
+def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what an image tells of the floor.
 
-    Kept with the image, for every later costmap asks for them again.
+    Kept with the image, for every later costmap asks for it again.
+
+    Returns:
+        The top view (n, 2) of its obstacles [m], its free reach (n_lines,) [m], and the headings
+        (n_lines,) of its middle beams [rad].
     """
     key = ("floor", config.target, config.motion)
     if key not in image.derived:
         solid = _solid(image, config)
-        image.derived[key] = (image.points[solid][:, :2], _free_reach(image, solid, config))
-    points, reach = image.derived[key]
-    return points, reach
+        obstacles = image.points[solid][:, :2].copy()
+        yaws = image.yaws[:, image.spec.n_beams // 2].copy()
+        image.derived[key] = (obstacles, _free_reach(image, solid, config), yaws)
+    points, reach, yaws = image.derived[key]
+    return points, reach, yaws
 
 
 def _solid(image: RangeImage, config: Config) -> BoolArray:

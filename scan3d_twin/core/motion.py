@@ -14,6 +14,8 @@ from scan3d_twin.core.types import FloatArray, Odometry, Pose2, wrap
 
 CONTROL_PERIOD = 0.03
 """Time between two velocity commands [s]: two sensor packets of 15 ms."""
+STALL = 2.0
+"""A robot that did not get on for so long, counted in control periods, is stuck [s]; assumption."""
 APPROACH_GAIN = 4.0
 """Speed per remaining way near the goal [1/s]; slow enough for the 30 ms period, an assumption."""
 STEERING_GAIN = 2.0
@@ -29,19 +31,43 @@ def stopping(base: DriveBase) -> Iterator[None]:
         base.set_velocity(0.0, 0.0)
 
 
-def ticks(clock: Clock, timeout: float, what: str) -> Iterator[None]:
-    """Yield once per control period.
+class Ticks:
+    """One tick per control period, until the time is up and the robot no longer gets on.
 
-    Raises:
-        MotionTimeoutError: ``timeout`` [s] has passed.
+    On a slow computer, or after a pause, a move may take longer than it should.
+
+    Attributes:
+        left: What is left of the way, to be kept up to date [m] or [rad].
     """
-    deadline = clock.now() + timeout
-    while clock.now() < deadline:
-        yield
-        clock.sleep(CONTROL_PERIOD)
-    raise MotionTimeoutError(
-        f"{what} took longer than {timeout:.1f} s: wheels blocked or slipping?"
-    )
+
+    def __init__(self, clock: Clock, timeout: float, what: str, least: float) -> None:
+        """Begin a move that should end within ``timeout`` [s].
+
+        Args:
+            clock: The robot's.
+            timeout: [s].
+            what: The move, in words.
+            least: Who gets on by less than this within ``STALL`` does not get on [m] or [rad].
+        """
+        self.left = math.inf
+        self._clock, self._timeout, self._what, self._least = clock, timeout, what, least
+
+    def __iter__(self) -> Iterator[None]:
+        """Yield once per control period.
+
+        Raises:
+            MotionTimeoutError: The time is up, and the robot does not get on.
+        """
+        deadline, best, idle = self._clock.now() + self._timeout, math.inf, 0
+        while self._clock.now() < deadline or idle * CONTROL_PERIOD < STALL:
+            yield
+            if self.left < best - self._least:
+                best, idle = self.left, 0
+            idle += 1
+            self._clock.sleep(CONTROL_PERIOD)
+        raise MotionTimeoutError(
+            f"{self._what} took longer than {self._timeout:.1f} s: wheels blocked or slipping?"
+        )
 
 
 def turn_to(robot: Robot, yaw: float, config: MotionConfig) -> None:
@@ -59,10 +85,13 @@ def turn_by(robot: Robot, angle: float, config: MotionConfig) -> None:
     acceleration = 2.0 * config.acceleration / robot.base.spec.wheel_base
     last, left, rate = robot.base.odometry().T_odom_base.yaw, angle, 0.0
     timeout = 2.0 * abs(angle) / config.turn_rate + 5.0
+    what = f"a turn of {math.degrees(angle):.0f} deg"
+    ticks = Ticks(robot.clock, timeout, what, config.yaw_tolerance)
     with stopping(robot.base):
-        for _ in ticks(robot.clock, timeout, f"a turn of {math.degrees(angle):.0f} deg"):
+        for _ in ticks:
             yaw = robot.base.odometry().T_odom_base.yaw
             left, last = left - wrap(yaw - last), yaw
+            ticks.left = abs(left)
             if abs(left) <= config.yaw_tolerance:
                 return
             wanted = max(-config.turn_rate, min(config.turn_rate, APPROACH_GAIN * left))
@@ -85,10 +114,12 @@ def drive_to(robot: Robot, x: float, y: float, config: MotionConfig) -> None:
     turn_to(robot, bearing, config)
     line, speed = Pose2(start.x, start.y, bearing), 0.0
     timeout = 2.0 * length / config.speed + 5.0
+    what = f"a drive of {length:.2f} m"
+    ticks = Ticks(robot.clock, timeout, what, config.position_tolerance)
     with stopping(robot.base):
-        for _ in ticks(robot.clock, timeout, f"a drive of {length:.2f} m"):
+        for _ in ticks:
             along = line.inverse() @ robot.base.odometry().T_odom_base
-            left = length - along.x
+            ticks.left = left = length - along.x
             if left <= config.position_tolerance:
                 return
             speed = _ramp(
@@ -103,9 +134,11 @@ def back_off(robot: Robot, length: float, config: MotionConfig) -> None:
     start = robot.base.odometry().T_odom_base
     speed = config.speed / 2
     timeout = 2.0 * length / speed + 5.0
+    what = f"backing off by {length:.2f} m"
+    ticks = Ticks(robot.clock, timeout, what, config.position_tolerance)
     with stopping(robot.base):
-        for _ in ticks(robot.clock, timeout, f"backing off by {length:.2f} m"):
-            left = length - robot.base.odometry().T_odom_base.distance(start)
+        for _ in ticks:
+            ticks.left = left = length - robot.base.odometry().T_odom_base.distance(start)
             if left <= config.position_tolerance:
                 return
             robot.base.set_velocity(-min(speed, APPROACH_GAIN * left), 0.0)

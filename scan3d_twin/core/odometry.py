@@ -29,7 +29,7 @@ class DeadReckoning:
         self._wheel_base = spec.wheel_base
         self._counts = (left, right)
         self._pose = Pose2()
-        self._covariance = np.zeros((3, 3))
+        self._covariance = read_only(np.zeros((3, 3)))
 
     def update(self, stamp: float, left: int, right: int) -> Odometry:
         """Return the odometry at ``stamp`` [s] after encoder readings ``left`` and ``right``."""
@@ -42,9 +42,10 @@ class DeadReckoning:
     def advance(self, stamp: float, way: float, turn: float) -> Odometry:
         """Return the odometry at ``stamp`` [s] after an arc of ``way`` [m] and ``turn`` [rad]."""
         if way or turn:
-            self._covariance = _grown(self._covariance, self._pose.yaw, way, turn)
+            grown = _grown(self._covariance, self._pose.yaw, way, turn)
+            self._covariance = read_only(grown)
             self._pose = self._pose @ arc(way, turn)
-        return Odometry(stamp, self._pose, read_only(self._covariance))
+        return Odometry(stamp, self._pose, self._covariance)
 
 
 def arc(way: float, turn: float) -> Pose2:

@@ -37,6 +37,12 @@ class View:
     T_world_scan: Pose2
     registration: RegistrationResult | None
 
+    def fold(self) -> None:
+        """Put the large arrays away: earlier views are kept, but seldom read."""
+        self.sweep.fold(self.image)
+        self.image.fold()
+        self.observation.image.fold()
+
 
 @dataclass(frozen=True)
 class Session:
@@ -83,6 +89,13 @@ class Session:
     def ended(self, reason: str) -> Session:
         """Return a session that ended for ``reason``."""
         return replace(self, stop_reason=reason)
+
+    def fold(self) -> None:
+        """Put the large arrays of all but the latest view away; everything reads as before."""
+        for _, look in self.looks:
+            look.image.fold()
+        for view in self.views[:-1]:
+            view.fold()
 
     def observations(self) -> tuple[Observation, ...]:
         """Return all looks around and sweeps in the order in which they were taken."""

@@ -39,6 +39,10 @@ OUTAGE = 60.0
 """A lidar that is away for longer ends the sweep [s]: time to plug it in again, and for the 3 s
 its motor takes to get up to speed; assumption."""
 
+HOLE = 10
+"""So many sample periods without odometry are a hole, in which nobody knows how the robot turned:
+the lines in it are lost."""
+
 Lines = list[tuple[ScanLine, FloatArray]]
 """Lines with each beam's heading relative to the middle of the sweep (n_beams,) [rad]."""
 
@@ -190,13 +194,23 @@ def _lines(robot: Robot, since: float, until: float) -> Iterator[ScanLine]:
 
 
 def _deskew(robot: Robot, lines: list[ScanLine], started: float, yaw: float, first: float) -> Lines:
-    """Give each beam the heading it had, relative to ``yaw``; the turn began near ``first``."""
+    """Give each beam the heading it had, relative to ``yaw``; the turn began near ``first``.
+
+    Lines during which the odometry has a hole are left out.
+    """
     odometry = robot.base.odometry_since(started)
     stamps = np.array([sample.stamp for sample in odometry])
     headings = np.unwrap([sample.T_odom_base.yaw for sample in odometry])
     headings += first + wrap(float(headings[0]) - yaw - first) - headings[0]
     times = robot.lidar.spec.beam_times
-    return [(line, np.interp(line.stamp + times, stamps, headings)) for line in lines]
+    holes = np.flatnonzero(np.diff(stamps) > HOLE * robot.base.spec.sample_period)
+    return [
+        (line, np.interp(line.stamp + times, stamps, headings))
+        for line in lines
+        if not np.any(
+            (line.stamp + times[0] < stamps[holes + 1]) & (line.stamp + times[-1] > stamps[holes])
+        )
+    ]
 
 
 def _front_yaw(yaws: FloatArray) -> float:

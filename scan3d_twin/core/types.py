@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from scan3d_twin.core.folding import Folded, fold, foldable, is_folded
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 SmallIntArray = npt.NDArray[np.int32]
@@ -189,6 +191,7 @@ class Hazards:
         return tuple(name.replace("_", " ") for name in flags if getattr(self, name))
 
 
+@foldable("yaws", "ranges", "codes")
 @dataclass(frozen=True)
 class RangeImage:
     """One sweep, the paper's P = {l_1 .. l_n}: lines by beams, in frame ``scan``.
@@ -215,6 +218,10 @@ class RangeImage:
     def n_lines(self) -> int:
         """Number of scan lines."""
         return len(self.stamps)
+
+    def fold(self) -> None:
+        """Put the large arrays away, as an image that is kept but seldom read."""
+        fold(self, "yaws", "ranges", "codes")
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
@@ -260,6 +267,7 @@ class Observation:
     touched: tuple[tuple[float, float], ...] = ()
 
 
+@foldable("points", "lines", "beams")
 @dataclass(frozen=True)
 class Scan3D:
     """Points of one sweep in frame ``scan``, sorted by line, left to right.
@@ -278,6 +286,19 @@ class Scan3D:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def fold(self, image: RangeImage) -> None:
+        """Put the arrays away, as a scan that is kept but seldom read.
+
+        Its points are looked up in ``image`` from then on, if they are those.
+        """
+        if is_folded(self, "points"):
+            return
+        lines, beams = Folded.of(self.lines), Folded.of(self.beams)
+        placed = _PointsOf(image, lines, beams)
+        if np.array_equal(placed.unfold(), self.points):
+            for name, folded in (("points", placed), ("lines", lines), ("beams", beams)):
+                object.__setattr__(self, name, folded)
 
     @cached_property
     def occupied_lines(self) -> IntArray:
@@ -306,6 +327,21 @@ class Scan3D:
         """Return the points of the last ``k`` occupied lines: the paper's Q for k = n_Q."""
         first = max(0, len(self.occupied_lines) - k)
         return self.select(np.isin(self.lines, self.occupied_lines[first:]))
+
+
+@dataclass(frozen=True, slots=True)
+class _PointsOf:
+    """The points of an image at ``lines`` and ``beams``."""
+
+    image: RangeImage
+    lines: Folded
+    beams: Folded
+
+    def unfold(self) -> FloatArray:
+        """Return the points (n, 3) [m], which refuse writes."""
+        points = self.image.points[self.lines.unfold(), self.beams.unfold()]
+        points.flags.writeable = False
+        return points
 
 
 @dataclass(frozen=True)

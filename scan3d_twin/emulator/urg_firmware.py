@@ -254,14 +254,14 @@ class Firmware:
         return self._malfunction
 
     def _get(self, request: Request, now: float) -> tuple[str, list[bytes]]:
-        scan = scip.parse_scan_request(request, urg04lx.LAST_STEP)
+        scan = scip.parse_scan_request(request, urg04lx.LAST_POINT)
         line = self._latest(now)
         if not self.laser or line is None:
             return "10", []
         return "00", self._scan(line, scan)
 
     def _start(self, request: Request, now: float) -> tuple[str, list[bytes]]:
-        scan = scip.parse_scan_request(request, urg04lx.LAST_STEP)
+        scan = scip.parse_scan_request(request, urg04lx.LAST_POINT)
         if self.stream is not None:
             return "0B", []
         self.laser = True
@@ -287,7 +287,7 @@ class Firmware:
 
     def _get_scip1(self, line: bytes, now: float) -> tuple[str, list[bytes]]:
         try:
-            scan = scip.parse_old_scan_request(line, urg04lx.LAST_STEP)
+            scan = scip.parse_old_scan_request(line, urg04lx.LAST_POINT)
         except RequestError as error:
             return error.status, []
         latest = self._latest(now)

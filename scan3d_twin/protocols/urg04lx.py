@@ -17,6 +17,9 @@ FRONT_STEP = 384
 """Step that looks ahead [AFRT]."""
 LAST_STEP = 725
 """Last step measured [AMAX]."""
+LAST_POINT = 768
+"""Last step that can be asked for, the first being 0; beyond [AMIN] and [AMAX] nothing is measured.
+"""
 MIN_RANGE_MM = 20
 """Shortest distance [DMIN]; smaller values are error codes."""
 MAX_RANGE_MM = 4095

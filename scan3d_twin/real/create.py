@@ -44,7 +44,7 @@ from scan3d_twin.real.create_reckoning import (
     make_reckoning,
 )
 from scan3d_twin.real.create_sieve import Sieve
-from scan3d_twin.real.transport import Transport
+from scan3d_twin.real.transport import Transport, is_away
 
 log = logging.getLogger(__name__)
 
@@ -55,8 +55,14 @@ LOST = 1.0
 the computer or the cable that was busy, and it drives on; assumption."""
 SILENCE_AT_REST = 3.0
 """One that stands is lost after this [s]; its stream is asked for again meanwhile."""
+OUTAGE = 30.0
+"""An unplugged base is waited for so long [s]: time to fasten a plug; assumption."""
 HANG = 0.25
 """Nobody has serviced a base that drives for so long: the guard has stopped it, or will [s]."""
+GUARDED = 0.3
+"""After so long without a sign of life the guard stops the wheels [s]."""
+HUNG = 10.0
+"""A program that hung for longer does not drive on [s]: nobody expects the robot to; assumption."""
 ASK_AGAIN = 0.1
 """Time between two such requests, and between two repeated drive commands [s]."""
 ASKS_AT_ONE_SPEED = 10
@@ -72,6 +78,8 @@ LOW_BATTERY = 0.1
 """Share of charge below which the robot does not drive; it must still find home."""
 HISTORY = 20_000
 """Odometry samples that are kept at least: 5 minutes."""
+SURPLUS = 2_000
+"""So many older ones are forgotten at a time."""
 STOP = oi.drive_direct(0, 0)
 FAREWELL = STOP + oi.command(Op.PAUSE_RESUME, 0) + oi.command(Op.START)
 """Wheels stopped, line silent, mode Passive: the base may charge and sleep again."""
@@ -121,6 +129,7 @@ class CreateBase:
         self._sent_at = self._asked_at = -math.inf
         self._asks = 0
         self._halted_at = -math.inf
+        self._waiting = False
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
         self._reckoning: Reckoning | None = None
@@ -173,16 +182,22 @@ class CreateBase:
                 while it drives; the wheels stand.
             LinkError: The base is silent while it stands, or the port is gone.
         """
+        if is_away(self._transport):
+            self._wait_for_the_plug()
+            return
         before, away = self._hazards, now - self._serviced
+        hung = self._moving and away > HANG
+        if hung and self._reckoning is not None:
+            self._reckoning.drive(self._serviced + min(away, GUARDED), 0.0, 0.0)
         fresh = self._receive(now)
         self._guard.beat(self._moving)
-        if self._moving and away > LOST:
+        if self._moving and away > HUNG:
             self._drive(0, 0)
             raise HazardError(
                 f"stopped: this program hung for {away:.1f} s while the robot drove (the guard "
                 "stopped it meanwhile); end other programs"
             )
-        if self._moving and away > HANG:
+        if hung:
             self._halt(now)
         if fresh:
             self._watch(before, now)
@@ -250,8 +265,8 @@ class CreateBase:
     def _keep(self, odometry: Odometry, now: float) -> None:
         self._heard, self._asks = now, 0
         self._history.append(odometry)
-        if len(self._history) > 2 * HISTORY:
-            del self._history[:HISTORY]
+        if len(self._history) > HISTORY + SURPLUS:
+            del self._history[:SURPLUS]
 
     # Driving.
 
@@ -307,6 +322,31 @@ class CreateBase:
             raise HazardError(f"stopped: {', '.join(dict.fromkeys(names))} at {now:.2f} s")
         if self._told() != self._sent and since > ASK_AGAIN and self._safe():
             self._drive(*self._sent)
+
+    def _wait_for_the_plug(self) -> None:
+        """Wait until an unplugged base is there again, and stop it then; it drives on later.
+
+        Raises:
+            LinkError: It stays away.
+        """
+        if self._waiting:
+            return  # the lidar is looked after meanwhile
+        self._waiting = True
+        deadline = self._clock.now() + OUTAGE
+        try:
+            while is_away(self._transport):
+                if self._clock.now() >= deadline:
+                    raise LinkError(
+                        f"the base has been unplugged for {OUTAGE:.0f} s"
+                        + ("; it may still be driving: lift it" if self._moving else "")
+                    )
+                self._clock.sleep(ASK_AGAIN)
+                self._transport.read(0.0)
+        finally:
+            self._waiting = False
+        self._heard = self._serviced = now = self._clock.now()
+        self._gap = True
+        self._halt(now)
 
     def _safe(self) -> bool:
         """Tell whether the base would obey drive commands."""

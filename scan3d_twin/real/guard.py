@@ -73,3 +73,30 @@ class ProcessGuard:
             os.write(self._pipe, guard_process.GOODBYE)
         os.close(self._pipe)
         self._process.wait(timeout=5.0)
+
+
+class PortGuard:
+    """A ``Guard`` of a port that may be unplugged: each time it is opened it gets a new process.
+
+    A process that went on holding an unplugged port would keep its name from coming back.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._guard: ProcessGuard | None = None
+
+    def watch(self, port: int) -> None:
+        """Guard the open ``port`` (file descriptor) from now on."""
+        self.close()
+        self._guard = ProcessGuard(port, self._clock)
+
+    def beat(self, moving: bool) -> None:
+        """See ``Guard.beat``; without a port there is nobody to tell."""
+        if self._guard is not None:
+            self._guard.beat(moving)
+
+    def close(self) -> None:
+        """Send the process home; closing twice does nothing."""
+        guard, self._guard = self._guard, None
+        if guard is not None:
+            guard.close()

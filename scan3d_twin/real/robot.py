@@ -10,9 +10,10 @@ from scan3d_twin.core.errors import LinkTimeoutError
 from scan3d_twin.core.hal import Clock, Robot
 from scan3d_twin.protocols.urg04lx import ScanMode
 from scan3d_twin.real.clock import RealClock
-from scan3d_twin.real.create import Guard, open_create
-from scan3d_twin.real.guard import ProcessGuard
-from scan3d_twin.real.transport import SerialTransport, Tapped, Transport
+from scan3d_twin.real.create import STOP, Guard, open_create
+from scan3d_twin.real.create_link import HALF_DRIVE
+from scan3d_twin.real.guard import PortGuard
+from scan3d_twin.real.transport import Reopening, SerialTransport, Tapped, Transport
 from scan3d_twin.real.urg import UrgLidar
 
 SLICE = 0.005
@@ -120,13 +121,20 @@ def open_real(
         LinkError: A port cannot be opened, or no such device is on it; says what to do.
     """
     clock = RealClock()
+    guard = PortGuard(clock)
+
+    def open_base_link() -> Transport:
+        port = SerialTransport(base_port)
+        guard.watch(port.fileno())
+        return port if taps is None else Tapped(port, clock, taps.base)
+
+    def open_lidar_link() -> Transport:
+        line = SerialTransport(lidar_port)
+        return line if taps is None else Tapped(line, clock, taps.lidar)
+
     with ExitStack() as stack:
-        port = stack.enter_context(closing(SerialTransport(base_port)))
-        guard = stack.enter_context(closing(ProcessGuard(port.fileno(), clock)))
-        link = port if taps is None else Tapped(port, clock, taps.base)
-
-        def open_lidar_link() -> Transport:
-            line = SerialTransport(lidar_port)
-            return line if taps is None else Tapped(line, clock, taps.lidar)
-
+        stack.callback(guard.close)
+        link = stack.enter_context(
+            closing(Reopening(open_base_link, clock, HALF_DRIVE + STOP, guard.close))
+        )
         yield stack.enter_context(open_over(link, open_lidar_link, clock, mode, guard))

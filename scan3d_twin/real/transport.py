@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import grp
+import logging
 import os
 import select
 import termios
@@ -20,7 +21,11 @@ from scan3d_twin.core.hal import Clock
 
 WRITE_TIMEOUT = 1.0
 """A command of at most 100 bytes that is not taken within this time never will be [s]."""
+RETRY = (0.1, 0.5)
+"""First and longest wait between two attempts to open an unplugged port [s]; it doubles."""
 _CHUNK = 4096
+
+log = logging.getLogger(__name__)
 
 
 class Transport(Protocol):
@@ -155,6 +160,98 @@ class Tapped:
         """See ``Transport.write``."""
         self._tap(self._clock.now(), ">", data)
         self._transport.write(data)
+
+
+class Reopening:
+    """A ``Transport`` that opens its port again after it was unplugged.
+
+    Meanwhile nothing arrives, and what is sent is lost.
+
+    Attributes:
+        away: Whether it is unplugged.
+    """
+
+    def __init__(
+        self,
+        open_port: Callable[[], Transport],
+        clock: Clock,
+        first: bytes,
+        on_lost: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Open the port.
+
+        Args:
+            open_port: Opens it; called again and again while it is unplugged.
+            clock: Tells when to try again.
+            first: Is sent at once when the port was opened again.
+            on_lost: Told that the port was lost, and closed.
+
+        Raises:
+            LinkError: It cannot be opened.
+        """
+        self.away = False
+        self._open_port, self._clock, self._first, self._on_lost = open_port, clock, first, on_lost
+        self._port = open_port()
+        self._baud: int | None = None
+        self._due, self._wait = 0.0, RETRY[0]
+
+    def read(self, timeout: float) -> bytes:
+        """See ``Transport.read``; does not wait while the port is away."""
+        if not self._is_there():
+            return b""
+        try:
+            return self._port.read(timeout)
+        except LinkError as error:
+            self._lose(error)
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """See ``Transport.write``; lost while the port is away."""
+        if self._is_there():
+            try:
+                self._port.write(data)
+            except LinkError as error:
+                self._lose(error)
+
+    def set_baud(self, baud: int) -> None:
+        """See ``Transport.set_baud``."""
+        self._baud = baud
+        if self._is_there():
+            self._port.set_baud(baud)
+
+    def discard_input(self) -> None:
+        """See ``Transport.discard_input``."""
+        while self.read(0.0):
+            pass
+
+    def close(self) -> None:
+        """See ``Transport.close``."""
+        self._port.close()
+
+    def _is_there(self) -> bool:
+        """Tell whether the port is there; if not, try to open it when that is due."""
+        if self.away and self._clock.now() >= self._due:
+            with suppress(LinkError):
+                self._port = self._open_port()
+                if self._baud is not None:
+                    self._port.set_baud(self._baud)
+                self._port.write(self._first)
+                self.away, self._wait = False, RETRY[0]
+                log.warning("the port is back")
+            self._wait = min(RETRY[1], 2 * self._wait)
+            self._due = self._clock.now() + self._wait
+        return not self.away
+
+    def _lose(self, error: LinkError) -> None:
+        log.warning("%s; trying again", error)
+        self.away, self._due = True, self._clock.now() + self._wait
+        self._port.close()
+        self._on_lost()
+
+
+def is_away(transport: Transport) -> bool:
+    """Tell whether the port of ``transport`` was unplugged and is tried again."""
+    return isinstance(transport, Reopening) and transport.away
 
 
 def holders(port: str) -> list[str]:

@@ -160,7 +160,9 @@ def _narrowed(array: Array) -> Array:
     if array.dtype.kind not in "iu" or array.size == 0:
         return array
     low, high = int(array.min()), int(array.max())
-    return array.astype(np.promote_types(np.min_scalar_type(low), np.min_scalar_type(high)))
+    narrow = np.promote_types(np.min_scalar_type(low), np.min_scalar_type(high))
+    # Of a signed type and the largest unsigned one NumPy makes floating point, which rounds.
+    return array.astype(narrow) if narrow.kind in "iu" else array
 
 
 @cache

@@ -215,3 +215,12 @@ def test_scans_that_add_nothing_say_nothing() -> None:
     T, left = scans_alone(result, prior)
     assert left == pytest.approx(np.zeros((3, 3)), abs=1e-9)
     assert (T.x, T.y, T.yaw) == pytest.approx((0.1, 0.2, 0.3))
+
+
+def test_sparing_memory_and_folding_move_no_view() -> None:
+    session = tour()
+    few = replace(session, views=session.views[:5], plans=session.plans[:4])
+    expected = [view.T_world_scan for view in align(few).views]
+    frugal = replace(few, config=replace(few.config, spare="memory"))
+    frugal.fold()
+    assert [view.T_world_scan for view in align(frugal).views] == expected

@@ -241,3 +241,14 @@ def test_the_prediction_of_a_registration_is_about_the_target(pilasters: Session
     C = S[np.ix_(PLANAR, PLANAR)]
     variance = np.einsum("nij,jk,nik->n", J, C, J)
     assert result.predicted_rmse == pytest.approx(float(np.sqrt(variance.mean())), rel=1e-6)
+
+
+def test_sparing_memory_changes_no_error(wall: Session) -> None:
+    config = replace(CONFIG, spare="memory")
+    frugal, usual = (
+        Simulation.of(Situation(replace(wall, config=each)), 3) for each in (config, CONFIG)
+    )
+    for viewpoint in (O2, Pose2(0.0, -0.3, 0.0)):
+        errors = [list(each.errors(viewpoint, 2)) for each in (frugal, usual)]
+        assert errors[0] == errors[1]
+    assert (len(frugal._scans), len(usual._scans)) == (0, 2)

@@ -12,7 +12,7 @@ from virtual import KnownLidar, VirtualClock, values_of
 from scan3d_twin.core.errors import LinkError
 from scan3d_twin.emulator.line import Line
 from scan3d_twin.emulator.pty import PtyPort
-from scan3d_twin.emulator.serve import serve
+from scan3d_twin.emulator.serve import LAG, Pace, serve
 from scan3d_twin.emulator.tcp import TcpPort
 from scan3d_twin.emulator.urg import UrgEmulator
 from scan3d_twin.emulator.urg_profile import UrgProfile
@@ -205,3 +205,25 @@ def test_a_slow_world_is_not_made_to_catch_up_for_ever():
     clock, started = Slow(), time.monotonic()
     serve([], clock, ended=lambda: time.monotonic() - started > 0.2)
     assert 0.03 < clock.now() < 0.2
+
+
+def test_a_computer_that_keeps_up_loses_no_time():
+    pace = Pace(5.0, 100.0)
+    assert pace.behind(5.0, 100.2) == pytest.approx(0.2)
+    assert pace.behind(5.3, 100.2) == pytest.approx(-0.1)
+    assert pace.behind(5.3, 100.8) == pytest.approx(LAG)
+    assert pace.lost == 0.0
+
+
+def test_a_computer_that_is_too_busy_slows_the_world_down_and_says_so(caplog):
+    pace = Pace(0.0, 0.0)
+    assert pace.behind(0.0, 1.2) == LAG
+    assert pace.lost == pytest.approx(0.7)
+    assert not caplog.messages
+    # Once it keeps up again, the world does not race.
+    assert pace.behind(0.5, 1.2) == pytest.approx(0.0)
+    assert pace.behind(0.5, 2.1) == LAG
+    assert caplog.messages[0].startswith("this computer is too busy: the emulated world has lost")
+    assert "1.1 s so far" in caplog.messages[0]
+    pace.behind(0.6, 2.2)
+    assert len(caplog.messages) == 1

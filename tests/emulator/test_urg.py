@@ -71,7 +71,7 @@ class Desk:
         ([b"RS\n"], b"RS\n00P\n\n"),
         ([b"GD0044072501\n"], b"GD0044072501\n10Q\n\n"),
         ([b"GD004407250x\n"], b"GD004407250x\n03S\n\n"),
-        ([b"MD0044072601000\n"], b"MD0044072601000\n04T\n\n"),
+        ([b"MD0044076901000\n"], b"MD0044076901000\n04T\n\n"),
         ([b"MD0045004401000\n"], b"MD0045004401000\n05U\n\n"),
         ([b"MD0044072501x00\n"], b"MD0044072501x00\n06V\n\n"),
         ([b"MD00440725010x0\n"], b"MD00440725010x0\n07W\n\n"),
@@ -193,6 +193,22 @@ def test_gd_gives_the_latest_scan():
     assert 100 <= 1000 * desk.clock.now() - scan.time_ms <= 330
 
 
+def test_the_whole_circle_may_be_asked_for_though_its_ends_are_blind():
+    """Steps 0 to 768, as in the examples of the specification; some clients always ask so."""
+    desk = Desk()
+    desk.ask(b"BM\n")
+    (block,) = Splitter().feed(desk.ask(b"GD0000076801\n", seconds=0.3))
+    request = ScanRequest("GD", 0, 768)
+    scan = scip_replies.decode_scan(scip_replies.decode_reply(block), request)
+    measured = KnownLidar.values(KnownLidar.turn_at(scan.time_ms / 1000)).tolist()
+    assert scan.values == [0] * 44 + measured + [0] * 43
+    old = Desk(UrgProfile(scip1=True))
+    (block,) = Splitter().feed(old.ask(b"G00076801\n", seconds=0.3))
+    _, status, lines = scip_replies.decode_old_reply(block)
+    assert status == "0"
+    assert len(scip_replies.decode_old_scan(lines)) == 769
+
+
 def test_a_stream_cannot_be_started_twice_and_qt_ends_it():
     desk = Desk()
     desk.ask(b"MD0384038401000\n")
@@ -301,7 +317,7 @@ def test_what_later_lidars_know_may_silence_it(request_):
         (b"L0\n", b"L0\n0\n\n"),
         (b"S1152000000000\n", b"S1152000000000\n0\n\n"),
         (b"S9999990000000\n", b"S9999990000000\nE\n\n"),
-        (b"G04472601\n", b"G04472601\nE\n\n"),
+        (b"G04476901\n", b"G04476901\nE\n\n"),
         (b"SCIP2.0\n", b"SCIP2.0\n0\n\n"),
     ],
 )

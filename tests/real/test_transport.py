@@ -11,11 +11,12 @@ from contextlib import suppress
 
 import pytest
 import serial
+from virtual import VirtualClock
 
 from scan3d_twin.core.errors import LinkError
 from scan3d_twin.real import transport
 from scan3d_twin.real.clock import RealClock
-from scan3d_twin.real.transport import SerialTransport, Tapped
+from scan3d_twin.real.transport import Reopening, SerialTransport, Tapped, is_away
 
 
 @pytest.fixture
@@ -192,3 +193,81 @@ def test_the_real_clock_runs_and_waits():
     clock.sleep(0.02)
     clock.sleep(-1.0)
     assert clock.now() - before >= 0.02
+
+
+class Plug:
+    """A port that can be pulled out; tells what came through."""
+
+    def __init__(self):
+        self.plugged, self.opened, self.passed = True, [], []
+        self.clock = VirtualClock()
+
+    def open(self):
+        self.opened.append(self.clock.now())
+        if not self.plugged:
+            raise LinkError("there is no port")
+        return self
+
+    def read(self, timeout):
+        self._check()
+        return b"!"
+
+    def write(self, data):
+        self._check()
+        self.passed.append(data)
+
+    def set_baud(self, baud):
+        self._check()
+        self.passed.append(baud)
+
+    def close(self):
+        self.passed.append("closed")
+
+    def _check(self):
+        if not self.plugged:
+            raise LinkError("unplugged")
+
+
+def test_a_port_that_comes_back_is_opened_again_and_greeted_at_its_old_speed():
+    plug, lost = Plug(), []
+    link = Reopening(plug.open, plug.clock, b"stop", lambda: lost.append(plug.clock.now()))
+    link.set_baud(57600)
+    link.write(b"a")
+    assert (link.read(1.0), is_away(link)) == (b"!", False)
+    plug.plugged = False
+    assert (link.read(1.0), is_away(link), lost) == (b"", True, [0.0])
+    link.write(b"lost")
+    plug.clock.sleep(3.0)
+    assert link.read(0.0) == b""
+    plug.plugged = True
+    plug.passed.clear()
+    plug.clock.sleep(0.6)
+    assert link.read(0.0) == b"!"
+    assert not is_away(link)
+    assert plug.passed == [57600, b"stop"]
+    link.write(b"b")
+    link.close()
+    assert plug.passed[2:] == [b"b", "closed"]
+
+
+def test_an_absent_port_is_tried_less_and_less_often():
+    plug = Plug()
+    link = Reopening(plug.open, plug.clock, b"stop")
+    plug.plugged = False
+    link.write(b"x")
+    while plug.clock.now() < 5.0:
+        link.read(0.0)
+        plug.clock.sleep(0.01)
+    tried = [b - a for a, b in zip(plug.opened[1:], plug.opened[2:], strict=False)]
+    assert plug.opened[1] == pytest.approx(0.1, abs=0.02)
+    assert tried[0] == pytest.approx(0.2, abs=0.02)
+    assert tried[-1] == pytest.approx(0.5, abs=0.02)
+    assert len(tried) < 12
+
+
+def test_a_port_that_was_never_there_is_an_error_and_others_are_never_away(port):
+    plug = Plug()
+    plug.plugged = False
+    with pytest.raises(LinkError, match="there is no port"):
+        Reopening(plug.open, plug.clock, b"stop")
+    assert not is_away(port)

@@ -260,6 +260,28 @@ def test_a_port_that_promises_too_much_is_an_error_that_says_the_cure():
     assert bench.clock.now() <= 6.0
 
 
+def test_a_sensor_that_says_yes_and_stays_where_it_was_is_found_there():
+    bench = Bench(SERIAL)
+    answer = bench.device.firmware.answer
+    bench.device.firmware.answer = lambda line, now, seen: (
+        b"SS250000\n00P\n\n" if line == b"SS250000" else answer(line, now, seen)
+    )
+    bench.check(read(bench.connect("usb"), 3))
+    assert bench.device.firmware.baud == 500000
+    assert bench.clock.now() <= 6.0
+
+
+def test_good_and_bad_scans_are_counted():
+    bench = Bench()
+    lidar = bench.connect()
+    before, good = read(lidar, 3)[-1], lidar.stats.good
+    bench.line.faults = Faults(flip=3e-4)
+    lines = read(lidar, 8, timeout=5.0)
+    assert lidar.stats.good == good + 8
+    turns = KnownLidar.turn_at(lines[-1].stamp) - KnownLidar.turn_at(before.stamp)
+    assert lidar.stats.bad == turns - 8 > 0
+
+
 def test_a_sensor_that_does_not_know_a_bit_rate_is_asked_for_the_next():
     bench = Bench(SERIAL)
     answer = bench.device.firmware.answer

@@ -3,7 +3,7 @@ from dataclasses import dataclass, field, make_dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from same import same
@@ -36,6 +36,8 @@ def test_any_number_and_text(x, y, n, text):
         lambda kind: arrays(kind, array_shapes(min_dims=0, max_dims=3, min_side=0))
     )
 )
+@example(np.array([-1, 2**53 + 1]))
+@example(np.array([-1, 2**63 - 1]))
 def test_any_array(array):
     assert same(unpack(FloatArray, pack(array)), array)
 

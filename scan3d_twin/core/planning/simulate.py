@@ -117,11 +117,14 @@ class Simulation:
 
     def _here(self, k: int) -> tuple[SurfelGrid, DrawnNoise]:
         """Return the scan from here of draw ``k`` and the noise of both its scans."""
-        if k not in self._scans:
-            rng, assumed = self._rng(k, HERE), self.grid.noise
-            noise = DrawnNoise(assumed, assumed.yaw_scale_sigma * rng.standard_normal())
-            self._scans[k] = self._surface.here.read(noise, rng), noise
-        return self._scans[k]
+        if k in self._scans:
+            return self._scans[k]
+        rng, assumed = self._rng(k, HERE), self.grid.noise
+        noise = DrawnNoise(assumed, assumed.yaw_scale_sigma * rng.standard_normal())
+        scan = self._surface.here.read(noise, rng), noise
+        if self.config.spare == "time":
+            self._scans[k] = scan
+        return scan
 
     @cached_property
     def _scans(self) -> dict[int, tuple[SurfelGrid, DrawnNoise]]:

@@ -169,14 +169,14 @@ class Surface:
     half: float
     most: float
 
-    @cached_property
+    @property
     def here(self) -> Planes:
-        """What the latest view itself would read again."""
-        table, image = self._table, self.grid.image
-        shape = image.ranges.shape
-        empty = (self.grid.known == EMPTY).reshape(shape)
-        normals = np.where(table[..., VARIANCE, None] > 0, table[..., N], 0.0)
-        return Planes(image, table[..., X], normals, self._in_scope, self.on_target, empty)
+        """What the latest view itself would read again; made anew, as it takes 10 MB."""
+        image, (rows, there) = self.grid.image, self._planes
+        empty = (self.grid.known == EMPTY).reshape(there.shape)
+        points, normals = np.zeros((*there.shape, 3)), np.zeros((*there.shape, 3))
+        points[there], normals[there] = rows[:, X], rows[:, N]
+        return Planes(image, points, normals, self._in_scope, self.on_target, empty)
 
     def seen_from(self, viewpoint: Pose2) -> Planes:
         """Return what the sweep at ``viewpoint``, in the frame of the latest view, would read."""
@@ -202,8 +202,14 @@ class Surface:
         return replace(planes, empty=~planes.met & self._seen_through(viewpoint))
 
     @cached_property
-    def _table(self) -> FloatArray:
-        """Planes behind all readings (n_lines, n_beams, 8), whatever their scope."""
+    def _planes(self) -> tuple[FloatArray, BoolArray]:
+        """Planes behind the readings (n, 8), whatever their scope, and which readings have one."""
+        table = self._fitted()
+        there = np.asarray(table[..., VARIANCE] > 0)
+        return table[there], there
+
+    def _fitted(self) -> FloatArray:
+        """Return the planes behind all readings (n_lines, n_beams, 8)."""
         image, noise = self.grid.image, self.grid.noise
         e, R = image.spec.elevations, image.T_base_lidar[:3, :3]
         beams = np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2]
@@ -224,8 +230,8 @@ class Surface:
     @cached_property
     def _rows(self) -> tuple[FloatArray, BoolArray, BoolArray]:
         """Return the planes as rows (n, 8), and which are in scope and of the target (n,)."""
-        there = self._table[..., VARIANCE] > 0
-        return self._table[there], self._in_scope[there], self.on_target[there]
+        rows, there = self._planes
+        return rows, self._in_scope[there], self.on_target[there]
 
     @cached_property
     def _ranges(self) -> FloatArray:

@@ -55,8 +55,8 @@ class NextSweep:
             image,
             stamps=read_only(np.arange(len(yaws)) * image.spec.line_period),
             yaws=read_only(np.repeat(yaws[:, None], shape[1], axis=1)),
-            ranges=read_only(np.full(shape, np.nan)),
-            codes=read_only(np.zeros(shape), np.int64),
+            ranges=np.broadcast_to(np.nan, shape),
+            codes=np.broadcast_to(np.int64(0), shape),
         )
         return NextSweep(empty, Projection.of(empty))
 

@@ -1,0 +1,147 @@
+"""The wired robot cut in two: the twin in this process, the drivers in one of their own.
+
+So that the process with the drivers has only what `twin real` imports, and time stays virtual: it
+passes here, and there is a call for whatever the drivers ask of it.
+
+    python tests/lockstep.py CONNECTION_FD OUT [LINE_OF_TOML ...]
+"""
+
+import socket
+import subprocess
+import sys
+import tomllib
+from contextlib import closing, contextmanager
+from importlib import util
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+if __name__ == "__main__":
+    # As it is without the extra `fast`.
+    find_spec = util.find_spec
+    util.find_spec = lambda name, *rest: None if name == "numba" else find_spec(name, *rest)
+
+from scan3d_twin.cli.memory import give_back_memory
+from scan3d_twin.cli.real import SMALL_COMPUTER
+from scan3d_twin.cli.run import run
+from scan3d_twin.core.presets import preset
+from scan3d_twin.protocols.urg04lx import LINKS
+from scan3d_twin.real.robot import open_over
+from scan3d_twin.real.transport import Tapped
+from scan3d_twin.recording.recorder import SerialTaps
+from scan3d_twin.recording.settings import REAL, settings
+
+LINES = ("base", "lidar")
+
+
+@contextmanager
+def far_drivers(wires, clock, out, options):
+    """Digitise with drivers in a process of their own; yield how it ended when it has."""
+    here, there = socket.socketpair()
+    with there:
+        command = [sys.executable, __file__, str(there.fileno()), str(out), *options]
+        process = subprocess.Popen(
+            command,
+            pass_fds=[there.fileno()],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    try:
+        with closing(Connection(here.detach())) as connection:
+            serve(connection, wires, clock)
+        output, errors = process.communicate(timeout=60)
+        yield subprocess.CompletedProcess(command, process.returncode, output, errors)
+    finally:
+        process.kill()
+        process.wait()
+
+
+def serve(connection, wires, clock):
+    """Answer calls until the other process hangs up; each answer says what time it is."""
+    while True:
+        try:
+            line, name, *values = connection.recv()
+        except EOFError:
+            return
+        target = clock if line == "clock" else wires[line]
+        result = getattr(target, name)(*values)
+        arrived = {}
+        if name == "sleep":
+            arrived = {each: wire.read(0.0) for each, wire in wires.items()}
+        connection.send((result, clock.now(), arrived))
+
+
+class FarClock:
+    """The clock in the other process."""
+
+    def __init__(self, connection):
+        self.arrived = {line: bytearray() for line in LINES}
+        self._connection = connection
+        self._now = 0.0
+        self.call("clock", "now")
+
+    def now(self):
+        return self._now
+
+    def sleep(self, seconds):
+        self.call("clock", "sleep", seconds)
+
+    def call(self, line, name, *values):
+        self._connection.send((line, name, *values))
+        result, self._now, arrived = self._connection.recv()
+        for each, data in arrived.items():
+            self.arrived[each] += data
+        return result
+
+
+class FarLine:
+    """A transport whose other end is in the other process."""
+
+    def __init__(self, line, clock):
+        self._line, self._clock = line, clock
+
+    def read(self, timeout):
+        arrived = self._clock.arrived[self._line]
+        if arrived or timeout <= 0.0:
+            data = bytes(arrived)
+            arrived.clear()
+            return data
+        return self._clock.call(self._line, "read", timeout)
+
+    def write(self, data):
+        self._clock.call(self._line, "write", data)
+
+    def set_baud(self, baud):
+        self._clock.call(self._line, "set_baud", baud)
+
+    def discard_input(self):
+        self._clock.arrived[self._line].clear()
+        self._clock.call(self._line, "discard_input")
+
+    def close(self):
+        self.discard_input()
+
+
+def main():
+    """Digitise with the drivers here, as `twin real` does, and print its report."""
+    give_back_memory()
+    clock, taps = FarClock(Connection(int(sys.argv[1]))), SerialTaps()
+    given = tomllib.loads("\n".join(sys.argv[3:]))
+    effective = settings([preset("best"), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    run(effective, REAL, opening(clock, taps), Path(sys.argv[2]), as_json=True, taps=taps)
+    print(sorted({name.partition(".")[0] for name in sys.modules}), file=sys.stderr)
+
+
+@contextmanager
+def opening(clock, taps):
+    base = Tapped(FarLine("base", clock), clock, taps.base)
+
+    def open_lidar():
+        return Tapped(FarLine("lidar", clock), clock, taps.lidar)
+
+    with open_over(base, open_lidar, clock, LINKS["usb"]) as robot:
+        yield robot, None
+
+
+if __name__ == "__main__":
+    main()

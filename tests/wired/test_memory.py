@@ -1,0 +1,45 @@
+"""How much memory a long run takes on the robot's own computer."""
+
+import json
+
+import pytest
+from lockstep import far_drivers
+
+from scan3d_twin.emulator.create import CreateEmulator
+from scan3d_twin.emulator.line import Wire
+from scan3d_twin.emulator.urg import UrgEmulator
+from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.wired import Unhindered
+
+HEAVY = ("mujoco", "trimesh", "open3d", "matplotlib", "viser", "numba")
+QUICK = """
+sweep.yaw_rate = 0.5
+sweep.look_rate = 1.2
+motion.turn_rate = 1.5
+motion.speed = 0.4
+"""
+"""Quick sweeps of some 55 lines, six times coarser than the default: what 20 views take of memory
+is mostly what a run takes that is so long."""
+TWENTY = """
+tour = "full"
+max_views = 20
+planner = "fixed"
+baselines.fixed_overlap = 0.85
+"""
+
+
+@pytest.mark.timeout(300)
+def test_twenty_views_stay_under_200_mb(tmp_path):
+    with open_sim("sine_box", 0) as (robot, _):
+        clock = Unhindered(robot.clock)
+        base, lidar = CreateEmulator(robot.base), UrgEmulator(robot.lidar)
+        wires = {"base": Wire(base, clock), "lidar": Wire(lidar, clock)}
+        options = (QUICK + TWENTY).strip().splitlines()
+        with far_drivers(wires, clock, tmp_path / "run", options) as ended:
+            assert ended.returncode == 0, ended.stderr
+    report = json.loads(ended.stdout)
+    assert report["views"] == 20
+    assert report["peak_memory_mb"] < 200
+    loaded = ended.stderr.splitlines()[-1]
+    assert "numpy" in loaded
+    assert not [name for name in HEAVY if name in loaded]
