@@ -39,7 +39,7 @@ def test_else_those_asked_for_latest_are_kept(views: list[View]) -> None:
     assert len(kept(prepared)) == AT_ONCE
     again, fresh = prepared[1], surfels_of(views[1], CONFIG)
     assert again is not None
-    assert np.array_equal(again.table, fresh.table)
+    assert np.array_equal(again.rows, fresh.rows)
 
 
 def test_a_view_without_surface_has_none(views: list[View]) -> None:

@@ -21,7 +21,7 @@ from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible
 from scan3d_twin.core.registration import SurfelGrid, prepare
 from scan3d_twin.core.registration.compiled import compiled
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
-from scan3d_twin.core.registration.surfels import EMPTY, SURFACE, VARIANCE, N, X, fit_surfels
+from scan3d_twin.core.registration.surfels import EMPTY, SURFACE, N, X, fit_surfels
 from scan3d_twin.core.types import (
     VALID,
     BoolArray,
@@ -137,12 +137,28 @@ class Planes:
 
     def ranges(self, image: RangeImage) -> FloatArray:
         """Return where the rays of ``image`` meet the planes (n_lines, n_beams) [m], or NaN."""
-        rays = image.directions
+        met, (n, offset) = self.met, self._planes
+        yaws, beam = image.yaws[met], np.nonzero(met)[1]
+        c, s = np.cos(yaws), np.sin(yaws)
+        ahead, left, up = c * n[:, 0] + s * n[:, 1], c * n[:, 1] - s * n[:, 0], n[:, 2]
+        t, x, y, z = image.T_base_lidar[:3, 3], *_beams(image)[beam].T
+        ranges = np.full(met.shape, np.nan)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(
-                np.sum(self.normals * (self.points - _eyes(image)), axis=-1)
-                / np.sum(self.normals * rays, axis=-1)
-            )
+            ranges[met] = offset - (ahead * t[0] + left * t[1] + up * t[2])
+            ranges[met] /= ahead * x + left * y + up * z
+        return ranges
+
+    @cached_property
+    def _planes(self) -> tuple[FloatArray, FloatArray]:
+        """Normals (k, 3) of the planes that are met, and their distances from the origin (k,)."""
+        normals = self.normals[self.met]
+        return normals, np.asarray(np.sum(normals * self.points[self.met], axis=1))
+
+
+def _beams(image: RangeImage) -> FloatArray:
+    """Return the directions of the beams in ``base`` (n_beams, 3)."""
+    e, R = image.spec.elevations, image.T_base_lidar[:3, :3]
+    return np.asarray(np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2])
 
 
 def _eyes(image: RangeImage) -> FloatArray:
@@ -204,24 +220,17 @@ class Surface:
     @cached_property
     def _planes(self) -> tuple[FloatArray, BoolArray]:
         """Planes behind the readings (n, 8), whatever their scope, and which readings have one."""
-        table = self._fitted()
-        there = np.asarray(table[..., VARIANCE] > 0)
-        return table[there], there
-
-    def _fitted(self) -> FloatArray:
-        """Return the planes behind all readings (n_lines, n_beams, 8)."""
         image, noise = self.grid.image, self.grid.noise
-        e, R = image.spec.elevations, image.T_base_lidar[:3, :3]
-        beams = np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2]
-        steps = np.array([self.grid.line_spacing, float(np.median(np.abs(np.diff(e))))])
+        elevations = image.spec.elevations
+        steps = np.array([self.grid.line_spacing, float(np.median(np.abs(np.diff(elevations))))])
         halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MOST_HALF)
         valid, run = self.grid.valid, compiled("fit_surfels") or fit_surfels
         rows, index = run(
-            np.array(image.ranges), np.array(image.yaws), beams,
+            np.array(image.ranges), np.array(image.yaws), _beams(image),
             np.array(image.T_base_lidar[:3, 3]), valid, valid,
             np.array([noise.range_sigma, noise.range_sigma_per_metre]), halves.astype(np.int64),
         )  # fmt: skip
-        return np.where(index[..., None] >= 0, rows[index], 0.0)
+        return rows, np.asarray(index >= 0)
 
     @cached_property
     def _in_scope(self) -> BoolArray:

@@ -8,12 +8,12 @@ from __future__ import annotations
 from scan3d_twin.core.registration import gauss_newton, pose_prior
 from scan3d_twin.core.registration.edge_kernels import edge_rows, edge_sums
 from scan3d_twin.core.registration.jit import as_written, jit
-from scan3d_twin.core.registration.pair_kernels import normal_equations, violations
+from scan3d_twin.core.registration.pair_kernels import lookup, normal_equations, violations
 from scan3d_twin.core.registration.surfel_kernels import fit_surfels, line_residuals
 
 __all__ = (
-    "descend", "edge_rows", "edge_sums", "fit_surfels", "line_residuals", "normal_equations",
-    "violations",
+    "descend", "edge_rows", "edge_sums", "fit_surfels", "line_residuals", "lookup",
+    "normal_equations", "violations",
 )  # fmt: skip
 
 for function in (

@@ -53,6 +53,21 @@ def _branch(x, y, z, sign, lines, beams, offsets, mount):  # type: ignore[no-unt
     return line * offsets.shape[1] + beam if line >= 0 else -1
 
 
+@jit
+def lookup(projection, points, seen):  # type: ignore[no-untyped-def]
+    """See ``projection.lookup``."""
+    lines, beams, offsets, mount = projection
+    found = np.empty(len(points), np.int64)
+    for m in range(len(points)):
+        x, y, z = points[m, 0], points[m, 1], points[m, 2]
+        found[m] = _branch(x, y, z, 1.0, lines, beams, offsets, mount)
+        if found[m] < 0 or not seen[found[m]]:
+            behind = _branch(x, y, z, -1.0, lines, beams, offsets, mount)
+            if behind >= 0 and seen[behind]:
+                found[m] = behind
+    return found
+
+
 @twin_of(point_to_plane.normal_equations)
 def normal_equations(target, sample, T, scale, gate, both, entries):  # type: ignore[no-untyped-def]
     """See ``point_to_plane.normal_equations``."""

@@ -23,8 +23,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from scan3d_twin.core.registration.compiled import compiled
 from scan3d_twin.core.registration.median import median
-from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, SmallIntArray, read_only
+from scan3d_twin.core.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    RangeImage,
+    SmallIntArray,
+    read_only,
+)
 
 CELLS = 16384
 """Entries of the tables over a full turn: 0.016 to 0.031 deg each."""
@@ -74,36 +82,45 @@ class Projection(NamedTuple):
             points: In ``scan`` [m].
             seen: (n_lines * n_beams,).
         """
-        found = self._branch(points, ahead=True)
-        missing = np.flatnonzero((found < 0) | (seen[found] == 0))
-        behind = self._branch(points[missing], ahead=False)
-        better = (behind >= 0) & (seen[behind] != 0)
-        found[missing[better]] = behind[better]
+        run = compiled("lookup") or lookup
+        found: IntArray = run(self, np.array(points), np.asarray(seen != 0))
         return found
 
-    def _branch(self, points: FloatArray, *, ahead: bool) -> IntArray:
-        cos_kappa, sin_kappa, a, k_t, k_z = self.mount[:5]
-        t, x_axis, z_axis = self.mount[5:8], self.mount[8:11], self.mount[11:14]
-        x, y, z = points[:, 0], points[:, 1], points[:, 2]
-        rho = np.maximum(np.sqrt(x * x + y * y), 1e-9)
-        sine = np.clip((k_t - k_z * z) / (a * rho), -1.0, 1.0)
-        cosine = np.sqrt(1.0 - sine * sine)
-        if not ahead:
-            cosine = -cosine
-        c, s = cos_kappa * cosine - sin_kappa * sine, sin_kappa * cosine + cos_kappa * sine
-        forward, left, up = rho * c - t[0], rho * s - t[1], z - t[2]
-        beam = self.beams[
-            cell(
-                forward * x_axis[0] + left * x_axis[1] + up * x_axis[2],
-                forward * z_axis[0] + left * z_axis[1] + up * z_axis[2],
-            )
-        ]
-        cos_yaw, sin_yaw = x * c + y * s, y * c - x * s  # times rho
-        line = self.lines[cell(cos_yaw, sin_yaw)]
-        turn = self.offsets[line, beam]
-        line = self.lines[cell(cos_yaw + turn * sin_yaw, sin_yaw - turn * cos_yaw)]
-        found = line * self.offsets.shape[1] + beam
-        return np.where((line >= 0) & (beam >= 0), found, -1)
+
+def lookup(projection: Projection, points: FloatArray, seen: BoolArray) -> IntArray:
+    """Return what ``Projection.lookup`` does."""
+    found = _branch(projection, points, ahead=True)
+    missing = np.flatnonzero((found < 0) | ~seen[found])
+    behind = _branch(projection, points[missing], ahead=False)
+    better = (behind >= 0) & seen[behind]
+    found[missing[better]] = behind[better]
+    return found
+
+
+def _branch(projection: Projection, points: FloatArray, *, ahead: bool) -> IntArray:
+    lines, beams, offsets, mount = projection
+    cos_kappa, sin_kappa, a, k_t, k_z = mount[:5]
+    t, x_axis, z_axis = mount[5:8], mount[8:11], mount[11:14]
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    rho = np.maximum(np.sqrt(x * x + y * y), 1e-9)
+    sine = np.clip((k_t - k_z * z) / (a * rho), -1.0, 1.0)
+    cosine = np.sqrt(1.0 - sine * sine)
+    if not ahead:
+        cosine = -cosine
+    c, s = cos_kappa * cosine - sin_kappa * sine, sin_kappa * cosine + cos_kappa * sine
+    forward, left, up = rho * c - t[0], rho * s - t[1], z - t[2]
+    beam = beams[
+        cell(
+            forward * x_axis[0] + left * x_axis[1] + up * x_axis[2],
+            forward * z_axis[0] + left * z_axis[1] + up * z_axis[2],
+        )
+    ]
+    cos_yaw, sin_yaw = x * c + y * s, y * c - x * s  # times rho
+    line = lines[cell(cos_yaw, sin_yaw)]
+    turn = offsets[line, beam]
+    line = lines[cell(cos_yaw + turn * sin_yaw, sin_yaw - turn * cos_yaw)]
+    found = line * offsets.shape[1] + beam
+    return np.where((line >= 0) & (beam >= 0), found, -1)
 
 
 def cell(c: FloatArray, s: FloatArray) -> IntArray:
