@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import compiled as compiled_module
-from scan3d_twin.core.registration.gauss_newton import Problem, State, align, determined, solve
+from scan3d_twin.core.registration.algebra import determined
+from scan3d_twin.core.registration.gauss_newton import Problem, State, align, solve
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import (

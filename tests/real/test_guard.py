@@ -13,8 +13,8 @@ from road import Road
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.protocols.oi_packets import Mode
-from scan3d_twin.real.clock import RealClock
 from scan3d_twin.real import guard_process
+from scan3d_twin.real.clock import RealClock
 from scan3d_twin.real.guard import PortGuard, ProcessGuard
 
 PROGRAM = Path(__file__).with_name("driving.py")

@@ -24,8 +24,8 @@ from scan3d_twin.core.placing import motion_prior, odometry_scale, surfels_of
 from scan3d_twin.core.planning.situation import Situation, readings_of
 from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible_from
 from scan3d_twin.core.registration import SurfelGrid
+from scan3d_twin.core.registration.algebra import determined, without_scale
 from scan3d_twin.core.registration.edges import edge_equations
-from scan3d_twin.core.registration.gauss_newton import determined, without_scale
 from scan3d_twin.core.registration.point_to_plane import Equations, faked_information
 from scan3d_twin.core.registration.pose_prior import PLANAR, spread
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, N, X

@@ -27,7 +27,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Criteria, Dof, determined
+from scan3d_twin.core.registration.algebra import determined
+from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Criteria, Dof
 from scan3d_twin.core.registration.point_to_plane import MIN_NORMAL_COSINE, faked_information
 from scan3d_twin.core.registration.pose_prior import (
     PLANAR,

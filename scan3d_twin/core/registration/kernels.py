@@ -5,7 +5,7 @@ The functions have the arguments and the results of the array functions of the s
 
 from __future__ import annotations
 
-from scan3d_twin.core.registration import gauss_newton, pose_prior
+from scan3d_twin.core.registration import algebra, gauss_newton, pose_prior
 from scan3d_twin.core.registration.edge_kernels import edge_rows, edge_sums
 from scan3d_twin.core.registration.jit import as_written, jit
 from scan3d_twin.core.registration.pair_kernels import lookup, normal_equations, violations
@@ -18,10 +18,10 @@ __all__ = (
 
 for function in (
     pose_prior.deviation, pose_prior.displaced, pose_prior.exp_so3, pose_prior.log_so3,
-    gauss_newton.apart, gauss_newton.block, gauss_newton.determined, gauss_newton.inverse,
-    gauss_newton.length, gauss_newton.new_basin, gauss_newton.projected,
-    gauss_newton.quadratic, gauss_newton.solve, gauss_newton.tightened,
-    gauss_newton.without_scale,
+    algebra.block, algebra.determined, algebra.inverse, algebra.projected, algebra.quadratic,
+    algebra.without_scale,
+    gauss_newton.apart, gauss_newton.length, gauss_newton.new_basin, gauss_newton.solve,
+    gauss_newton.tightened,
 ):  # fmt: skip
     as_written(function)
 
