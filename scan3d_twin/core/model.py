@@ -83,8 +83,13 @@ def cleaned(view: View, index: int = 0) -> Model:
     Not the points that lie far apart, which are what a flat view of a surface gives, but those of
     which no surface passes through their neighbours on the grid of lines and beams.
     """
-    supported = _neighbours_on_surface(view.image) >= SUPPORT
-    return oriented(view, index).select(supported[view.target.lines, view.target.beams])
+    return oriented(view, index).select(supported(view))
+
+
+def supported(view: View) -> BoolArray:
+    """Tell which target points (n,) of a view are no outliers; see ``cleaned``."""
+    enough = _neighbours_on_surface(view.image) >= SUPPORT
+    return np.asarray(enough[view.target.lines, view.target.beams])
 
 
 def _neighbours_on_surface(image: RangeImage) -> IntArray:

@@ -223,9 +223,7 @@ class RangeImage:
     @property
     def directions(self) -> FloatArray:
         """Beam directions in ``scan`` (n_lines, n_beams, 3); made anew, as a session keeps many."""
-        e = self.spec.elevations
-        beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)
-        return _rotate_z(beams @ self.T_base_lidar[:3, :3].T, self.yaws)
+        return np.stack(_rotated(self._beams, np.cos(self.yaws), np.sin(self.yaws)), axis=-1)
 
     @property
     def points(self) -> FloatArray:
@@ -233,15 +231,27 @@ class RangeImage:
 
         Made anew each time: a session keeps its images, and points take six times their room.
         """
-        lever = np.broadcast_to(self.T_base_lidar[:3, 3], (*self.yaws.shape, 3))
-        return _rotate_z(lever, self.yaws) + self.ranges[..., None] * self.directions
+        c, s = np.cos(self.yaws), np.sin(self.yaws)
+        result = np.empty((*self.yaws.shape, 3))
+        levers, beams = _rotated(self.T_base_lidar[:3, 3], c, s), _rotated(self._beams, c, s)
+        for i, (lever, beam) in enumerate(zip(levers, beams, strict=True)):
+            np.add(lever, self.ranges * beam, out=result[..., i])
+        return result
+
+    @property
+    def _beams(self) -> FloatArray:
+        """Beam directions in ``base`` (n_beams, 3)."""
+        e = self.spec.elevations
+        beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)
+        return np.asarray(beams @ self.T_base_lidar[:3, :3].T)
 
 
-def _rotate_z(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
-    """Rotate ``vectors`` (..., 3) about z by ``yaws`` (...)."""
-    c, s = np.cos(yaws), np.sin(yaws)
-    x, y, z = (np.broadcast_to(vectors[..., i], yaws.shape) for i in range(3))
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+def _rotated(
+    vectors: FloatArray, c: FloatArray, s: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return x, y and z of ``vectors`` (..., 3) after turns about z by angles of c and s (...)."""
+    x, y, z = vectors[..., 0], vectors[..., 1], np.broadcast_to(vectors[..., 2], c.shape)
+    return c * x - s * y, s * x + c * y, z
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from scan3d_twin.core.evaluate import (
     surface_distance,
     true_pose,
 )
-from scan3d_twin.core.model import build_model, voxel_thin
+from scan3d_twin.core.model import supported, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
@@ -59,7 +59,9 @@ class Score:
 
     def f_score(self, session: Session, distance: float = 0.020) -> float:
         """Return the F-score of the model at ``distance`` [m]; 0 for an empty one."""
-        model = build_model(session).points
+        model = np.concatenate(
+            [view.T_world_scan.apply(view.target.points[supported(view)]) for view in session.views]
+        )
         if len(model) == 0:
             return 0.0
         T_map_world = self._true[0] @ session.views[0].T_world_scan.inverse()
