@@ -291,7 +291,7 @@ class Scan3D:
     @cached_property
     def occupied_lines(self) -> IntArray:
         """Indices of the lines that hold at least one point, ascending: the paper's l_1 .. l_n."""
-        return np.unique(self.lines)
+        return np.flatnonzero(np.bincount(self.lines))
 
     def on(self, image: RangeImage) -> Scan3D:
         """Return the same lines and beams with the points of another ``image`` of the sweep."""
@@ -304,17 +304,24 @@ class Scan3D:
 
     def first_lines(self, k: int) -> Scan3D:
         """Return the points of the first ``k`` occupied lines."""
-        return self.select(np.isin(self.lines, self.occupied_lines[:k]))
+        return self._lines_from(0, k)
 
     def middle_lines(self, k: int) -> Scan3D:
         """Return the points of the middle ``k`` occupied lines: Q' of eq. (5) when called on Q."""
         first = max(0, len(self.occupied_lines) - k) // 2
-        return self.select(np.isin(self.lines, self.occupied_lines[first : first + k]))
+        return self._lines_from(first, k)
 
     def last_lines(self, k: int) -> Scan3D:
         """Return the points of the last ``k`` occupied lines: the paper's Q for k = n_Q."""
         first = max(0, len(self.occupied_lines) - k)
-        return self.select(np.isin(self.lines, self.occupied_lines[first:]))
+        return self._lines_from(first, k)
+
+    def _lines_from(self, first: int, k: int) -> Scan3D:
+        """Return the points of ``k`` occupied lines from the ``first`` one."""
+        wanted = self.occupied_lines[first : first + k]
+        if len(wanted) == 0:
+            return self.select(np.zeros(len(self), dtype=bool))
+        return self.select((self.lines >= wanted[0]) & (self.lines <= wanted[-1]))
 
 
 @dataclass(frozen=True)

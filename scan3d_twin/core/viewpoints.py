@@ -164,9 +164,10 @@ class Segment:
 
     def viewpoint(self, standoff: float, turn: float = 0.0) -> Pose2:
         """Return the pose that faces the middle from ``standoff``, off the normal by ``turn``."""
-        direction = Pose2(0.0, 0.0, turn).apply(self.normal)
-        place = self.middle + standoff * direction
-        return Pose2(float(place[0]), float(place[1]), math.atan2(-direction[1], -direction[0]))
+        c, s = math.cos(turn), math.sin(turn)
+        (x, y), (u, v) = self.middle.tolist(), self.normal.tolist()
+        u, v = c * u - s * v, s * u + c * v
+        return Pose2(x + standoff * u, y + standoff * v, math.atan2(-v, -u))
 
 
 def foreseen_segment(contour: Contour, n_Q: int, S1: float, following: FloatArray) -> Segment:
