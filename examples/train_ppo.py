@@ -26,7 +26,7 @@ from scan3d_twin.envs import PlannerPolicy
 
 ID = "scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0"
 OPTIONS = {"registration": {"engine": "grid", "scope": "sweep"}}
-SEEN = ("profile", "pose", "stats", "action_mask")
+SEEN = ("pose", "stats", "action_mask")
 POOL = [f"random:{seed}" for seed in range(1000, 1200)]
 HELD_OUT = 500_000
 Act = Callable[[gymnasium.Env[Any, Any], Any], Any]
@@ -104,9 +104,10 @@ def train(steps: int, seed: int, workers: int) -> tuple[Any, list[tuple[int, flo
 
     venv = SubprocVecEnv([lambda: Monitor(make("kinematic", POOL))] * workers)
     model = PPO(
-        "MlpPolicy", venv, seed=seed, n_steps=512 // workers, batch_size=64, n_epochs=10,
-        learning_rate=1e-3, gamma=0.9, ent_coef=0.005, device="cpu",
-        policy_kwargs={"net_arch": [64, 64]},
+        "MlpPolicy", venv, seed=seed, n_steps=512 // workers, batch_size=128, n_epochs=5,
+        learning_rate=1e-3, gamma=0.8, gae_lambda=0.8, ent_coef=0.003, target_kl=0.03,
+        device="cpu",
+        policy_kwargs={"net_arch": [32, 32]},
     )  # fmt: skip
     try:
         model.learn(steps, callback=watch)
