@@ -1,15 +1,17 @@
 """Fit the motion-error constants to the `typical` robot of the twin.
 
-Those of eq. (2), and those of the motion prior of a turn, a drive and a turn (``core/placing.py``:
-lambda, gamma and drift).
+Those of eq. (2), those of the motion prior of a turn, a drive and a turn (``core/placing.py``:
+lambda, gamma and drift), and those of the robot without physics (``sim/drift.py``: creep and slip).
 
 Each robot makes moves from one viewpoint to the next as the planner asks for: turn, drive, turn.
 The error of a move is its odometry against the truth, in the frame of the start:
 
     x_u ~ N(0, (lambda dx)^2), y_u ~ N(0, (lambda dy)^2), theta_u ~ N(0, (gamma dtheta)^2)
 
-Both are maximum-likelihood fits; the prior's is followed by the mean squared Mahalanobis distance
-of the moves per degree of freedom, 1 where it fits.
+These are maximum-likelihood fits; the prior's is followed by the mean squared Mahalanobis distance
+of the moves per degree of freedom, 1 where it fits. Creep and slip are a least-squares fit and what
+it leaves. Then the medians and 90 % quantiles of the odometry's error, of the physics and of the
+robots without physics that the same seeds draw, on the same moves.
 
 Run: ``python benchmarks/motion_error.py [--robots 40] [--json]``.
 """
@@ -20,6 +22,7 @@ import argparse
 import json
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -29,7 +32,12 @@ from scan3d_twin.core.motion import drive_to, turn_to
 from scan3d_twin.core.placing import motion_prior
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.types import FloatArray, Pose2, wrap
-from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.config import RobotErrorConfig
+from scan3d_twin.sim.drift import CREEP, SLIP_XY, SLIP_YAW, true_move
+from scan3d_twin.sim.profiles import CREATE2
+from scan3d_twin.sim.robot import draw_robot, open_sim
+from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.world import RobotErrors
 
 MOVES_PER_ROBOT = 4
 STEP = (0.2, 1.2)
@@ -38,11 +46,39 @@ TURN = math.pi / 2
 """Largest change of heading between two viewpoints [rad]."""
 
 
-def moves(seed: int) -> list[tuple[Pose2, Pose2]]:
-    """Return (move by odometry, true move) of one robot, drawn by ``seed``."""
+class Move(NamedTuple):
+    """One move of a robot with physics.
+
+    Attributes:
+        start: ``T_odom_base`` before.
+        end: ``T_odom_base`` after.
+        true: The true move, from where it started.
+        robot: Its errors.
+    """
+
+    start: Pose2
+    end: Pose2
+    true: Pose2
+    robot: RobotErrors
+
+    @property
+    def told(self) -> Pose2:
+        """The move by odometry."""
+        return self.start.inverse() @ self.end
+
+    @property
+    def drifted(self) -> Pose2:
+        """The move of the robot without physics, but for its slip."""
+        path = np.array([[self.end.x, self.end.y]])
+        return true_move(self.start, path, self.end.yaw, CREATE2, self.robot)
+
+
+def moves(seed: int) -> list[Move]:
+    """Return the moves of one robot, drawn by ``seed``."""
     rng = np.random.default_rng([seed, 99])
-    config, result = MotionConfig(), []
-    with open_sim("sine_box", seed) as (robot, truth):
+    config, result, scene = MotionConfig(), [], load_scene("sine_box")
+    drawn = draw_robot(scene, seed, RobotErrorConfig())
+    with open_sim(scene, seed) as (robot, truth):
         for k in range(MOVES_PER_ROBOT):
             here, true_here = robot.base.odometry().T_odom_base, truth.pose_at(robot.clock.now())
             # Past the target from side to side, as between two viewpoints.
@@ -52,7 +88,7 @@ def moves(seed: int) -> list[tuple[Pose2, Pose2]]:
             turn_to(robot, goal.yaw, config)
             robot.clock.sleep(0.5)
             there, true_there = robot.base.odometry().T_odom_base, truth.pose_at(robot.clock.now())
-            result.append((here.inverse() @ there, true_here.inverse() @ true_there))
+            result.append(Move(here, there, true_here.inverse() @ true_there, drawn))
     return result
 
 
@@ -91,13 +127,43 @@ def fit_prior(pairs: list[tuple[Pose2, Pose2]]) -> tuple[float, float, float, fl
     return float(lambda_), float(gamma), float(drift), misfit(pairs, found)[1]
 
 
+def error(told: Pose2, true: Pose2) -> FloatArray:
+    """Return by how much a move errs (3,) [m], [m], [rad]."""
+    return np.array([true.x - told.x, true.y - told.y, wrap(true.yaw - told.yaw)])
+
+
+def fit_drift(driven: list[Move]) -> tuple[float, float, float]:
+    """Return creep [rad/rad] and the standard deviations of the slip [m], [rad]."""
+    left = np.array([error(move.drifted, move.true) for move in driven])
+    turn = np.array([wrap(move.told.yaw) / move.robot.friction for move in driven])
+    more = -float(turn @ left[:, 2] / (turn @ turn))
+    left[:, 2] += more * turn
+    across, yaw = (float(np.sqrt(np.mean(part**2))) for part in (left[:, :2], left[:, 2]))
+    return CREEP + more, across, yaw
+
+
+def compare(driven: list[Move], rng: np.random.Generator) -> dict[str, FloatArray]:
+    """Return medians and 90 % quantiles (2, 2) [m], [rad] of the errors, of either robot."""
+    slip = rng.standard_normal((len(driven), 3)) * (SLIP_XY, SLIP_XY, SLIP_YAW)
+    slipped = [
+        move.drifted @ Pose2(*each) for move, each in zip(driven, slip.tolist(), strict=True)
+    ]
+    result = {}
+    for name, true in (("physics", [move.true for move in driven]), ("kinematic", slipped)):
+        errors = np.array([error(move.told, t) for move, t in zip(driven, true, strict=True)])
+        size = np.stack([np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2])])
+        result[name] = np.quantile(size, (0.5, 0.9), axis=1).T
+    return result
+
+
 def main() -> None:
     """Fit and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robots", type=int, default=40)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    pairs = [pair for seed in range(1000, 1000 + options.robots) for pair in moves(seed)]
+    driven = [move for seed in range(1000, 1000 + options.robots) for move in moves(seed)]
+    pairs = [(move.told, move.true) for move in driven]
     rng = np.random.default_rng(0)
     draws = np.array(
         [fit([pairs[i] for i in rng.integers(len(pairs), size=len(pairs))]) for _ in range(200)]
@@ -105,6 +171,10 @@ def main() -> None:
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     values, prior = fit(pairs), fit_prior(pairs)
     names_of_prior = ("prior_lambda", "prior_gamma", "prior_drift", "prior_distance")
+    drift = dict(zip(("creep", "slip_xy", "slip_yaw"), fit_drift(driven), strict=True))
+    for name, quantiles in compare(driven, rng).items():
+        drift |= {f"{name}_xy_50": quantiles[0, 0], f"{name}_xy_90": quantiles[0, 1]}
+        drift |= {f"{name}_yaw_50": quantiles[1, 0], f"{name}_yaw_90": quantiles[1, 1]}
     if options.json:
         names = {"lambda": ("m/m", 0), "gamma": ("rad/rad", 1)}
         rows = {
@@ -114,6 +184,9 @@ def main() -> None:
         units = ("m/m", "rad/rad", "rad/m", "1")
         for name, value, unit in zip(names_of_prior, prior, units, strict=True):
             rows[name] = {"value": value, "unit": unit, "peer": None, "runs": len(pairs)}
+        for name, value in drift.items():
+            unit = "m" if "xy" in name else "rad"
+            rows[name] = {"value": float(value), "unit": unit, "peer": None, "runs": len(pairs)}
         print(json.dumps(rows))
         return
     for i, name in enumerate(("lambda", "gamma")):
@@ -122,6 +195,8 @@ def main() -> None:
         )
     for name, value in zip(names_of_prior, prior, strict=True):
         print(f"{name:14} {value:.4f}")
+    for name, value in drift.items():
+        print(f"{name:16} {value:.5f}")
 
 
 if __name__ == "__main__":

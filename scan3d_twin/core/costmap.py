@@ -6,15 +6,15 @@ lethal. The robot is a disc, so that a search in the plane is complete.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
 
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.grids import connected, eroded, shortest_ways
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -57,16 +57,17 @@ class Costmap:
         """Cells in which the robot's centre may be (nx, ny)."""
         free = self.cells == FREE
         free |= self._disc(self.start, self.radius + RESOLUTION)
-        passable = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * RESOLUTION
-        return np.asarray(passable > self.radius) | self._disc(self.start, RESOLUTION)
+        return eroded(free, self.radius, RESOLUTION) | self._disc(self.start, RESOLUTION)
+
+    @cached_property
+    def reachable(self) -> BoolArray:
+        """Cells to which the robot's centre can get (nx, ny)."""
+        return connected(self.passable, self._cell_of(*self.start))
 
     @cached_property
     def _search(self) -> tuple[FloatArray, IntArray]:
         """Way from the start to every cell [m] and the cell before it (nx * ny,)."""
-        graph = _grid_graph(self.passable)
-        start = np.ravel_multi_index(tuple(self._cell(self.start)), self.cells.shape)
-        way, before = csgraph.dijkstra(graph, indices=np.array([start]), return_predecessors=True)
-        return way[0], before[0].astype(np.int64)
+        return shortest_ways(self.reachable, self._cell_of(*self.start), RESOLUTION)
 
     def ways(self, places: FloatArray) -> FloatArray:
         """Return the length of the way (n,) [m] from the start to ``places`` (n, 2); inf for none.
@@ -82,15 +83,23 @@ class Costmap:
 
     def feasible(self, x: float, y: float) -> bool:
         """Tell whether the robot can get to (x, y) [m] and stand there."""
-        return bool(np.isfinite(self.ways(np.array([[x, y]]))[0]))
+        i, j = self._cell_of(x, y)
+        nx, ny = self.cells.shape
+        return 0 <= i < nx and 0 <= j < ny and bool(self.reachable[i, j])
 
     def path(self, x: float, y: float) -> FloatArray | None:
-        """Return the waypoints (n, 2) of a short way from the start to (x, y) [m], or None."""
+        """Return the waypoints (n, 2) of a short way from the start to (x, y) [m], or None.
+
+        There are none within the cell in which the robot stands.
+        """
         if not self.feasible(x, y):
             return None
+        if self._cell_of(x, y) == self._cell_of(*self.start):
+            return np.zeros((0, 2))
+        if self._clear(self.start, np.array([x, y])):
+            return np.array([[x, y]])
         _, before = self._search
-        index = int(np.ravel_multi_index(tuple(self._cell(np.array([x, y]))), self.cells.shape))
-        cells = [index]
+        cells = [int(np.ravel_multi_index(self._cell_of(x, y), self.cells.shape))]
         while before[cells[-1]] >= 0:
             cells.append(int(before[cells[-1]]))
         steps = np.stack(np.unravel_index(cells[::-1], self.cells.shape), axis=1)
@@ -115,6 +124,10 @@ class Costmap:
         points = a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
         cells = np.floor((points - self.origin) / RESOLUTION).astype(np.int64)
         return bool(np.all(self.passable[cells[:, 0], cells[:, 1]]))
+
+    def _cell_of(self, x: float, y: float) -> tuple[int, int]:
+        i, j = (x - self.origin[0]) / RESOLUTION, (y - self.origin[1]) / RESOLUTION
+        return math.floor(i), math.floor(j)
 
     def _cell(self, point: FloatArray) -> IntArray:
         return np.floor((point - self.origin) / RESOLUTION).astype(np.int64)
@@ -182,20 +195,40 @@ def extended(costmap: Costmap, observation: Observation, config: Config, start: 
 
 def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config: Config) -> None:
     """Write what one observation saw into ``cells``."""
-    image, pose, felt = observation.image, observation.T_odom_scan, cells == TOUCHED
+    image, pose = observation.image, observation.T_odom_scan
     points, reach, yaws = _floor(image, config)
-    local = pose.inverse().apply(_centres(origin, (cells.shape[0], cells.shape[1])))
-    cells[_swept(local, yaws, reach)] = FREE
+    window = _window(pose, yaws, reach, origin, cells.shape)
+    local = pose.inverse().apply(_centres(origin, window))
+    part = cells[window]
+    part[_swept(local, yaws, reach) & (part != TOUCHED)] = FREE
     _put(cells, origin, pose.apply(points), OBSTACLE)
-    cells[felt] = TOUCHED
     _put(cells, origin, np.array(observation.touched).reshape(-1, 2), TOUCHED)
 
 
 def _put(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> None:
-    """Write ``what`` at ``points`` (n, 2) [m] into ``cells``."""
-    hit = np.floor((points - origin) / RESOLUTION).astype(np.int64)
-    inside = np.all((hit >= 0) & (hit < cells.shape), axis=1)
-    cells[hit[inside, 0], hit[inside, 1]] = what
+    """Write ``what`` at ``points`` (n, 2) [m] into ``cells``, but not over what was touched."""
+    i, j = np.floor((points - origin) / RESOLUTION).astype(np.int64).T
+    inside = (i >= 0) & (i < cells.shape[0]) & (j >= 0) & (j < cells.shape[1])
+    i, j = i[inside], j[inside]
+    cells[i, j] = np.where(cells[i, j] == TOUCHED, TOUCHED, what)
+
+
+def _window(
+    pose: Pose2, yaws: FloatArray, reach: FloatArray, origin: FloatArray, shape: tuple[int, ...]
+) -> tuple[slice, slice]:
+    """Return the cells of a ``shape`` (nx, ny) that lines from ``pose`` can have swept.
+
+    What lies between two lines, up to the reach of both, lies in the hull of their ends but for the
+    bulge of an arc over its chord.
+    """
+    ends = reach[:, None] * np.stack([np.cos(yaws), np.sin(yaws)], axis=1)
+    corners = pose.apply(np.concatenate([np.zeros((1, 2)), ends]))
+    widest = min(float(np.max(-np.diff(yaws), initial=0.0)), math.pi)
+    margin = float(reach.max(initial=0.0)) * (1 - math.cos(widest / 2)) + RESOLUTION
+    low = np.floor((corners.min(axis=0) - margin - origin) / RESOLUTION).astype(np.int64)
+    high = np.ceil((corners.max(axis=0) + margin - origin) / RESOLUTION).astype(np.int64)
+    first, end = np.clip(low, 0, shape), np.clip(high, 0, shape)
+    return slice(int(first[0]), int(end[0])), slice(int(first[1]), int(end[1]))
 
 
 def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -209,33 +242,41 @@ def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, F
     """
     key = ("floor", config.target, config.motion)
     if key not in image.derived:
-        solid = _solid(image, config)
-        obstacles = image.points[solid][:, :2].copy()
+        points = image.points
+        distance = np.hypot(points[..., 0], points[..., 1])
+        with np.errstate(invalid="ignore"):
+            near = (image.ranges <= config.target.max_range) & (
+                distance > config.motion.self_radius
+            )
+            solid = near & _solid(points[..., 2], config)
+            floor = near & (np.abs(points[..., 2]) <= config.target.floor_height)
+        reach = _free_reach(image, distance, solid, floor, config)
         yaws = image.yaws[:, image.spec.n_beams // 2].copy()
-        image.derived[key] = (obstacles, _free_reach(image, solid, config), yaws)
+        image.derived[key] = (points[solid][:, :2].copy(), reach, yaws)
     points, reach, yaws = image.derived[key]
     return points, reach, yaws
 
 
-def _solid(image: RangeImage, config: Config) -> BoolArray:
-    """Tell which readings are things the robot could run into (n_lines, n_beams)."""
-    points = image.points
-    with np.errstate(invalid="ignore"):
-        solid = (points[..., 2] > config.target.floor_height) & (
-            points[..., 2] < config.motion.robot_height + HEIGHT_MARGIN
-        )
-        solid &= image.ranges <= config.target.max_range
-    return solid & (np.hypot(points[..., 0], points[..., 1]) > config.motion.self_radius)
+def _solid(height: FloatArray, config: Config) -> BoolArray:
+    """Tell which heights [m] are those of things the robot could run into."""
+    top = config.motion.robot_height + HEIGHT_MARGIN
+    return np.asarray((height > config.target.floor_height) & (height < top))
 
 
-def _free_reach(image: RangeImage, solid: BoolArray, config: Config) -> FloatArray:
-    """Return how far each line (n_lines,) sees an unbroken floor with nothing on it [m]."""
-    points = image.points
-    distance = np.hypot(points[..., 0], points[..., 1])
+def _free_reach(
+    image: RangeImage, distance: FloatArray, solid: BoolArray, floor: BoolArray, config: Config
+) -> FloatArray:
+    """Return how far each line (n_lines,) sees an unbroken floor with nothing on it [m].
+
+    Args:
+        image: Says which beams look ahead.
+        distance: Of the readings in the top view (n_lines, n_beams) [m].
+        solid: Which of them are things.
+        floor: Which are floor.
+        config: See ``_unbroken``.
+    """
     forward = np.abs(image.spec.elevations) < np.pi / 2
-    with np.errstate(invalid="ignore"):
-        floor = (np.abs(points[..., 2]) <= config.target.floor_height) & forward
-        floor &= (image.ranges <= config.target.max_range) & (distance > config.motion.self_radius)
+    floor = floor & forward
     reach = _unbroken(np.where(floor, distance, np.inf)[:, floor.any(axis=0)], config)
     blocked = np.where(solid & forward, distance, np.inf).min(axis=1)
     return np.asarray(np.minimum(reach, blocked - RESOLUTION))
@@ -264,25 +305,9 @@ def _swept(local: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
     return np.asarray(between & (distance <= both))
 
 
-def _centres(origin: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return the middles of the cells (nx, ny, 2) [m]."""
-    i, j = np.indices(shape)
-    return np.asarray(origin + (np.stack([i, j], axis=-1) + 0.5) * RESOLUTION)
-
-
-def _grid_graph(passable: BoolArray) -> sparse.csr_array:
-    """Return the 8-connected graph of the passable cells, weighted by distance [m]."""
-    index = np.arange(passable.size).reshape(passable.shape)
-    rows, columns, weights = [], [], []
-    for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        a = np.s_[: -dx or None, max(0, -dy) : (-dy if dy > 0 else None)]
-        b = np.s_[dx:, (dy if dy > 0 else 0) : (dy if dy < 0 else None)]
-        linked = passable[a] & passable[b]
-        rows.append(index[a][linked])
-        columns.append(index[b][linked])
-        weights.append(np.full(np.count_nonzero(linked), RESOLUTION * np.hypot(dx, dy)))
-    i, j, w = (np.concatenate(part) for part in (rows, columns, weights))
-    n = passable.size
-    return sparse.csr_array(
-        (np.tile(w, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)
+def _centres(origin: FloatArray, window: tuple[slice, slice]) -> FloatArray:
+    """Return the middles of the cells of a window (nx, ny, 2) [m]."""
+    i, j = (np.arange(part.start, part.stop) for part in window)
+    return np.asarray(
+        origin + (np.stack(np.meshgrid(i, j, indexing="ij"), axis=-1) + 0.5) * RESOLUTION
     )

@@ -83,8 +83,13 @@ def cleaned(view: View, index: int = 0) -> Model:
     Not the points that lie far apart, which are what a flat view of a surface gives, but those of
     which no surface passes through their neighbours on the grid of lines and beams.
     """
-    supported = _neighbours_on_surface(view.image) >= SUPPORT
-    return oriented(view, index).select(supported[view.target.lines, view.target.beams])
+    return oriented(view, index).select(supported(view))
+
+
+def supported(view: View) -> BoolArray:
+    """Tell which target points (n,) of a view are no outliers; see ``cleaned``."""
+    enough = _neighbours_on_surface(view.image) >= SUPPORT
+    return np.asarray(enough[view.target.lines, view.target.beams])
 
 
 def _neighbours_on_surface(image: RangeImage) -> IntArray:
@@ -170,8 +175,7 @@ def fuse_voxels(model: Model, size: float) -> Model:
     """
     if len(model) == 0:
         return model
-    cells = np.floor(model.points / size).astype(np.int64)
-    _, index = np.unique(cells, axis=0, return_inverse=True)
+    index = _voxels(model.points, size)
     weight = model.sigma**-2
     total = np.asarray(np.bincount(index, weight), dtype=np.float64)
     known = np.nan_to_num(model.normals)
@@ -199,10 +203,20 @@ def voxel_thin(points: FloatArray, size: float) -> FloatArray:
     """Return the mean point (m, 3) of each occupied voxel of side ``size`` [m]."""
     if len(points) == 0:
         return points
-    cells = np.floor(points / size).astype(np.int64)
-    _, index = np.unique(cells, axis=0, return_inverse=True)
+    index = _voxels(points, size)
     count = np.bincount(index)
     return np.stack([np.bincount(index, points[:, i]) / count for i in range(3)], axis=1)
+
+
+def _voxels(points: FloatArray, size: float) -> IntArray:
+    """Return the number of the voxel of side ``size`` [m] in which each of ``points`` (n, 3) lies.
+
+    The occupied ones are numbered from 0 in the order of x, then y, then z.
+    """
+    cells = np.floor(points / size).astype(np.int64)
+    cells -= cells.min(axis=0)
+    flat = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    return np.asarray(np.unique(flat, return_inverse=True)[1], dtype=np.int64)
 
 
 def scanned_share(session: Session) -> float:

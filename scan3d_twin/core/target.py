@@ -11,12 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
+from scan3d_twin.core.grids import dilated
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Observation, RangeImage, Scan3D
 
@@ -63,8 +63,8 @@ def extract_target(
     if len(windowed) == 0:
         return windowed
     groups = _group_top_view(windowed.points[:, :2], config.cluster_gap)
-    touching = nearest(cKDTree(known), windowed.points[:, :2])[0] <= config.cluster_gap
-    return windowed.select(np.isin(groups, np.unique(groups[touching])))
+    touching = _touching(windowed.points[:, :2], groups, known, config.cluster_gap)
+    return windowed.select(touching[groups])
 
 
 def in_window(image: RangeImage, beams: IntArray, config: TargetConfig) -> BoolArray:
@@ -208,27 +208,50 @@ def _group_top_view(points: FloatArray, gap: float) -> IntArray:
     margin = math.ceil(gap / CELL / 2)
     grid = np.zeros(cells.max(axis=0) + 1 + 2 * margin, dtype=bool)
     grid[cells[:, 0] + margin, cells[:, 1] + margin] = True
-    distance = ndimage.distance_transform_edt(~grid)
-    labels, _ = ndimage.label(distance <= (gap / CELL - 1) / 2, structure=np.ones((3, 3)))
+    near = dilated(grid, (gap / CELL - 1) / 2)
+    labels, _ = ndimage.label(near, structure=np.ones((3, 3)))
     return np.asarray(labels[cells[:, 0] + margin, cells[:, 1] + margin], dtype=np.int64)
 
 
+def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: float) -> BoolArray:
+    """Tell which groups (k,) of ``points`` (n, 2) come within ``gap`` [m] of ``known`` (m, 2).
+
+    Two points whose cells are so near that no two of theirs can be farther apart are near; for most
+    groups that settles it. Distances are worked out for the others alone, where they can be small.
+    """
+    low = points.min(axis=0) - gap - 2 * CELL
+    size = np.floor((points.max(axis=0) + gap + 2 * CELL - low) / CELL).astype(np.int64) + 1
+    i, j = np.floor((known - low) / CELL).astype(np.int64).T
+    inside = (i >= 0) & (i < size[0]) & (j >= 0) & (j < size[1])
+    grid = np.zeros(size, dtype=bool)
+    grid[i[inside], j[inside]] = True
+    row, column = np.floor((points - low) / CELL).astype(np.int64).T
+    diagonal = math.sqrt(2.0) * CELL
+    near = dilated(grid, gap - 1.01 * diagonal, CELL)[row, column]
+    touching = np.bincount(groups[near], minlength=int(groups.max()) + 1) > 0
+    possible = dilated(grid, gap + 1.01 * diagonal, CELL)[row, column] & ~touching[groups]
+    if possible.any():
+        distance, _ = nearest(cKDTree(known), points[possible])
+        touching[groups[possible][distance <= gap]] = True
+    return touching
+
+
 def _piece_sizes(image: RangeImage, scan: Scan3D) -> IntArray:
-    """Return for each point the size (n,) of its piece of the range image, cut at depth edges."""
-    index = np.full(image.ranges.shape, -1)
-    index[scan.lines, scan.beams] = np.arange(len(scan))
-    ranges = image.ranges
-    links = []
-    for a, b in (
-        (np.s_[:-1, :], np.s_[1:, :]),
-        (np.s_[:, :-1], np.s_[:, 1:]),
+    """Return for each point the size (n,) of its piece of the range image, cut at depth edges.
+
+    Readings lie on every second place of a grid, and on those between them what joins two.
+    """
+    n, m = image.ranges.shape
+    there = np.zeros((n, m), dtype=bool)
+    there[scan.lines, scan.beams] = True
+    grid = np.zeros((2 * n - 1, 2 * m - 1), dtype=bool)
+    grid[::2, ::2] = there
+    for between, a, b in (
+        (np.s_[1::2, ::2], np.s_[:-1, :], np.s_[1:, :]),
+        (np.s_[::2, 1::2], np.s_[:, :-1], np.s_[:, 1:]),
     ):
         with np.errstate(invalid="ignore"):
-            joined = (
-                (np.abs(ranges[a] - ranges[b]) < DEPTH_EDGE) & (index[a] >= 0) & (index[b] >= 0)
-            )
-        links.append(np.stack([index[a][joined], index[b][joined]]))
-    i, j = np.concatenate(links, axis=1)
-    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(scan), len(scan)))
-    _, labels = csgraph.connected_components(graph, directed=False)
+            joined = np.abs(image.ranges[a] - image.ranges[b]) < DEPTH_EDGE
+        grid[between] = joined & there[a] & there[b]
+    labels = ndimage.label(grid)[0][2 * scan.lines, 2 * scan.beams]
     return np.asarray(np.bincount(labels)[labels], dtype=np.int64)

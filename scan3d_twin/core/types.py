@@ -231,9 +231,7 @@ class RangeImage:
     @property
     def directions(self) -> FloatArray:
         """Beam directions in ``scan`` (n_lines, n_beams, 3); made anew, as a session keeps many."""
-        e = self.spec.elevations
-        beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)
-        return _rotate_z(beams @ self.T_base_lidar[:3, :3].T, self.yaws)
+        return np.stack(_rotated(self._beams, np.cos(self.yaws), np.sin(self.yaws)), axis=-1)
 
     @property
     def points(self) -> FloatArray:
@@ -241,15 +239,27 @@ class RangeImage:
 
         Made anew each time: a session keeps its images, and points take six times their room.
         """
-        lever = np.broadcast_to(self.T_base_lidar[:3, 3], (*self.yaws.shape, 3))
-        return _rotate_z(lever, self.yaws) + self.ranges[..., None] * self.directions
+        c, s = np.cos(self.yaws), np.sin(self.yaws)
+        result = np.empty((*self.yaws.shape, 3))
+        levers, beams = _rotated(self.T_base_lidar[:3, 3], c, s), _rotated(self._beams, c, s)
+        for i, (lever, beam) in enumerate(zip(levers, beams, strict=True)):
+            np.add(lever, self.ranges * beam, out=result[..., i])
+        return result
+
+    @property
+    def _beams(self) -> FloatArray:
+        """Beam directions in ``base`` (n_beams, 3)."""
+        e = self.spec.elevations
+        beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)
+        return np.asarray(beams @ self.T_base_lidar[:3, :3].T)
 
 
-def _rotate_z(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
-    """Rotate ``vectors`` (..., 3) about z by ``yaws`` (...)."""
-    c, s = np.cos(yaws), np.sin(yaws)
-    x, y, z = (np.broadcast_to(vectors[..., i], yaws.shape) for i in range(3))
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+def _rotated(
+    vectors: FloatArray, c: FloatArray, s: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return x, y and z of ``vectors`` (..., 3) after turns about z by angles of c and s (...)."""
+    x, y, z = vectors[..., 0], vectors[..., 1], np.broadcast_to(vectors[..., 2], c.shape)
+    return c * x - s * y, s * x + c * y, z
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,7 +313,7 @@ class Scan3D:
     @cached_property
     def occupied_lines(self) -> IntArray:
         """Indices of the lines that hold at least one point, ascending: the paper's l_1 .. l_n."""
-        return np.unique(self.lines)
+        return np.flatnonzero(np.bincount(self.lines))
 
     def on(self, image: RangeImage) -> Scan3D:
         """Return the same lines and beams with the points of another ``image`` of the sweep."""
@@ -316,17 +326,24 @@ class Scan3D:
 
     def first_lines(self, k: int) -> Scan3D:
         """Return the points of the first ``k`` occupied lines."""
-        return self.select(np.isin(self.lines, self.occupied_lines[:k]))
+        return self._lines_from(0, k)
 
     def middle_lines(self, k: int) -> Scan3D:
         """Return the points of the middle ``k`` occupied lines: Q' of eq. (5) when called on Q."""
         first = max(0, len(self.occupied_lines) - k) // 2
-        return self.select(np.isin(self.lines, self.occupied_lines[first : first + k]))
+        return self._lines_from(first, k)
 
     def last_lines(self, k: int) -> Scan3D:
         """Return the points of the last ``k`` occupied lines: the paper's Q for k = n_Q."""
         first = max(0, len(self.occupied_lines) - k)
-        return self.select(np.isin(self.lines, self.occupied_lines[first:]))
+        return self._lines_from(first, k)
+
+    def _lines_from(self, first: int, k: int) -> Scan3D:
+        """Return the points of ``k`` occupied lines from the ``first`` one."""
+        wanted = self.occupied_lines[first : first + k]
+        if len(wanted) == 0:
+            return self.select(np.zeros(len(self), dtype=bool))
+        return self.select((self.lines >= wanted[0]) & (self.lines <= wanted[-1]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,15 @@ STRAIGHT = math.radians(5.0)
 """A contour whose two halves differ by less than this is straight: noise alone makes 1 or 2 deg."""
 FRONT_SIDE = math.radians(45.0)
 """A tour of the front looks at it from no more than this to either side."""
+_ALTERNATIVES = tuple(
+    (turn, factor)
+    for _, turn, factor in sorted(
+        (abs(turn) / 30.0 + abs(factor - 1.0) / 0.3, turn, factor)
+        for turn in (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
+        for factor in (1.0, 0.85, 1.15, 0.7, 1.3, 0.55)
+    )
+)
+"""Turns [deg] off a segment's normal and shares of the standoff, the least change first."""
 HERE = np.array([-1.0, 0.0])
 """Direction from what the robot looks at towards the robot, in ``scan``."""
 
@@ -103,11 +112,12 @@ def trace(points: FloatArray) -> Contour:
 
 def _convex_towards_origin(points: FloatArray) -> IntArray:
     """Return the indices of the points on the convex hull's side towards the origin."""
+    places = points.tolist()
     kept: list[int] = []
-    for i, point in enumerate(points):
+    for i, (x, y) in enumerate(places):
         while len(kept) > 1:
-            a, b = points[kept[-2]], points[kept[-1]]
-            if float(_cross(b - a, point - a)) > 0:
+            (ax, ay), (bx, by) = places[kept[-2]], places[kept[-1]]
+            if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0:
                 break
             kept.pop()
         kept.append(i)
@@ -154,9 +164,10 @@ class Segment:
 
     def viewpoint(self, standoff: float, turn: float = 0.0) -> Pose2:
         """Return the pose that faces the middle from ``standoff``, off the normal by ``turn``."""
-        direction = Pose2(0.0, 0.0, turn).apply(self.normal)
-        place = self.middle + standoff * direction
-        return Pose2(float(place[0]), float(place[1]), math.atan2(-direction[1], -direction[0]))
+        c, s = math.cos(turn), math.sin(turn)
+        (x, y), (u, v) = self.middle.tolist(), self.normal.tolist()
+        u, v = c * u - s * v, s * u + c * v
+        return Pose2(x + standoff * u, y + standoff * v, math.atan2(-v, -u))
 
 
 def foreseen_segment(contour: Contour, n_Q: int, S1: float, following: FloatArray) -> Segment:
@@ -261,14 +272,7 @@ def _left_to_right(points: FloatArray) -> FloatArray:
 
 def alternatives(segment: Segment, config: Config) -> Iterator[Pose2]:
     """Yield viewpoints for ``segment``: the wanted one, then nearer, farther and turned ones."""
-    turns = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
-    factors = (1.0, 0.85, 1.15, 0.7, 1.3, 0.55)
-    order = sorted(
-        (abs(turn) / 30.0 + abs(factor - 1.0) / 0.3, turn, factor)
-        for turn in turns
-        for factor in factors
-    )
-    for _, turn, factor in order:
+    for turn, factor in _ALTERNATIVES:
         yield segment.viewpoint(factor * config.planning.standoff, math.radians(turn))
 
 

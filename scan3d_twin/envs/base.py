@@ -14,7 +14,7 @@ import numpy.typing as npt
 from gymnasium import error, spaces
 from gymnasium.utils import EzPickle
 
-from scan3d_twin.core.errors import ScanError, SceneError, TwinError
+from scan3d_twin.core.errors import ConfigError, ScanError, SceneError, TwinError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.episode import Episode
@@ -147,7 +147,16 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
         Args:
             seed: Of all chance from now on.
             options: None are known.
+
+        Raises:
+            ConfigError: There is one.
+            ScanError, SceneError: No scene was found in which the robot sees a target.
         """
+        if options:
+            raise ConfigError(
+                f"reset knows no options, got {', '.join(map(str, options))}; scene, fidelity and "
+                "all else are arguments of gymnasium.make"
+            )
         super().reset(seed=seed)
         self.close()
         for attempt in range(TRIES):

@@ -16,7 +16,7 @@ from gymnasium import spaces
 from scan3d_twin.core.costmap import FREE, OBSTACLE, RESOLUTION, Costmap
 from scan3d_twin.core.planning.situation import Situation
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, wrap
+from scan3d_twin.core.types import BoolArray, FloatArray, wrap
 
 SIDE = 96
 """Cells of the top view: 4.8 m, the robot in the middle, its heading up."""
@@ -66,30 +66,27 @@ def topdown(session: Session, costmap: Costmap) -> Image:
     """Return free, obstacle, target and unknown (4, SIDE, SIDE) around the robot: 0 or 255."""
     scan = session.views[-1].observation.T_odom_scan
     steps = ((SIDE - 1) / 2 - np.arange(SIDE)) * RESOLUTION
-    ahead, left = np.meshgrid(steps, steps, indexing="ij")
-    places = scan.apply(np.stack([ahead, left], axis=-1))
-    cells = np.floor((places - costmap.origin) / RESOLUTION).astype(np.int64)
-    inside = np.all((cells >= 0) & (cells < costmap.cells.shape), axis=-1)
-    known = np.zeros((SIDE, SIDE), np.int64)
-    known[inside] = costmap.cells[cells[inside][:, 0], cells[inside][:, 1]]
-    image = np.zeros((4, SIDE, SIDE), np.uint8)
-    image[0][known == FREE] = 255
-    image[1][known == OBSTACLE] = 255
-    image[2] = _target(session)
-    image[3][(known != FREE) & (known != OBSTACLE)] = 255
-    return image
+    c, s = np.cos(scan.yaw) * steps, np.sin(scan.yaw) * steps
+    nx, ny = costmap.cells.shape
+    i = np.floor(((scan.x + c)[:, None] - s - costmap.origin[0]) / RESOLUTION).astype(np.int64)
+    j = np.floor(((scan.y + s)[:, None] + c - costmap.origin[1]) / RESOLUTION).astype(np.int64)
+    inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
+    known = costmap.cells.ravel().take(i * ny + j, mode="clip")
+    free, obstacle = inside & (known == FREE), inside & (known == OBSTACLE)
+    layers = (free, obstacle, _target(session), ~(free | obstacle))
+    return np.stack([255 * layer.astype(np.uint8) for layer in layers])
 
 
-def _target(session: Session) -> Image:
-    """Return where the target is known to be (SIDE, SIDE), 0 or 255."""
+def _target(session: Session) -> BoolArray:
+    """Tell where the target is known to be (SIDE, SIDE)."""
     back = session.views[-1].T_world_scan.inverse()
     parts = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
     local = back.apply(np.concatenate([session.hint, *parts]))
-    cells = np.floor(SIDE / 2 - local / RESOLUTION).astype(np.int64)
-    inside = np.all((cells >= 0) & (cells < SIDE), axis=1)
-    image = np.zeros((SIDE, SIDE), np.uint8)
-    image[cells[inside, 0], cells[inside, 1]] = 255
-    return image
+    i, j = np.floor(SIDE / 2 - local / RESOLUTION).astype(np.int64).T
+    inside = (i >= 0) & (i < SIDE) & (j >= 0) & (j < SIDE)
+    shown = np.zeros((SIDE, SIDE), dtype=bool)
+    shown[i[inside], j[inside]] = True
+    return shown
 
 
 def range_image(view: View, most: float) -> Image:

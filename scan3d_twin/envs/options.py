@@ -29,11 +29,12 @@ RANDOM = "random"
 """Stands for a new random scene in every episode."""
 NOISE = (0.8, 1.25)
 """Factor on the lidar's errors in random scenes; typical sensors differ by that: assumption."""
-LITE, LITE_SOLVER = Thinning(beams=3, lines=1), Solver(timestep=0.004, impratio=1.0)
-"""``lite``: every third beam, of one ray each; physics in steps of 4 ms; wheels do not shake."""
+THINNING, LITE_SOLVER = Thinning(), Solver(timestep=0.004, impratio=1.0)
+"""``lite`` and ``kinematic``: every third beam, of one ray each. ``lite``: physics in steps of
+4 ms; wheels do not shake."""
 MOST_POINTS = 600
-"""Points of the ICP in ``kinematic``, whose images have a sixth of the readings; 3000 is the full
-number. Nor are all views aligned there when the contour closes."""
+"""Points of the ICP in ``kinematic``, to be quick; 3000 is the full number. Nor are all views
+aligned there when the contour closes."""
 
 
 @dataclass(frozen=True)
@@ -114,12 +115,11 @@ class EnvOptions:
         factor, seed = float(rng.uniform(*self.noise)), int(rng.integers(2**31))
         twin = _noisier(effective.twin, factor)
         if self.fidelity == "kinematic":
-            thinning = Thinning()
-            config = _quick(thin_config(effective.config, thinning))
-            return KinematicScout(stage, seed, config, twin, thinning), seed
+            config = _quick(thin_config(effective.config, THINNING))
+            return KinematicScout(stage, seed, config, twin, THINNING), seed
         if self.fidelity == "lite":
-            spec = thin_spec(lidar_spec(twin.lidar_link), LITE)
-            config, twin = thin_config(effective.config, LITE), _rigid(twin)
+            spec = thin_spec(lidar_spec(twin.lidar_link), THINNING)
+            config, twin = thin_config(effective.config, THINNING), _rigid(twin)
             return PhysicsScout(stage, seed, config, twin, solver=LITE_SOLVER, spec=spec), seed
         return PhysicsScout(stage, seed, effective.config, twin), seed
 

@@ -16,7 +16,7 @@ from scan3d_twin.core.evaluate import (
     surface_distance,
     true_pose,
 )
-from scan3d_twin.core.model import build_model, voxel_thin
+from scan3d_twin.core.model import supported, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
@@ -59,7 +59,9 @@ class Score:
 
     def f_score(self, session: Session, distance: float = 0.020) -> float:
         """Return the F-score of the model at ``distance`` [m]; 0 for an empty one."""
-        model = build_model(session).points
+        model = np.concatenate(
+            [view.T_world_scan.apply(view.target.points[supported(view)]) for view in session.views]
+        )
         if len(model) == 0:
             return 0.0
         T_map_world = self._true[0] @ session.views[0].T_world_scan.inverse()
@@ -84,7 +86,11 @@ class Score:
     @staticmethod
     def _near(points: FloatArray, samples: FloatArray) -> BoolArray:
         within = COVERAGE_DISTANCE * (1 + 1e-9)
-        return np.isfinite(nearest(cKDTree(points), samples, within)[0])
+        low, high = points.min(axis=0) - within, points.max(axis=0) + within
+        near = np.all((samples >= low) & (samples <= high), axis=1)
+        tree = cKDTree(points, balanced_tree=False, compact_nodes=False)  # built in a third
+        near[near] = np.isfinite(nearest(tree, samples[near], within)[0])
+        return np.asarray(near)
 
     def _error(self, session: Session, k: int) -> float:
         """Return the registration error of view ``k`` [m]; over its sweep without a target."""

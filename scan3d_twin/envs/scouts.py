@@ -141,8 +141,7 @@ class KinematicScout(EpisodeScout):
         self, stage: Stage, seed: int, config: Config, twin: TwinConfig, thinning: Thinning
     ) -> None:
         super().__init__(config)
-        rng = np.random.default_rng(seed)
-        self._robot = KinematicRobot(stage.scene, stage.caster, rng, twin, config, thinning)
+        self._robot = KinematicRobot(stage.scene, stage.caster, seed, twin, config, thinning)
         self.truth = self._robot.truth
 
     @property

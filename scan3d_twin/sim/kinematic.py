@@ -1,10 +1,9 @@
-"""A robot without physics: it is where its odometry says, but for the errors of each move.
+"""A robot without physics: it moves as its odometry says, with wheels that are not as they should.
 
-The lidar is the twin's own (``scanner.py``), with fewer beams and lines. The errors of a move are
-those of the paper's eq. (2), and a drift of the heading by the way; the constants lambda, gamma and
-drift of the configuration are fitted to the robots of the physics (``benchmarks/motion_error.py``).
-What is missing: inertia, slip and vibration within a sweep, and that one robot's errors are always
-the same; bumps and cliffs; beams between those that are simulated. A sweep takes milliseconds.
+The lidar is the twin's own (``scanner.py``), with fewer beams and lines. The robot is the one that
+the physics would draw; ``drift.py`` says where it gets, fitted to the physics by
+``benchmarks/motion_error.py``. What is missing: inertia, slip and vibration within a sweep; bumps
+and cliffs; beams between those that are simulated. A sweep takes milliseconds.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.hal import default_mount
-from scan3d_twin.core.placing import STANDING_XY, STANDING_YAW
 from scan3d_twin.core.types import (
     FloatArray,
     IntArray,
@@ -29,7 +27,10 @@ from scan3d_twin.core.types import (
 )
 from scan3d_twin.sim.casters import RayCaster
 from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.drift import SLIP_XY, SLIP_YAW, true_move, turn_scale
 from scan3d_twin.sim.noise import Draws
+from scan3d_twin.sim.profiles import PROFILES
+from scan3d_twin.sim.robot import Stream, draw_robot, stream
 from scan3d_twin.sim.scanner import Scanner, lidar_spec
 from scan3d_twin.sim.scene import Scene
 from scan3d_twin.sim.truth import Truth
@@ -45,14 +46,15 @@ class Thinning:
 
     Attributes:
         beams: Every n-th step; 3 are 1.06 deg, which sees an unbroken floor up to 2.7 m away.
-        lines: Every n-th line of a sweep; 2 are 1 deg at 5 deg/s.
+        lines: Every n-th line of a sweep; with every second one upright edges lie so much worse
+            that twice as many views are misplaced (docs/gym.md).
         looks: Every n-th line of a look around; 2 are 4 deg at 20 deg/s.
         lowest: Lower beams are left out [rad]; these see only the floor under the robot.
         highest: Higher beams are left out [rad]; the window of the target ends at 37.5 deg.
     """
 
     beams: int = 3
-    lines: int = 2
+    lines: int = 1
     looks: int = 1
     lowest: float = math.radians(-62.0)
     highest: float = math.radians(45.0)
@@ -123,18 +125,21 @@ class KinematicRobot:
         self,
         scene: Scene,
         caster: RayCaster,
-        rng: np.random.Generator,
+        seed: int,
         twin: TwinConfig,
         config: Config,
         thinning: Thinning,
     ) -> None:
+        """Open the robot that ``seed`` draws from ``twin``, as ``open_sim`` would."""
         # Beams that are no neighbours share neither light nor the firmware's repeats; a beam of
         # one ray has no mixed pixels.
         lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1, line_loss=0.0)
         spec = thin_spec(lidar_spec(twin.lidar_link), thinning)
-        self._scanner = Scanner(scene.model, twin.robot, spec, lidar, caster, rng)
-        self._rng, self._config, self._thinning = rng, config, thinning
-        self._yaw_scale = 1 + twin.errors.wheel_base * float(rng.standard_normal())
+        surfaces = stream(seed, Stream.SURFACE)
+        self._scanner = Scanner(scene.model, twin.robot, spec, lidar, caster, surfaces)
+        self._rng, self._config, self._thinning = stream(seed, Stream.LIDAR), config, thinning
+        self._errors = draw_robot(scene, seed, twin.errors)
+        self._spec = PROFILES[twin.robot]
         self.world = KinematicWorld(scene.spawn)
         self.here = Pose2()
         self.truth = Truth(scene, self.world, caster, lambda: None)
@@ -149,36 +154,27 @@ class KinematicRobot:
         """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep about the heading ``yaw`` there."""
         motion, sweep = self._config.motion, self._config.sweep
         near = self._rng.uniform(-0.5, 0.5, 2) * motion.position_tolerance
-        places = np.concatenate([[[self.here.x, self.here.y]], path])
-        x, y = places[-1] + near
-        length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
-        self._move(Pose2(float(x), float(y), yaw), length)
+        places = path.copy()
+        places[-1:] += near
+        self._move(places, yaw)
         half = sweep.width / 2 + sweep.margin
         return self._sweep(yaw, half, sweep.yaw_rate, self._thinning.lines)
 
-    def _move(self, there: Pose2, length: float) -> None:
-        """Get to ``there`` in ``odom`` over ``length`` [m]; the true pose errs as eq. (2) has it.
-
-        The heading drifts by the way as well; besides, the robot stands a little beside itself.
-        """
-        move, planning = self.here.inverse() @ there, self._config.planning
-        x, y, along, turn, stand_x, stand_y, stand_yaw = self._rng.standard_normal(7)
-        error = Pose2(
-            planning.lambda_ * move.x * x + STANDING_XY * stand_x,
-            planning.lambda_ * move.y * y + STANDING_XY * stand_y,
-            planning.gamma * move.yaw * turn
-            + planning.drift * length * along
-            + STANDING_YAW * stand_yaw,
-        )
-        true = Pose2(move.x + error.x, move.y + error.y, move.yaw + error.yaw)
+    def _move(self, path: FloatArray, yaw: float) -> None:
+        """Follow ``path`` (n, 2) in ``odom`` [m] and turn to ``yaw`` [rad]."""
+        true = true_move(self.here, path, yaw, self._spec, self._errors)
+        slip = Pose2(*((SLIP_XY, SLIP_XY, SLIP_YAW) * self._rng.standard_normal(3)))
         motion = self._config.motion
+        places = np.concatenate([[[self.here.x, self.here.y]], path])
+        length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
         seconds = length / motion.speed + TURNS / motion.turn_rate
-        self.world.add(seconds, self.world.pose @ true)
-        self.here = there
+        self.world.add(seconds, self.world.pose @ true @ slip)
+        x, y = places[-1].tolist()
+        self.here = Pose2(x, y, yaw)
 
     def _sweep(self, yaw: float, half: float, rate: float, every: int) -> Observation:
         """Turn right from ``half`` to -``half`` about the heading ``yaw``, reading lines."""
-        spec, scale = self._scanner.spec, self._yaw_scale
+        spec, scale = self._scanner.spec, turn_scale(self._errors)
         period = spec.line_period * every
         first = half - rate * period * float(self._rng.random())
         count = math.floor((first + half) / (rate * period)) + 1
@@ -199,7 +195,7 @@ class KinematicRobot:
     def _turn_through(self, half: float, rate: float) -> float:
         """Let the time of a sweep pass and return its start [s]; the robot ends in its middle."""
         world, motion = self.world, self._config.motion
-        middle, scaled = world.pose, half * self._yaw_scale
+        middle, scaled = world.pose, half * turn_scale(self._errors)
         left = Pose2(middle.x, middle.y, middle.yaw + scaled)
         world.add(half / motion.turn_rate + self._config.sweep.settle, left, scaled)
         started = world.time

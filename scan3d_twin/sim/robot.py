@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import IntEnum
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from scan3d_twin.core.types import LidarSpec
 from scan3d_twin.sim.base import SimBase
 from scan3d_twin.sim.casters import MujocoCaster, choose_caster
 from scan3d_twin.sim.clock import SimClock
-from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.lidar import SimLidar
 from scan3d_twin.sim.profiles import PROFILES
 from scan3d_twin.sim.scanner import Scanner, lidar_spec
@@ -20,8 +21,23 @@ from scan3d_twin.sim.scene import Scene, load_scene
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
 
-# Streams of the one seed; a new source of chance gets a new number, so that the others stay.
-_ROBOT_STREAM, _LIDAR_STREAM, _SURFACE_STREAM = 0, 1, 2
+
+class Stream(IntEnum):
+    """Of the one seed; a new source of chance gets a new number, so that the others stay."""
+
+    ROBOT = 0
+    LIDAR = 1
+    SURFACE = 2
+
+
+def stream(seed: int, which: Stream) -> np.random.Generator:
+    """Return the chance of one kind that ``seed`` draws."""
+    return np.random.default_rng([seed, which])
+
+
+def draw_robot(scene: Scene, seed: int, config: RobotErrorConfig) -> RobotErrors:
+    """Return the robot that ``seed`` draws, on the floor of ``scene``."""
+    return RobotErrors.draw(config, stream(seed, Stream.ROBOT)).on(scene)
 
 
 @contextmanager
@@ -51,15 +67,15 @@ def open_sim(
     """
     config = TwinConfig() if config is None else config
     scene = load_scene(scene) if isinstance(scene, str) else scene
-    errors = RobotErrors.draw(config.errors, np.random.default_rng([seed, _ROBOT_STREAM]))
+    errors = draw_robot(scene, seed, config.errors)
     world = World(scene, build_model(scene, config.robot, errors, solver))
     clock = SimClock(world)
     base = SimBase(world, PROFILES[config.robot], config.errors)
     caster = choose_caster(scene.model)
-    surfaces = np.random.default_rng([seed, _SURFACE_STREAM])
+    surfaces = stream(seed, Stream.SURFACE)
     spec = lidar_spec(config.lidar_link) if spec is None else spec
     scanner = Scanner(scene.model, config.robot, spec, config.lidar, caster, surfaces)
-    lidar = SimLidar(world, clock, scanner, [seed, _LIDAR_STREAM])
+    lidar = SimLidar(world, clock, scanner, [seed, Stream.LIDAR])
     clock.attach(lidar, base)
     try:
         yield (

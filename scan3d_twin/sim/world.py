@@ -65,6 +65,10 @@ class RobotErrors:
             mount=(config.mount_lateral, config.mount_roll, config.mount_pitch),
         )
 
+    def on(self, scene: Scene) -> RobotErrors:
+        """Return the robot on the floor of ``scene``."""
+        return self if scene.friction is None else replace(self, friction=scene.friction)
+
 
 def robot_spec(robot: RobotName) -> Any:
     """Return the robot's own ``MjSpec``, as on its data sheet.
@@ -110,8 +114,7 @@ def build_model(
         pos=[scene.spawn.x, scene.spawn.y, 0.0], quat=[np.cos(half), 0, 0, np.sin(half)]
     )
     child = robot_spec(robot)
-    if scene.friction is not None:
-        errors = replace(errors, friction=scene.friction)
+    errors = errors.on(scene)
     _apply_errors(child, errors)
     spec.attach(child, prefix=PREFIX, frame=frame)
     if errors.floor is not None:

@@ -105,6 +105,23 @@ def test_a_target_out_of_sight_is_empty() -> None:
     assert len(extract_target(observation.image, sweep, known, CONFIG.target)) == 0
 
 
+def test_a_group_is_the_target_when_it_comes_within_the_gap_of_what_is_known() -> None:
+    box = Box((0.3, -0.4, 0.0), (0.7, 0.4, 0.6))
+    image = observe(SPAWN, (box,), room=False).image
+    sweep = all_points(image, CONFIG)
+    top, rng, gap = sweep.points[:, :2], np.random.default_rng(0), CONFIG.target.cluster_gap
+    outcomes = []
+    for _ in range(60):
+        bearing = rng.uniform(-np.pi, np.pi)
+        away = rng.uniform(0.0, 2 * gap) * np.array([np.cos(bearing), np.sin(bearing)])
+        known = top[[rng.integers(len(top))]] + away
+        near = np.linalg.norm(top - known, axis=1).min() <= gap
+        target = extract_target(image, sweep, known, CONFIG.target)
+        assert (len(target) > 0) == near
+        outcomes.append(near)
+    assert 10 < sum(outcomes) < 50
+
+
 def test_a_twig_close_by_is_less_salient_than_a_box_behind_it() -> None:
     """The twig fills more of the view; the box shows more area."""
     box = Box((1.6, -0.3, 0.0), (2.0, 0.3, 0.6))

@@ -1,0 +1,115 @@
+"""Yes-or-no grids of square cells: grown and shrunk by a disc, and the ways across them."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+
+_EIGHT = np.ones((3, 3))
+"""A cell's neighbours, the four at its corners included."""
+
+
+def dilated(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
+    """Return the cells (nx, ny) within ``radius`` of one of ``grid``, from middle to middle.
+
+    The same as a threshold on the distance transform, in a tenth of its time for small discs.
+
+    Args:
+        grid: (nx, ny).
+        radius: In the unit of ``cell``.
+        cell: Side of a cell.
+    """
+    result = np.zeros_like(grid)
+    wide = grid.copy()
+    half = 0
+    for rows, width in _disc(radius, cell):
+        while half < width:
+            half += 1
+            wide[:, half:] |= grid[:, :-half]
+            wide[:, :-half] |= grid[:, half:]
+        result[rows:] |= wide[: max(0, len(wide) - rows)]
+        if rows:
+            result[:-rows] |= wide[rows:]
+    return result
+
+
+def eroded(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
+    """Return the cells (nx, ny) of ``grid`` with no other cell within ``radius``, nor the border.
+
+    Args:
+        grid: (nx, ny).
+        radius: In the unit of ``cell``.
+        cell: Side of a cell.
+    """
+    inside = np.zeros_like(grid)
+    rows, columns = np.flatnonzero(grid.any(axis=1)), np.flatnonzero(grid.any(axis=0))
+    if len(rows):
+        part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        inside[part] = ~dilated(np.pad(~grid[part], 1, constant_values=True), radius, cell)[
+            1:-1, 1:-1
+        ]
+    return inside
+
+
+@lru_cache(64)
+def _disc(radius: float, cell: float) -> tuple[tuple[int, int], ...]:
+    """Return (rows away, half width) of the rows of a disc to one side, the narrowest first."""
+    reach = max(0, math.floor(radius / cell) + 1)
+    away = np.hypot(*np.indices((reach + 1, reach + 1))) * cell <= radius
+    rows = [(i, int(row.sum()) - 1) for i, row in enumerate(away) if row[0]]
+    return tuple(reversed(rows))
+
+
+def connected(grid: BoolArray, start: tuple[int, int]) -> BoolArray:
+    """Return the cells (nx, ny) of ``grid`` that can be reached from ``start``, one of them."""
+    labels, _ = ndimage.label(grid, structure=_EIGHT)
+    return np.asarray(labels == labels[start])
+
+
+def shortest_ways(
+    grid: BoolArray, start: tuple[int, int], cell: float
+) -> tuple[FloatArray, IntArray]:
+    """Return the way from ``start`` to each cell (n,) and the cell before it (n,), by flat index.
+
+    Args:
+        grid: All its cells (nx, ny) can be reached; n = nx ny.
+        start: One of them.
+        cell: Side of a cell; the ways are in its unit.
+
+    Returns:
+        Ways, inf outside of ``grid``; the cells before, negative for none.
+    """
+    places = np.flatnonzero(grid)
+    way, before = np.full(grid.size, np.inf), np.full(grid.size, -1)
+    first = np.searchsorted(places, np.ravel_multi_index(start, grid.shape))
+    found, previous = csgraph.dijkstra(
+        _graph(grid, cell), indices=np.array([first]), return_predecessors=True
+    )
+    way[places] = found[0]
+    before[places] = np.where(previous[0] >= 0, places[np.maximum(previous[0], 0)], -1)
+    return way, before
+
+
+def _graph(grid: BoolArray, cell: float) -> sparse.csr_array:
+    """Return the 8-connected graph of the cells of ``grid``, weighted by distance."""
+    n = np.count_nonzero(grid)
+    index = np.zeros(grid.shape, dtype=np.int64)
+    index[grid] = np.arange(n)
+    rows, columns, weights = [], [], []
+    for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        a = np.s_[: -dx or None, max(0, -dy) : (-dy if dy > 0 else None)]
+        b = np.s_[dx:, (dy if dy > 0 else 0) : (dy if dy < 0 else None)]
+        linked = grid[a] & grid[b]
+        rows.append(index[a][linked])
+        columns.append(index[b][linked])
+        weights.append(np.full(np.count_nonzero(linked), cell * np.hypot(dx, dy)))
+    i, j, w = (np.concatenate(part) for part in (rows, columns, weights))
+    return sparse.csr_array(
+        (np.tile(w, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)
+    )
