@@ -179,7 +179,7 @@ def check(module: Path, place: Path, sample: int) -> tuple[int, int]:
     """Print the mutants of ``module`` that survive; return how many, and of how many."""
     found = list(mutants(ast.parse((ROOT / module).read_text())))
     if sample:
-        found = found[:: max(1, len(found) // sample)]
+        found = found[:: math.ceil(len(found) / sample)]
     started = time.monotonic()
     if not run(place, TESTS[module], math.inf):
         sys.exit(f"{module}: its tests do not pass as it is")
@@ -200,7 +200,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("modules", nargs="*", type=Path, default=list(TESTS))
     parser.add_argument(
-        "--sample", type=int, default=0, help="about this many of a module, evenly spread; 0 is all"
+        "--sample", type=int, default=0, help="at most this many of a module, evenly spread; 0 is all"
     )
     options = parser.parse_args()
     unknown = [str(module) for module in options.modules if module not in TESTS]

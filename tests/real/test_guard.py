@@ -13,8 +13,9 @@ from road import Road
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.protocols.oi_packets import Mode
+from scan3d_twin.real import guard_process
 from scan3d_twin.real.clock import RealClock
-from scan3d_twin.real.guard import ProcessGuard
+from scan3d_twin.real.guard import PortGuard, ProcessGuard
 
 PROGRAM = Path(__file__).with_name("driving.py")
 
@@ -90,6 +91,64 @@ def test_in_order_everything_ends(road):
         assert process.returncode == 0
         assert not moves(road)
         assert road.device.mode is Mode.PASSIVE
+
+
+@contextmanager
+def guarded(silence_ms=50):
+    """A guard process on a pipe for a port; yields the pipe to it, the port's end, and itself."""
+    (told, tell), (port, written) = os.pipe(), os.pipe()
+    command = [sys.executable, "-I", "-S", guard_process.__file__]
+    words = [str(written), str(told), b"farewell".hex(), str(silence_ms)]
+    with subprocess.Popen([*command, *words], pass_fds=(written, told)) as process:
+        os.close(told)
+        os.close(written)
+        try:
+            yield tell, port, process
+        finally:
+            process.kill()
+            os.close(port)
+
+
+def test_a_guard_that_has_heard_of_no_motion_says_nothing_and_ends_when_told():
+    with guarded() as (tell, port, process):
+        os.write(tell, guard_process.STANDING)
+        assert not select.select([port], [], [], 0.3)[0]
+        os.write(tell, guard_process.GOODBYE)
+        assert process.wait(timeout=10) == 0
+        assert os.read(port, 100) == b""
+        os.close(tell)
+
+
+def test_a_guard_says_farewell_once_per_silence_and_ends_with_the_pipe():
+    with guarded() as (tell, port, process):
+        assert not select.select([port], [], [], 0.3)[0]
+        os.write(tell, guard_process.STANDING + guard_process.MOVING)
+        assert os.read(port, 100) == b"farewell"
+        assert not select.select([port], [], [], 0.3)[0]
+        os.close(tell)
+        assert process.wait(timeout=10) == 0
+        assert os.read(port, 100) == b"farewell"
+        assert os.read(port, 100) == b""
+
+
+def test_a_port_that_is_opened_anew_gets_a_guard_of_its_own():
+    ports = [os.pipe() for _ in range(2)]
+    guard = PortGuard(RealClock())
+    guard.beat(False)
+    guard.watch(ports[0][1])
+    first = guard._guard._process
+    guard.watch(ports[1][1])
+    second = guard._guard._process
+    assert (first.poll(), second.poll()) == (0, None)
+    guard.beat(True)
+    assert select.select([ports[1][0]], [], [], 10.0)[0]
+    assert not select.select([ports[0][0]], [], [], 0.0)[0]
+    guard.close()
+    guard.close()
+    assert second.poll() == 0
+    guard.beat(True)
+    for each in (*ports[0], *ports[1]):
+        os.close(each)
 
 
 def test_without_a_guard_it_does_not_drive():
