@@ -34,8 +34,8 @@ GOLDEN = "tests/golden"
 URG = ["tests/real/test_urg_mode.py", "tests/real/test_urg_lines.py", "tests/real/test_urg.py"]
 CREATE = ["tests/real/test_create.py", "-k", "not million"]
 TESTS = {
-    PROTOCOLS / "oi.py": ["tests/protocols/test_oi.py"],
-    PROTOCOLS / "oi_packets.py": ["tests/protocols"],
+    PROTOCOLS / "oi.py": [GOLDEN, "tests/protocols/test_oi.py"],
+    PROTOCOLS / "oi_packets.py": [GOLDEN, "tests/protocols"],
     PROTOCOLS / "scip.py": ["tests/protocols"],
     PROTOCOLS / "scip_replies.py": ["tests/protocols", GOLDEN],
     PROTOCOLS / "urg04lx.py": [GOLDEN, "tests/protocols"],

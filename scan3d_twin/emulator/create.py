@@ -91,7 +91,7 @@ class CreateEmulator:
         self._queue: deque[Command] = deque()
         self._wait: Callable[[], bool] | None = None
         self._song, self._song_ends = 0, 0.0
-        self._requested = (0, 0)
+        self._requested = self._requested_direct = (0, 0)
         self._actions = self._table()
 
     @property
@@ -264,11 +264,12 @@ class CreateEmulator:
             return
         else:
             share = self._model.wheel_base_mm / 2 / radius if radius else 0.0
-        self._turn_wheels(round(velocity * (1 + share)), round(velocity * (1 - share)))
+        right, left = (_clipped(round(velocity * side)) for side in (1 + share, 1 - share))
+        self._turn_wheels(right, left)
 
     def _drive_direct(self, command: Command) -> None:
-        right, left = command.words()
-        self._turn_wheels(_clipped(right), _clipped(left))
+        right, left = self._requested_direct = _clipped_both(command.words())
+        self._turn_wheels(right, left)
 
     def _drive_pwm(self, command: Command) -> None:
         share = oi.MAX_WHEEL_SPEED_MM / 255
@@ -297,7 +298,7 @@ class CreateEmulator:
     def _values(self, numbers: Iterable[int]) -> dict[int, int]:
         """Return the readings of packets and groups; reading packets 19 and 20 starts them anew."""
         ids = {packet for number in numbers for packet in packets_of(number)}
-        right, left = self.wheels_mm
+        right, left = self._requested_direct
         values = {
             **self.body.readings(),
             Packet.MODE: self.mode + self._quirks.mode_offset,
@@ -372,6 +373,11 @@ class CreateEmulator:
     def _wait_event(self, command: Command) -> None:
         event = int.from_bytes(command.data, "big", signed=True)
         self._wait = lambda: happened(event, self.body, self.mode)
+
+
+def _clipped_both(speeds_mm: tuple[int, ...]) -> tuple[int, int]:
+    right, left = map(_clipped, speeds_mm)
+    return right, left
 
 
 def _clipped(speed_mm: int) -> int:

@@ -96,6 +96,7 @@ def test_safe_drives_and_passive_stops(bench):
         (oi.drive(100, 1), (0.0, 0.2 / 0.235)),
         (oi.drive(100, -1), (0.0, -0.2 / 0.235)),
         (oi.drive(-200, 500), (-0.2, -0.4)),
+        (oi.drive(500, 100), (0.206, 0.588 / 0.235)),
         (oi.command(Op.DRIVE_PWM, 0, 255, 0, 255), (0.5, 0.0)),
         (oi.command(Op.DRIVE_DIRECT, 0x7F, 0xFF, 0x7F, 0xFF), (0.5, 0.0)),
     ],
@@ -103,6 +104,18 @@ def test_safe_drives_and_passive_stops(bench):
 def test_drive_commands(bench, command, speed):
     bench.say(Op.START, Op.SAFE, command)
     assert bench.base.speed == pytest.approx(speed, abs=0.005)
+
+
+def test_requested_speeds_are_those_of_the_command_of_their_kind(bench):
+    """Packets 39 and 40 tell of Drive, 41 and 42 of Drive Direct; within +-500 mm/s."""
+    bench.say(Op.START, Op.SAFE, oi.drive_direct(100, -50))
+    packets = (Packet.REQUESTED_VELOCITY, Packet.REQUESTED_RADIUS)
+    wheels = (Packet.REQUESTED_RIGHT, Packet.REQUESTED_LEFT)
+    assert list(bench.ask(*packets, *wheels).values()) == [0, 0, 100, -50]
+    bench.say(oi.drive(600, 100))
+    assert list(bench.ask(*packets, *wheels).values()) == [500, 100, 100, -50]
+    bench.say(oi.command(Op.DRIVE_DIRECT, 0x7F, 0xFF, 0x80, 0x00))
+    assert list(bench.ask(*packets, *wheels).values()) == [500, 100, 500, -500]
 
 
 def test_the_last_command_holds_for_ever(bench):

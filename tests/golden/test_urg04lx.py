@@ -52,3 +52,29 @@ def test_a_line_fits_its_link(link, baud):
     data = 3 * len(mode.steps)
     sent = data + 2 * -(-data // 64) + 25
     assert sent * 10 / baud <= mode.line_period + 0.002
+
+
+def test_error_codes():
+    """The table of the specification for the URG-04LX, and for 1 to 19 what users of it report."""
+    codes = (urg04lx.NO_RETURN, urg04lx.WEAK_RETURN, urg04lx.OTHER_ERROR)
+    assert codes == (0, 2, 6)
+    assert (urg04lx.NEIGHBOURS_INVALID, urg04lx.AMPLITUDES_DIFFER) == (7, 8)
+    assert (urg04lx.GLITCH, urg04lx.TOO_STRONG) == (10, 18)
+
+
+def test_the_points_that_can_be_asked_for():
+    assert (urg04lx.FIRST_STEP, urg04lx.LAST_STEP, urg04lx.LAST_POINT) == (44, 725, 768)
+
+
+def test_the_phases_of_both_modulations_repeat_together_every_22_5_m():
+    low, high = urg04lx.MODULATIONS
+    assert (low, high) == (46.55e6, 53.2e6)
+    assert 299_792_458 / (2 * (high - low)) == pytest.approx(22.54, abs=0.01)
+    assert high / (high - low) == pytest.approx(8.0)
+
+
+def test_replies_come_on_the_tick_of_the_capture():
+    """Replies began 10.8, 110.8, ... 808.8 ms after the first request."""
+    ticks = (10.8, 110.8, 211.0, 310.7, 409.8, 509.7, 609.8, 708.7, 808.8)
+    assert (ticks[-1] - ticks[0]) / 8 == pytest.approx(1000 * urg04lx.COMMAND_TICK, abs=0.1)
+    assert pytest.approx(0.101) == urg04lx.REPLY_LATENCY
