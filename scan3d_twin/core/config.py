@@ -14,6 +14,7 @@ from scan3d_twin.core.errors import ConfigError
 
 Tour = Literal["front", "full"]
 Scope = Literal["target", "sweep"]
+Turning = Literal["odometry", "look"]
 Border = Literal["drop", "keep"]
 Engine = Literal["icp", "grid"]
 Draws = Literal["common", "independent"]
@@ -54,6 +55,9 @@ class SweepConfig:
     """Speed of the turn [rad/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
     look_rate: float = math.radians(20.0)
     """Speed of a look around [rad/s]; 2 deg between lines are enough to find a target."""
+    turning: Turning = "odometry"
+    """How far the robot turns: as the odometry tells, or corrected by the first look around, a full
+    turn whose ends must meet."""
     settle: float = 0.3
     """Rest before a sweep [s]: several periods of the mast (11 to 18 Hz), till it is still."""
     retries: int = 5

@@ -12,7 +12,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "paper": {"planner": "siicp"},
     "best": {
         "planner": "fisher",
-        "sweep": {"margin": math.radians(45.0)},
+        "sweep": {"margin": math.radians(45.0), "turning": "look"},
         "registration": {"engine": "grid", "scope": "sweep"},
         "alignment": {"when": "closed"},
         "planning": {
