@@ -22,6 +22,7 @@ VirtualScan = Literal["smoothed", "copy", "visible"]
 Foresight = Literal["none", "holdout"]
 Criterion = Literal["displacement", "eq3", "nn"]
 Feature = Literal["normals", "variation"]
+Closing = Literal["none", "hidden"]
 When = Literal["never", "closed"]
 Misfits = Literal["keep", "drop"]
 Gain = Literal["oa", "rse", "af"]
@@ -246,9 +247,14 @@ class PlanningConfig:
     the predictor that wins a hold-out on the scan itself."""
     foresight_sigma: float = 0.03
     """A prediction with a larger hold-out error is not used [m]; a few per cent of the standoff."""
+    closing: Closing = "none"
+    """Whether views are added when the contour is done: none, or where niches and gaps hide
+    more."""
+    least_hidden: float = 0.015
+    """Hidden surface that a view must be expected to show to be added [m2]; 10 by 15 cm."""
 
     def __post_init__(self) -> None:
-        _positive("planning", calibration=self.calibration)
+        _positive("planning", calibration=self.calibration, least_hidden=self.least_hidden)
         _positive("planning", epsilon=self.epsilon, eta_step=self.eta_step, standoff=self.standoff)
         _share(
             "planning",
