@@ -35,12 +35,13 @@ THICKNESS = 0.15
 """Of a slice [m]: how far one is from the next."""
 DEPTH = 0.45
 """A face is expected to go back so far [m]: a quarter of what a sweep sees at the standoff."""
-CELLS_THAT_HIDE = 2
-"""Cells of surface on a line of sight that block it; a single one may be noise."""
 CARRIES = 0.25
 """Surface this near to an edge tells how the surface lies that ends there [m]; a few windows."""
 SEEN = 0.03
 """Surface or a beam this near settles what is there [m]: a few sigma of the noise."""
+THROUGH = 0.08
+"""A beam that goes on for so long behind a reading passed it [m]: more than a surface seen at 75 deg
+recedes from one line to the next."""
 FLATTEST = math.radians(75.0)
 """A face seen flatter shows too little of itself; as ``target.GRAZING``."""
 
@@ -67,12 +68,8 @@ class Faces:
         """Return all pieces of ``parts`` as one."""
         if not parts:
             return Faces(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, dtype=np.int64))
-        return Faces(
-            *(
-                np.concatenate([getattr(part, each.name) for part in parts])
-                for each in fields(Faces)
-            )
-        )
+        columns = [[getattr(part, each.name) for part in parts] for each in fields(Faces)]
+        return Faces(*(np.concatenate(column) for column in columns))
 
     def select(self, mask: BoolArray) -> Faces:
         """Return the pieces where ``mask`` (n,) is True."""
@@ -85,25 +82,32 @@ class Slices:
 
     Attributes:
         origin: Corner of cell (0, 0) (2,) [m].
-        surface: (n_slices, nx, ny).
+        surface: Small holes closed (n_slices, nx, ny).
+        solid: The same without cells that a beam passed: noise before a surface (n_slices, nx, ny).
     """
 
     origin: FloatArray
     surface: BoolArray
+    solid: BoolArray
 
     @staticmethod
     def of(session: Session) -> Slices:
-        """Return the slices through the target of ``session``; small holes are closed."""
+        """Return the slices through the target of ``session``."""
         points = np.concatenate([v.T_world_scan.apply(v.target.points) for v in session.views])
         low, high = points[:, :2].min(axis=0) - DEPTH, points[:, :2].max(axis=0) + DEPTH
         cells = np.floor((points[:, :2] - low) / CELL).astype(np.int64)
         shape = np.ceil((high - low) / CELL).astype(np.int64)
         surface = np.zeros((len(HEIGHTS), *shape), dtype=bool)
-        for k, height in enumerate(HEIGHTS):
+        for index, height in enumerate(HEIGHTS):
             near = np.abs(points[:, 2] - height) <= THICKNESS / 2
-            surface[k, cells[near, 0], cells[near, 1]] = True
-        closed = ndimage.binary_closing(surface, np.ones((1, 3, 3), dtype=bool))
-        return Slices(low, np.asarray(closed))
+            surface[index, cells[near, 0], cells[near, 1]] = True
+        surface = ndimage.binary_closing(surface, np.ones((1, 3, 3), dtype=bool))
+        k, i, j = np.nonzero(surface)
+        middles = low + (np.column_stack([i, j]) + 0.5) * CELL
+        solid = surface.copy()
+        middles = np.column_stack([middles, np.array(HEIGHTS)[k]])
+        solid[k, i, j] = ~was_passed(middles, session, THROUGH)
+        return Slices(low, surface, solid)
 
     @cached_property
     def distance(self) -> FloatArray:
@@ -130,9 +134,9 @@ class Slices:
         steps = np.arange(CELL, float(np.max(lengths, initial=0.0)), CELL)
         points = starts[:, None] + steps[:, None] * (ways / lengths[:, None])[:, None]
         inside = np.all((points >= self.origin) & (points < self._end), axis=-1)
-        met = self.at(self.surface, points, faces.slices[:, None]) > 0
+        met = self.at(self.solid, points, faces.slices[:, None]) > 0
         met &= inside & (steps < lengths[:, None])
-        return np.asarray(np.count_nonzero(met, axis=1) >= CELLS_THAT_HIDE)
+        return np.asarray(met.any(axis=1))
 
     @property
     def _end(self) -> FloatArray:
@@ -158,21 +162,16 @@ class Hidden:
         cells = np.column_stack([np.floor(faces.points / CELL), faces.slices])
         _, first = np.unique(cells, axis=0, return_index=True)
         faces = faces.select(np.isin(np.arange(len(faces)), first))
+        points = np.column_stack([faces.points, np.array(HEIGHTS)[faces.slices]])
+        faces = faces.select(~was_passed(points, self.session, SEEN))
         for view in views:
-            faces = faces.select(~self._settled(faces, view))
+            faces = faces.select(~self._shown(faces, view.T_world_scan))
         return faces
 
     def areas(self, poses: Iterable[Pose2]) -> FloatArray:
         """Return how much of the hidden faces each of ``poses`` in ``world`` shows (n,) [m2]."""
         shown = [np.count_nonzero(self._shown(self.faces, pose)) for pose in poses]
         return CELL * THICKNESS * np.array(shown, dtype=np.float64)
-
-    def _settled(self, faces: Faces, view: View) -> BoolArray:
-        """Tell where beams of ``view`` passed, or should have met a face (n,)."""
-        points = np.column_stack([faces.points, np.array(HEIGHTS)[faces.slices]])
-        local = view.T_world_scan.inverse().apply(points)
-        free = passed(local, view.observation.image, SEEN)
-        return np.asarray(free | self._shown(faces, view.T_world_scan))
 
     def _shown(self, faces: Faces, pose: Pose2) -> BoolArray:
         """Tell which ``faces`` (n,) a sweep at ``pose`` shows."""
@@ -186,6 +185,15 @@ class Hidden:
         hidden = self._slices.hides(faces.select(shown), np.array([pose.x, pose.y]))
         shown[shown] = ~hidden
         return np.asarray(shown)
+
+
+def was_passed(points: FloatArray, session: Session, clearly: float) -> BoolArray:
+    """Tell which ``points`` (n, 3) in ``world`` a beam of a view passed by ``clearly`` [m]."""
+    free = np.zeros(len(points), dtype=bool)
+    for view in session.views:
+        local = view.T_world_scan.inverse().apply(points)
+        free |= passed(local, view.observation.image, clearly)
+    return free
 
 
 def expected(view: View, session: Session) -> Iterator[Faces]:
