@@ -40,8 +40,8 @@ CARRIES = 0.25
 SEEN = 0.03
 """Surface or a beam this near settles what is there [m]: a few sigma of the noise."""
 THROUGH = 0.08
-"""A beam that goes on for so long behind a reading passed it [m]: more than a surface seen at 75 deg
-recedes from one line to the next."""
+"""A beam that goes on for so long behind a reading passed it [m]: more than a surface seen at 75
+deg recedes from one line to the next."""
 FLATTEST = math.radians(75.0)
 """A face seen flatter shows too little of itself; as ``target.GRAZING``."""
 
