@@ -58,9 +58,14 @@ def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) ->
 def _taken_with(folder: Path) -> MountConfig:
     """Return the mount that the run in ``folder`` already corrected by; all 0 for other scans."""
     from scan3d_twin.core.config import MountConfig
+    from scan3d_twin.core.errors import FileError
+    from scan3d_twin.recording.load import load_session
     from scan3d_twin.recording.settings import read_settings, settings
 
-    path = folder / "config.toml"
+    try:
+        return load_session(folder).session.config.mount
+    except FileError:
+        path = folder / "config.toml"
     return settings([read_settings(path)]).config.mount if path.exists() else MountConfig()
 
 

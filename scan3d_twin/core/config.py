@@ -15,6 +15,7 @@ from scan3d_twin.core.errors import ConfigError
 Tour = Literal["front", "full"]
 Spare = Literal["time", "memory"]
 Scope = Literal["target", "sweep"]
+Turning = Literal["odometry", "look"]
 Border = Literal["drop", "keep"]
 Engine = Literal["icp", "grid"]
 Draws = Literal["common", "independent"]
@@ -22,6 +23,7 @@ VirtualScan = Literal["smoothed", "copy", "visible"]
 Foresight = Literal["none", "holdout"]
 Criterion = Literal["displacement", "eq3", "nn"]
 Feature = Literal["normals", "variation"]
+Closing = Literal["none", "hidden"]
 When = Literal["never", "closed"]
 Misfits = Literal["keep", "drop"]
 Gain = Literal["oa", "rse", "af"]
@@ -55,6 +57,9 @@ class SweepConfig:
     """Speed of the turn [rad/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
     look_rate: float = math.radians(20.0)
     """Speed of a look around [rad/s]; 2 deg between lines are enough to find a target."""
+    turning: Turning = "odometry"
+    """How far the robot turns: as the odometry tells, or corrected by the first look around, a full
+    turn whose ends must meet."""
     settle: float = 0.3
     """Rest before a sweep [s]: several periods of the mast (11 to 18 Hz), till it is still."""
     retries: int = 5
@@ -243,9 +248,14 @@ class PlanningConfig:
     the predictor that wins a hold-out on the scan itself."""
     foresight_sigma: float = 0.03
     """A prediction with a larger hold-out error is not used [m]; a few per cent of the standoff."""
+    closing: Closing = "none"
+    """Whether views are added when the contour is done: none, or where niches and gaps hide
+    more."""
+    least_hidden: float = 0.015
+    """Hidden surface that a view must be expected to show to be added [m2]; 10 by 15 cm."""
 
     def __post_init__(self) -> None:
-        _positive("planning", calibration=self.calibration)
+        _positive("planning", calibration=self.calibration, least_hidden=self.least_hidden)
         _positive("planning", epsilon=self.epsilon, eta_step=self.eta_step, standoff=self.standoff)
         _share(
             "planning",

@@ -23,7 +23,7 @@ from scan3d_twin.core.mixed_pixels import without_mixed_pixels
 from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.placing import place_view
 from scan3d_twin.core.planning import Planner
-from scan3d_twin.core.self_calibration import suspicion
+from scan3d_twin.core.self_calibration import calibrate_look, suspicion, with_turning
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.sweep import look_around, sweep
 from scan3d_twin.core.target import all_points, extract_target, find_target
@@ -79,7 +79,7 @@ def digitize(
     if earlier is None:
         loop = views(scout, *begin(robot, config, seed, observer, target))
     else:
-        loop = views(scout, unplanned(replace(earlier, config=config)), None)
+        loop = views(scout, unplanned(replace(earlier, config=config_for(earlier, config))), None)
     known = 0 if earlier is None else len(earlier.views)
     session = next(loop)
     while True:
@@ -162,9 +162,18 @@ def begin(
     """Look around for the target; return an empty session and the first viewpoint in ``odom``."""
     observer.on_event("looking around for the target")
     look = look_around(robot, config, observer.on_line)
-    if warning := suspicion(look.image):
+    found = calibrate_look(look.image)
+    if warning := suspicion(found):
         observer.on_event(f"warning: {warning}")
-    return start(look, robot.base.odometry().T_odom_base, config, seed, target)
+    tuned = with_turning(config, found)
+    if tuned != config:
+        observer.on_event(f"turns are corrected by {tuned.mount.yaw_scale:+.2%}")
+    return start(look, robot.base.odometry().T_odom_base, tuned, seed, target)
+
+
+def config_for(session: Session, config: Config) -> Config:
+    """Return ``config`` as a run has it that goes on from ``session``: by its first look around."""
+    return with_turning(config, calibrate_look(session.looks[0][1].image))
 
 
 def start(

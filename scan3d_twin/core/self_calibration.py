@@ -22,13 +22,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from scan3d_twin.core.config import MountConfig
+from scan3d_twin.core.config import Config, MountConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.mount import in_words, tilt, turn_rate
+from scan3d_twin.core.mount import composed, in_words, tilt, turn_rate
 from scan3d_twin.core.registration import prepare
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X
 from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
@@ -70,6 +70,9 @@ TOLERABLE = np.array([0.008, math.radians(0.7), math.radians(0.7), 0.03, 0.05])
 0.07 deg, and a wheel base is known to 1 % ..."""
 SURE = 3.0
 """... nor is one that is off by less than so many standard errors."""
+REPEATS = 0.002
+"""By how much the yaw scale of a sweep differs from that of a look around, one standard deviation;
+by benchmarks/mount.py."""
 SEAM = math.radians(20.0)
 """Of either end of a full turn, compared to begin with [rad]."""
 
@@ -171,19 +174,41 @@ def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
     )
 
 
-def suspicion(image: RangeImage) -> str:
+def calibrate_look(image: RangeImage) -> Calibration | None:
+    """Return what a look around says of the mount it was taken with; None if nothing."""
+    try:
+        return calibrate([[image]])
+    except RegistrationError:
+        return None
+
+
+def suspicion(found: Calibration | None) -> str:
     """Return what a look around says against the mount that it was taken with; empty if nothing.
 
     A run goes on all the same: the views only fit worse than they could.
     """
-    try:
-        found = calibrate([[image]])
-    except RegistrationError:
+    if found is None:
         return ""
     values = np.array(astuple(found.mount))
     if not np.any(np.abs(values) > np.maximum(TOLERABLE, SURE * found.sigmas)):
         return ""
     return f"the lidar seems mounted {in_words(found.mount)}: run `twin calibrate lidar`"
+
+
+def with_turning(config: Config, found: Calibration | None) -> Config:
+    """Return ``config`` with the yaw scale that the first look around has ``found``, if wanted.
+
+    The two ends of its full turn meet only with the right scale, which is that of all turns of this
+    robot on this floor: sweeps to come are corrected by it and registered as that much surer.
+    """
+    scale = NAMES.index("yaw_scale")
+    if config.sweep.turning == "odometry" or found is None or not found.known[scale]:
+        return config
+    mount = composed(config.mount, MountConfig(yaw_scale=found.mount.yaw_scale))
+    left = math.hypot(float(found.sigmas[scale]), REPEATS)
+    sigma = min(config.registration.yaw_scale_sigma, left)
+    registration = replace(config.registration, yaw_scale_sigma=sigma)
+    return replace(config, mount=mount, registration=registration)
 
 
 def _gather(places: Sequence[Sequence[RangeImage]]) -> Samples:

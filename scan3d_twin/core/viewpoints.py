@@ -22,8 +22,9 @@ REACH = 6
 """Lines over which the direction of the surface is taken at the contour's end."""
 CORNER = math.radians(30.0)
 """A surface that bends by more than this has turned a corner."""
-STRAIGHT = math.radians(5.0)
-"""A contour whose two halves differ by less than this is straight: noise alone makes 1 or 2 deg."""
+BEND = math.radians(90.0)
+"""By how much a surface that ends in view turns out of sight: it ends as a silhouette, whether at
+an edge, behind which faces mostly stand at right angles, or along a curve."""
 FRONT_SIDE = math.radians(45.0)
 """A tour of the front looks at it from no more than this to either side."""
 _ALTERNATIVES = tuple(
@@ -197,7 +198,7 @@ def next_segment(
 
     Its outward normal is the mean over the segment: that of Q on the part that is known, and what
     is expected beyond. Where the target ``ends``, the surface goes on around it out of sight, and
-    the view turns by the hidden part's share of the bend expected there.
+    the view turns by the hidden part's share of ``BEND``.
 
     Args:
         contour: Of the current target scan P.
@@ -211,7 +212,7 @@ def next_segment(
     known = min(1.0, (contour.width - float(contour.arc[first])) / max(width, 1e-9))
     normal_known = contour.normal(first)
     if ends:
-        turn = Pose2(0.0, 0.0, (1.0 - known) * _expected_bend(contour))
+        turn = Pose2(0.0, 0.0, (1.0 - known) * BEND)
         normal, onwards = turn.rotate(HERE), -normal_known
     else:
         expected = normal_known if beyond is None else beyond
@@ -219,16 +220,6 @@ def next_segment(
         onwards = -clockwise(expected)
     middle = _along(contour, first, onwards, width / 2)
     return Segment(middle, limit(normal, normal_known, MAX_INCIDENCE))
-
-
-def _expected_bend(contour: Contour) -> float:
-    """Return the angle [rad] by which the surface bends over the next width of a contour that ends.
-
-    A curved contour is taken to go on as curved as it is; a straight one to turn a right angle.
-    """
-    middle = int(np.searchsorted(contour.arc, contour.width / 2))
-    bend = angle_between(contour.normal(0, middle), contour.normal(middle))
-    return min(2 * bend, math.pi / 2) if bend > STRAIGHT else math.pi / 2
 
 
 def first_segment(contour: Contour, width: float, *, from_left: bool) -> Segment:

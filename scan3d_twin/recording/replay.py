@@ -9,7 +9,7 @@ from typing import Any
 
 from scan3d_twin.core.alignment import concluded
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import ask, integrate
+from scan3d_twin.core.digitize import ask, config_for, integrate
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Plan, Pose2, wrap
@@ -34,6 +34,7 @@ def replay(
         step: Is told the index of each view that is done.
     """
     first = tuple(look for look in session.looks if look[0] == 0)
+    config = config_for(session, config)
     again = replace(session, config=config, looks=first, views=(), plans=(), misfits=())
     for k, view in enumerate(session.views):
         again = integrate(again, view.observation)

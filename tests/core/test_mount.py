@@ -10,11 +10,17 @@ import numpy as np
 import pytest
 import synthetic
 
-from scan3d_twin.core.config import MountConfig
+from scan3d_twin.core.config import Config, MountConfig, SweepConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.hal import default_mount
 from scan3d_twin.core.mount import composed, corrected, in_words, mounted, tilt, turn_rate
-from scan3d_twin.core.self_calibration import Calibration, calibrate, find_planes
+from scan3d_twin.core.self_calibration import (
+    Calibration,
+    calibrate,
+    calibrate_look,
+    find_planes,
+    with_turning,
+)
 from scan3d_twin.core.types import Observation, Pose2, RangeImage, read_only
 
 ROOM = (
@@ -152,3 +158,24 @@ def test_scans_with_different_mounts_are_refused() -> None:
 def test_an_impossible_mount_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match=f"mount.{name}"):
         MountConfig(**{name: 5.0})
+
+
+def test_a_run_turns_as_its_first_look_tells_if_that_is_wanted() -> None:
+    config = replace(Config(), sweep=SweepConfig(turning="look"), mount=MountConfig(yaw_scale=0.01))
+    tuned = with_turning(config, full_turn(WRONG))
+    assert tuned.mount.yaw_scale == pytest.approx(1.01 * (1 + WRONG.yaw_scale) - 1, abs=0.0015)
+    assert replace(tuned.mount, yaw_scale=0.01) == config.mount  # the rest is left alone
+    assert 0.002 <= tuned.registration.yaw_scale_sigma < config.registration.yaw_scale_sigma
+
+
+def test_else_it_turns_as_the_odometry_tells() -> None:
+    config = Config()
+    assert with_turning(config, full_turn(WRONG)) == config
+
+
+def test_a_look_at_nothing_tells_nothing() -> None:
+    config = replace(Config(), sweep=SweepConfig(turning="look"))
+    look = take(WRONG).image
+    blind = replace(look, ranges=read_only(np.full(look.ranges.shape, np.nan)))
+    assert calibrate_look(blind) is None
+    assert with_turning(config, None) == config

@@ -89,11 +89,11 @@ def test_q_is_never_left_at_a_flat_angle() -> None:
     assert viewpoint.yaw == pytest.approx(MAX_INCIDENCE, abs=1e-6)
 
 
-def test_a_curved_body_is_followed_as_it_curves() -> None:
-    angles = np.radians(np.linspace(20.0, -20.0, 21))
-    arc = np.column_stack([1.15 - 0.15 * np.cos(angles), 0.15 * np.sin(angles)])
-    segment = next_segment(trace(arc), 10, 1.0, None, ends=True)
-    assert math.degrees(segment.viewpoint(1.0).yaw) == pytest.approx(0.5 * 40.0, abs=4.0)
+def test_waves_on_a_face_do_not_hide_that_it_ends() -> None:
+    points = flat(41, 0.4)
+    points[:, 0] += 0.02 * np.sin(np.linspace(0.0, 10 * math.pi, 41))
+    viewpoint = next_segment(trace(points), 21, 1.0, None, ends=True).viewpoint(1.0)
+    assert math.degrees(viewpoint.yaw) == pytest.approx(0.5 * 90.0, abs=3.0)
 
 
 def test_the_end_of_a_box_is_seen_and_that_of_a_wall_is_not() -> None:

@@ -17,8 +17,9 @@ import math
 import numpy as np
 
 from scan3d_twin.core.config import Feature
+from scan3d_twin.core.planning.closing import over
 from scan3d_twin.core.planning.siicp import overlaps
-from scan3d_twin.core.planning.situation import Situation, finish, in_world
+from scan3d_twin.core.planning.situation import Situation, in_world
 from scan3d_twin.core.planning.step import step
 from scan3d_twin.core.planning.surface import Patches, eye_height, patches_of
 from scan3d_twin.core.session import Session
@@ -35,8 +36,8 @@ class CurvaturePlanner:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose feature score is high enough."""
         situation, config = Situation(session), session.config
-        if reason := situation.finished():
-            return finish(reason)
+        if plan := over(situation):
+            return plan
         eye = np.array([0.0, 0.0, eye_height(situation.view)])
         whole = patches_of(situation.P.points, eye)
         tried: list[Candidate] = []

@@ -12,10 +12,11 @@ import math
 import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.planning.closing import over
 from scan3d_twin.core.planning.forecast import Forecast
 from scan3d_twin.core.planning.siicp import smallest_overlap
 from scan3d_twin.core.planning.simulate import Simulation
-from scan3d_twin.core.planning.situation import Situation, finish
+from scan3d_twin.core.planning.situation import Situation
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 
@@ -26,8 +27,8 @@ class FisherPlanner:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose predicted error meets epsilon."""
         situation, config = Situation(session), session.config.planning
-        if reason := situation.finished():
-            return finish(reason)
+        if plan := over(situation):
+            return plan
         seed = int(rng.integers(2**63))
         try:
             forecast = Forecast.of(situation)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.planning.situation import Situation, finish
+from scan3d_twin.core.planning.closing import over
+from scan3d_twin.core.planning.situation import Situation
 from scan3d_twin.core.planning.step import step
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
@@ -20,8 +21,8 @@ class FixedPlanner:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint for the fixed overlap."""
         situation = Situation(session)
-        if reason := situation.finished():
-            return finish(reason)
+        if plan := over(situation):
+            return plan
         overlap = self._overlap
         if overlap is None:
             overlap = session.config.baselines.fixed_overlap

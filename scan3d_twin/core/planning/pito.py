@@ -14,8 +14,9 @@ import math
 
 import numpy as np
 
+from scan3d_twin.core.planning.closing import over
 from scan3d_twin.core.planning.siicp import overlaps
-from scan3d_twin.core.planning.situation import Situation, finish, in_world
+from scan3d_twin.core.planning.situation import Situation, in_world
 from scan3d_twin.core.planning.step import step
 from scan3d_twin.core.planning.surface import Eye, Patches, patches_of
 from scan3d_twin.core.session import Session
@@ -28,8 +29,8 @@ class PitoPlanner:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap that is admitted."""
         situation, config = Situation(session), session.config
-        if reason := situation.finished():
-            return finish(reason)
+        if plan := over(situation):
+            return plan
         eye = Eye.of(situation.view, config)
         current = patches_of(situation.P.points, np.array([0.0, 0.0, eye.height]))
         tried: list[Candidate] = []

@@ -45,6 +45,13 @@ class Prospects:
 
     session: Session
 
+    @staticmethod
+    def on(situation: Situation) -> Prospects:
+        """Return the candidates for whoever has the situation of a session already."""
+        prospects = Prospects(situation.session)
+        prospects.__dict__["situation"] = situation
+        return prospects
+
     @cached_property
     def situation(self) -> Situation:
         """The latest view."""

@@ -16,8 +16,9 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Criterion, PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.planning.closing import over
 from scan3d_twin.core.planning.simulate import Simulation
-from scan3d_twin.core.planning.situation import Situation, blocked, finish, in_world
+from scan3d_twin.core.planning.situation import Situation, blocked, in_world
 from scan3d_twin.core.registration.icp import cut_lines, register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import (
@@ -37,8 +38,8 @@ class SiicpPlanner:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose simulated error meets epsilon."""
         situation, config = Situation(session), session.config.planning
-        if reason := situation.finished():
-            return finish(reason)
+        if plan := over(situation):
+            return plan
         if config.virtual_scan == "visible":
             return smallest_overlap(situation, _visible_error(situation, rng))
         etas = overlaps(config)

@@ -180,13 +180,39 @@ class Situation:
 
     def finished(self) -> str | None:
         """Return why the tour is finished, or None while there is more to scan."""
-        if len(self._seen.occupied_lines) < MIN_LINES:
+        if not self._in_sight:
             return "target lost: the latest view shows nothing of it"
-        if len(self.session.views) >= self.session.config.max_views:
+        if self._used_up:
             return f"max_views: {len(self.session.views)} views taken"
+        if not self.contour_done:
+            return None
+        return "front complete" if self.session.config.tour == "front" else "contour complete"
+
+    @property
+    def going(self) -> bool:
+        """Whether the latest view shows the target and another one may follow."""
+        return self._in_sight and not self._used_up
+
+    @property
+    def _in_sight(self) -> bool:
+        return len(self._seen.occupied_lines) >= MIN_LINES
+
+    @property
+    def _used_up(self) -> bool:
+        return len(self.session.views) >= self.session.config.max_views
+
+    @cached_property
+    def contour_done(self) -> bool:
+        """Whether the contour was followed to its end, by the latest view or an earlier one."""
+        if self._in_sight and self._ends_contour():
+            return True
+        earlier = self.session.views[:-1]
+        return bool(earlier) and Situation(replace(self.session, views=earlier)).contour_done
+
+    def _ends_contour(self) -> bool:
         if self.session.config.tour == "front":
-            return "front complete" if self.ends and self._beside_front() else None
-        return "contour complete" if self._closed() else None
+            return self._beside_front() and self.ends
+        return self._closed()
 
     @property
     def _front(self) -> FloatArray:

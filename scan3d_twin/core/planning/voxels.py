@@ -121,7 +121,7 @@ def voxel_map(session: Session, margin: float) -> VoxelMap:
     free = np.zeros(shape, dtype=bool)
     centres = low + (np.moveaxis(np.indices(shape), 0, -1) + 0.5) * VOXEL
     for T_world_scan, image in _images(session):
-        free |= _passed(T_world_scan.inverse().apply(centres), image)
+        free |= passed(T_world_scan.inverse().apply(centres), image, VOXEL / 2)
     solid = _occupied(blank, [(v.T_world_scan, v.sweep.points) for v in session.views])
     target = _occupied(blank, [(v.T_world_scan, v.target.points) for v in session.views])
     labels = np.where(solid, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
@@ -141,8 +141,11 @@ def _images(session: Session) -> Iterator[tuple[Pose2, RangeImage]]:
         yield view.T_world_scan @ move, look.image
 
 
-def _passed(points: FloatArray, image: RangeImage) -> BoolArray:
-    """Tell which ``points`` (..., 3) in ``scan`` lie clearly before what ``image`` measured."""
+def passed(points: FloatArray, image: RangeImage, clearly: float) -> BoolArray:
+    """Tell which ``points`` (..., 3) in ``scan`` lie before what ``image`` measured.
+
+    By at least ``clearly`` [m].
+    """
     lever, height = image.T_base_lidar[0, 3], image.T_base_lidar[2, 3]
     yaws = image.yaws[:, image.spec.n_beams // 2]
     flat = np.hypot(points[..., 0], points[..., 1]) - lever
@@ -156,7 +159,7 @@ def _passed(points: FloatArray, image: RangeImage) -> BoolArray:
     reach = _reach(image, spacing)
     seen = (off <= spacing) & (away <= math.radians(1.0)) & (flat > 0)
     with np.errstate(invalid="ignore"):
-        before = np.hypot(flat, up) < reach[line, beam] - VOXEL / 2
+        before = np.hypot(flat, up) < reach[line, beam] - clearly
     return np.asarray(seen & before)
 
 
