@@ -248,3 +248,16 @@ def test_a_million_bytes_of_noise_hold_no_frame():
     parser = StreamParser([7, 9, 35, 43, 44])
     assert parser.feed(noise) == []
     assert parser.header_summed is None
+
+
+@pytest.mark.parametrize("summed", [True, False])
+def test_a_bad_frame_makes_the_parser_learn_its_checksum_anew(summed):
+    good = oi.encode_frame([Packet.MODE], {Packet.MODE: 1}, header_summed=summed)
+    bad = good[:-1] + bytes([good[-1] ^ 1])
+    parser = oi.StreamParser([Packet.MODE])
+    for data in (good, good, bad, good, good):
+        assert parser.feed(data) == []
+        assert parser.header_summed is None
+    assert parser.feed(good) == []
+    assert parser.header_summed is summed
+    assert parser.feed(good) == [{Packet.MODE: 1}]

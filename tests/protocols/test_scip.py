@@ -231,3 +231,11 @@ def test_scan_requests_of_scip_1_1_that_are_refused(line):
     with pytest.raises(RequestError) as caught:
         scip.parse_old_scan_request(line, 725)
     assert caught.value.status == "E"
+
+
+@pytest.mark.parametrize("width", [2, 3, 4])
+def test_the_largest_value_fits_and_the_next_does_not(width):
+    largest = 64**width - 1
+    assert scip.decode_values(scip.encode_value(largest, width), width) == [largest]
+    with pytest.raises(ProtocolError, match=f"{largest + 1} does not fit into {width} characters"):
+        scip.encode_value(largest + 1, width)
