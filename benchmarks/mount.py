@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from scan3d_twin.core.config import Config, SweepConfig
-from scan3d_twin.core.self_calibration import Calibration, calibrate
-from scan3d_twin.core.sweep import sweep
+from scan3d_twin.core.self_calibration import Calibration, calibrate, calibrate_look
+from scan3d_twin.core.sweep import look_around, sweep
 from scan3d_twin.core.types import RangeImage
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
@@ -87,6 +87,16 @@ def run(scene: str, seed: int) -> tuple[Calibration, Truly]:
     return calibrate([turn, back]), truly
 
 
+def look_error(scene: str, seed: int) -> float:
+    """Return by how much the yaw scale of a look around is off for the sweep after it."""
+    config = replace(Config(), sweep=SweepConfig(width=math.radians(150.0)))
+    with open_sim(scene, seed) as (robot, truth):
+        found = calibrate_look(look_around(robot, config, lambda line: None).image)
+        image = sweep(robot, 0.0, config, lambda line: None).image
+        assert found is not None
+        return found.mount.yaw_scale - turning(image, truth)[1]
+
+
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -110,6 +120,7 @@ def main() -> None:
         off = (m.lateral - true.lateral, m.roll - true.roll, m.yaw_scale - true.yaw_scale)
         errors.append(np.abs(off))
     lateral, roll_error, scale_error = np.array(errors).T
+    looks = np.array([look_error(arguments.scene, seed) for seed in range(arguments.seeds)])
     rows: dict[str, dict[str, Any]] = {}
 
     def add(name: str, value: float, unit: str) -> None:
@@ -121,6 +132,8 @@ def main() -> None:
     add("mount_roll_error", math.degrees(float(np.median(roll_error))), "deg")
     add("mount_roll_within_10_percent", float(np.mean(roll_error <= 0.1 * ROLL)), "share")
     add("mount_yaw_scale_error", float(np.median(scale_error)), "ratio")
+    add("look_yaw_scale_error", float(np.sqrt(np.mean(looks**2))), "ratio")
+    add("look_yaw_scale_error_max", float(np.abs(looks).max()), "ratio")
     if arguments.json:
         print(json.dumps(rows, indent=1))
         return

@@ -23,6 +23,7 @@ VirtualScan = Literal["smoothed", "copy", "visible"]
 Foresight = Literal["none", "holdout"]
 Criterion = Literal["displacement", "eq3", "nn"]
 Feature = Literal["normals", "variation"]
+Bend = Literal["contour", "silhouette"]
 Closing = Literal["none", "hidden"]
 When = Literal["never", "closed"]
 Misfits = Literal["keep", "drop"]
@@ -248,6 +249,9 @@ class PlanningConfig:
     the predictor that wins a hold-out on the scan itself."""
     foresight_sigma: float = 0.03
     """A prediction with a larger hold-out error is not used [m]; a few per cent of the standoff."""
+    bend: Bend = "contour"
+    """How the surface goes on where the target ends in view: as curved as its contour, or, since
+    that end is a silhouette, by a right angle."""
     closing: Closing = "none"
     """Whether views are added when the contour is done: none, or where niches and gaps hide
     more."""

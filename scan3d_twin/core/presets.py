@@ -18,6 +18,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "planning": {
             "calibration": 3.0,
             "checks": 6,
+            "bend": "silhouette",
             "closing": "hidden",
             "quantile": 0.8,
             "lambda": 0.005,

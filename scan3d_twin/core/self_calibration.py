@@ -71,8 +71,8 @@ TOLERABLE = np.array([0.008, math.radians(0.7), math.radians(0.7), 0.03, 0.05])
 SURE = 3.0
 """... nor is one that is off by less than so many standard errors."""
 REPEATS = 0.002
-"""By how much the yaw scale of a sweep differs from that of a look around, one standard deviation;
-by benchmarks/mount.py."""
+"""By how much the yaw scale of a sweep may differ from that of a look around, one standard
+deviation; three times the 0.0006 that benchmarks/mount.py finds in three_boxes."""
 SEAM = math.radians(20.0)
 """Of either end of a full turn, compared to begin with [rad]."""
 

@@ -22,6 +22,8 @@ REACH = 6
 """Lines over which the direction of the surface is taken at the contour's end."""
 CORNER = math.radians(30.0)
 """A surface that bends by more than this has turned a corner."""
+STRAIGHT = math.radians(5.0)
+"""A contour whose two halves differ by less than this is straight: noise alone makes 1 or 2 deg."""
 BEND = math.radians(90.0)
 """By how much a surface that ends in view turns out of sight: it ends as a silhouette, whether at
 an edge, behind which faces mostly stand at right angles, or along a curve."""
@@ -192,13 +194,19 @@ def foreseen_segment(contour: Contour, n_Q: int, S1: float, following: FloatArra
 
 
 def next_segment(
-    contour: Contour, n_Q: int, S1: float, beyond: FloatArray | None, *, ends: bool
+    contour: Contour,
+    n_Q: int,
+    S1: float,
+    beyond: FloatArray | None,
+    *,
+    ends: bool,
+    bend: float = BEND,
 ) -> Segment:
     """Return the segment that begins where Q begins and is as wide as S1 (Fig. 8).
 
     Its outward normal is the mean over the segment: that of Q on the part that is known, and what
     is expected beyond. Where the target ``ends``, the surface goes on around it out of sight, and
-    the view turns by the hidden part's share of ``BEND``.
+    the view turns by the hidden part's share of the ``bend`` expected there.
 
     Args:
         contour: Of the current target scan P.
@@ -206,13 +214,14 @@ def next_segment(
         S1: Width of the segment that a sweep covers [m]; of a target that ends, at most its own.
         beyond: Outward unit normal expected beyond the end (2,); None to go on as Q lies.
         ends: Whether the target ends at the last line, so that what follows is hidden.
+        bend: By how much the surface bends over the next width where the target ends [rad].
     """
     first = len(contour.points) - n_Q
     width = min(contour.width, S1) if ends else S1
     known = min(1.0, (contour.width - float(contour.arc[first])) / max(width, 1e-9))
     normal_known = contour.normal(first)
     if ends:
-        turn = Pose2(0.0, 0.0, (1.0 - known) * BEND)
+        turn = Pose2(0.0, 0.0, (1.0 - known) * bend)
         normal, onwards = turn.rotate(HERE), -normal_known
     else:
         expected = normal_known if beyond is None else beyond
@@ -220,6 +229,16 @@ def next_segment(
         onwards = -clockwise(expected)
     middle = _along(contour, first, onwards, width / 2)
     return Segment(middle, limit(normal, normal_known, MAX_INCIDENCE))
+
+
+def contour_bend(contour: Contour) -> float:
+    """Return the angle [rad] by which a contour bends over its next width if it goes on as it is.
+
+    A curved contour as curved as it is; a straight one by a right angle.
+    """
+    middle = int(np.searchsorted(contour.arc, contour.width / 2))
+    bend = angle_between(contour.normal(0, middle), contour.normal(middle))
+    return min(2 * bend, BEND) if bend > STRAIGHT else BEND
 
 
 def first_segment(contour: Contour, width: float, *, from_left: bool) -> Segment:

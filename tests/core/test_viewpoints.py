@@ -14,6 +14,7 @@ from scan3d_twin.core.viewpoints import (
     MAX_INCIDENCE,
     angle_between,
     bends_after,
+    contour_bend,
     contour_of,
     ends_in_view,
     first_segment,
@@ -87,6 +88,14 @@ def test_where_the_target_ends_the_view_turns_around_it() -> None:
 def test_q_is_never_left_at_a_flat_angle() -> None:
     viewpoint = next_segment(trace(flat(41, 0.4)), 2, 1.0, None, ends=True).viewpoint(1.0)
     assert viewpoint.yaw == pytest.approx(MAX_INCIDENCE, abs=1e-6)
+
+
+def test_a_curved_body_is_followed_as_it_curves() -> None:
+    angles = np.radians(np.linspace(20.0, -20.0, 21))
+    arc = np.column_stack([1.15 - 0.15 * np.cos(angles), 0.15 * np.sin(angles)])
+    contour = trace(arc)
+    segment = next_segment(contour, 10, 1.0, None, ends=True, bend=contour_bend(contour))
+    assert math.degrees(segment.viewpoint(1.0).yaw) == pytest.approx(0.5 * 40.0, abs=4.0)
 
 
 def test_waves_on_a_face_do_not_hide_that_it_ends() -> None:

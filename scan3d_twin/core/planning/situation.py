@@ -17,11 +17,13 @@ from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.smoothing import smooth
 from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2, RangeImage, Scan3D, wrap
 from scan3d_twin.core.viewpoints import (
+    BEND,
     FRONT_SIDE,
     HERE,
     Contour,
     angle_between,
     bends_after,
+    contour_bend,
     contour_of,
     ends_in_view,
     foreseen_segment,
@@ -167,7 +169,8 @@ class Situation:
         if self.foreseen is not None and not self.ends:
             segment = foreseen_segment(self.contour, n_Q, S1, self.foreseen.points)
         else:
-            segment = next_segment(self.contour, n_Q, S1, beyond, ends=self.ends)
+            bend = contour_bend(self.contour) if config.planning.bend == "contour" else BEND
+            segment = next_segment(self.contour, n_Q, S1, beyond, ends=self.ends, bend=bend)
         if config.tour == "front":
             segment = replace(segment, normal=limit(segment.normal, self._front, FRONT_SIDE))
         viewpoint, wanted = place(segment, config, self.feasible)
