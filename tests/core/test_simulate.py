@@ -125,7 +125,7 @@ def test_yaw_errors_move_whole_lines(wall: Session) -> None:
 def test_the_little_noise_left_in_the_planes_does_not_look_like_features(wall: Session) -> None:
     surface = surface_of(wall)
     table = surface.here
-    ours = table.normals[table.met & table.keep][:, 1]
+    ours = table.normals[table.keep[table.met]][:, 1]
     fitted = surface.grid.rows[:, N][:, 1]
     assert np.std(ours) < 0.5 * np.std(fitted)
 

@@ -99,24 +99,21 @@ class Planes:
 
     Attributes:
         image: Its lines and beams; the ranges do not count.
-        points: On each plane, in the frame of the image (n_lines, n_beams, 3) [m].
-        normals: Unit normals (n_lines, n_beams, 3); 0 where there is no plane.
+        met: Readings that meet a plane (n_lines, n_beams), k of them.
+        normals: Unit normals of these planes, in the frame of the image (k, 3).
+        offsets: Their distances from its origin along the normals (k,) [m].
         keep: Readings that registration may use (n_lines, n_beams).
         on_target: Readings of the target (n_lines, n_beams).
         empty: Readings that are known to return nothing (n_lines, n_beams).
     """
 
     image: RangeImage
-    points: FloatArray
+    met: BoolArray
     normals: FloatArray
+    offsets: FloatArray
     keep: BoolArray
     on_target: BoolArray
     empty: BoolArray
-
-    @cached_property
-    def met(self) -> BoolArray:
-        """Readings that meet a plane (n_lines, n_beams)."""
-        return np.asarray(np.any(self.normals != 0.0, axis=-1))
 
     def read(self, noise: DrawnNoise, rng: np.random.Generator) -> SurfelGrid:
         """Return the surfels of one noisy sweep.
@@ -137,22 +134,19 @@ class Planes:
 
     def ranges(self, image: RangeImage) -> FloatArray:
         """Return where the rays of ``image`` meet the planes (n_lines, n_beams) [m], or NaN."""
-        met, (n, offset) = self.met, self._planes
-        yaws, beam = image.yaws[met], np.nonzero(met)[1]
-        c, s = np.cos(yaws), np.sin(yaws)
-        ahead, left, up = c * n[:, 0] + s * n[:, 1], c * n[:, 1] - s * n[:, 0], n[:, 2]
-        t, x, y, z = image.T_base_lidar[:3, 3], *_beams(image)[beam].T
-        ranges = np.full(met.shape, np.nan)
+        ranges, n = np.full(self.met.shape, np.nan), self.normals
+        eyes, rays = _eyes_and_rays(image, self.met)
         with np.errstate(invalid="ignore", divide="ignore"):
-            ranges[met] = offset - (ahead * t[0] + left * t[1] + up * t[2])
-            ranges[met] /= ahead * x + left * y + up * z
+            ranges[self.met] = (self.offsets - np.sum(n * eyes, axis=1)) / np.sum(n * rays, axis=1)
         return ranges
 
-    @cached_property
-    def _planes(self) -> tuple[FloatArray, FloatArray]:
-        """Normals (k, 3) of the planes that are met, and their distances from the origin (k,)."""
-        normals = self.normals[self.met]
-        return normals, np.asarray(np.sum(normals * self.points[self.met], axis=1))
+    def where(self, kept: BoolArray) -> Planes:
+        """Return those of the planes that are ``kept`` (k,)."""
+        met = self.met.copy()
+        met[self.met] = kept
+        normals, offsets = self.normals[kept], self.offsets[kept]
+        keep, on_target = self.keep & met, self.on_target & met
+        return Planes(self.image, met, normals, offsets, keep, on_target, self.empty)
 
 
 def _beams(image: RangeImage) -> FloatArray:
@@ -161,12 +155,15 @@ def _beams(image: RangeImage) -> FloatArray:
     return np.asarray(np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2])
 
 
-def _eyes(image: RangeImage) -> FloatArray:
-    """Return where the lidar was at each reading (n_lines, n_beams, 3) [m]."""
-    lever = image.T_base_lidar[:3, 3]
-    c, s = np.cos(image.yaws), np.sin(image.yaws)
-    z = np.full_like(c, lever[2])
-    return np.stack([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1], z], axis=-1)
+def _eyes_and_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return eyes and directions (k, 3) of the readings ``where`` (n_lines, n_beams) is True."""
+    yaws, beam = image.yaws[where], np.nonzero(where)[1]
+    c, s = np.cos(yaws), np.sin(yaws)
+
+    def turned(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        return np.stack([c * x - s * y, s * x + c * y, np.broadcast_to(z, c.shape)], axis=1)
+
+    return turned(*image.T_base_lidar[:3, 3]), turned(*_beams(image)[beam].T)
 
 
 @dataclass(frozen=True)
@@ -185,14 +182,15 @@ class Surface:
     half: float
     most: float
 
-    @property
+    @cached_property
     def here(self) -> Planes:
-        """What the latest view itself would read again; made anew, as it takes 10 MB."""
+        """What the latest view itself would read again."""
         image, (rows, there) = self.grid.image, self._planes
         empty = (self.grid.known == EMPTY).reshape(there.shape)
-        points, normals = np.zeros((*there.shape, 3)), np.zeros((*there.shape, 3))
-        points[there], normals[there] = rows[:, X], rows[:, N]
-        return Planes(image, points, normals, self._in_scope, self.on_target, empty)
+        offsets = np.sum(rows[:, N] * rows[:, X], axis=1)
+        return Planes(
+            image, there, rows[:, N], offsets, self._in_scope & there, self.on_target & there, empty
+        )
 
     def seen_from(self, viewpoint: Pose2) -> Planes:
         """Return what the sweep at ``viewpoint``, in the frame of the latest view, would read."""
@@ -205,16 +203,14 @@ class Surface:
         far_first = np.argsort(-seen.ranges)
         owner[sweep.cells(points)[0][far_first]] = far_first
         owner = _spread(owner.reshape(shape), seen.ranges)
-        found = owner >= 0
-        planes = Planes(
-            sweep.image,
-            points[owner],
-            np.where(found[..., None], normals[owner], 0.0),
-            found & scope[seen.index][owner],
-            found & on_target[seen.index][owner],
-            np.zeros(shape, dtype=bool),
-        )
-        planes = _trimmed(planes, seen.ranges[owner], self.grid.line_spacing)
+        met, keep = owner >= 0, np.zeros((2, *shape), dtype=bool)
+        own = owner[met]
+        points, normals = points[own], normals[own]
+        for flags, each in zip(keep, (scope, on_target), strict=True):
+            flags[met] = each[seen.index[own]]
+        offsets = np.sum(normals * points, axis=1)
+        planes = Planes(sweep.image, met, normals, offsets, keep[0], keep[1], ~met)
+        planes = planes.where(_near(planes, points, seen.ranges[own], self.grid.line_spacing))
         return replace(planes, empty=~planes.met & self._seen_through(viewpoint))
 
     @cached_property
@@ -254,11 +250,13 @@ class Surface:
         """Tell which rays from ``viewpoint`` the latest view saw to be free all along."""
         image, grid = self._sweep.image, self.grid
         at = np.s_[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE]
-        eyes, rays = _eyes(image)[at], image.directions[at]
-        free = np.ones(rays.shape[:2], dtype=bool)
+        chosen = np.zeros(image.ranges.shape, dtype=bool)
+        chosen[at] = True
+        eyes, rays = _eyes_and_rays(image, chosen)
+        free = np.ones(image.ranges[at].shape, dtype=bool)
         known, row_of = grid.known, grid.index.reshape(-1)
         for way in np.linspace(0.5, self.most, STEPS):
-            places = viewpoint.apply((eyes + way * rays).reshape(-1, 3))
+            places = viewpoint.apply(eyes + way * rays)
             index = grid.projection.lookup(places, known)
             rows = grid.rows[row_of[index]]
             before = np.sum(rows[:, N] * (places - rows[:, X]), axis=1) > FREE_MARGIN
@@ -283,23 +281,19 @@ def _spread(owner: IntArray, ranges: FloatArray) -> IntArray:
     return owner
 
 
-def _trimmed(planes: Planes, ranges: FloatArray, spacing: float) -> Planes:
-    """Return ``planes`` without readings that meet theirs far from where it was seen.
+def _near(planes: Planes, points: FloatArray, ranges: FloatArray, spacing: float) -> BoolArray:
+    """Tell which readings meet their plane near to where it was seen (k,).
 
     Args:
         planes: Of the sweep to come.
-        ranges: Of the point of each reading's plane (n_lines, n_beams) [m].
+        points: At which each of them was seen (k, 3) [m].
+        ranges: Of these points (k,) [m].
         spacing: Of the lines [rad].
     """
-    met, rays = planes.ranges(planes.image), planes.image.directions
-    off = _eyes(planes.image) + met[..., None] * rays - planes.points
-    across = off - np.sum(off * rays, axis=-1, keepdims=True) * rays
+    eyes, rays = _eyes_and_rays(planes.image, planes.met)
+    met = planes.ranges(planes.image)[planes.met]
+    off = eyes + met[:, None] * rays - points
+    across = off - np.sum(off * rays, axis=1, keepdims=True) * rays
     with np.errstate(invalid="ignore"):
-        near = np.sqrt(np.sum(across**2, axis=-1)) < FOOTPRINT * ROUNDS * spacing * ranges
-        near &= met > 0
-    return replace(
-        planes,
-        normals=np.where(near[..., None], planes.normals, 0.0),
-        keep=planes.keep & near,
-        on_target=planes.on_target & near,
-    )
+        near = np.sqrt(np.sum(across**2, axis=1)) < FOOTPRINT * ROUNDS * spacing * ranges
+        return np.asarray(near & (met > 0))

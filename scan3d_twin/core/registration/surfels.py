@@ -33,8 +33,8 @@ X, N, VARIANCE, NORMAL_VARIANCE = np.s_[0:3], np.s_[3:6], 6, 7
 variance of one reading along the normal by range noise [m2], that of the normal [rad2]."""
 MOMENTS = 11
 """Channels of the summed-area table: x x^T (6), x q (3), q^2, 1."""
-AT_ONCE = 24
-"""Lines that are fitted at once: some 15 MB, for robots with little memory."""
+AT_ONCE = 12
+"""Lines that are fitted at once: some 8 MB, for robots with little memory."""
 UNKNOWN, EMPTY, SURFACE = 0, 1, 2
 """What a reading says of its ray."""
 HOLE = 2
