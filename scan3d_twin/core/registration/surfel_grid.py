@@ -117,6 +117,8 @@ class SurfelGrid:
         first = stride // 2
         index = self.index[first::stride, first::stride]
         line, beam = np.nonzero(index >= 0)
+        if stride == 1:
+            return Sample(self.rows, self.yaws, np.ascontiguousarray(line), stride)
         chosen = index[line, beam]
         return Sample(self.rows[chosen], self.yaws[chosen], line * stride + first, stride)
 
