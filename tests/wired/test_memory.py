@@ -28,18 +28,28 @@ baselines.fixed_overlap = 0.85
 """
 
 
-@pytest.mark.timeout(300)
-def test_twenty_views_stay_under_200_mb(tmp_path):
-    with open_sim("sine_box", 0) as (robot, _):
+def digitised(folder, options):
+    """Return the report of a run of the drivers alone on `three_boxes`, and what they imported."""
+    with open_sim("three_boxes", 0) as (robot, _):
         clock = Unhindered(robot.clock)
         base, lidar = CreateEmulator(robot.base), UrgEmulator(robot.lidar)
         wires = {"base": Wire(base, clock), "lidar": Wire(lidar, clock)}
-        options = (QUICK + TWENTY).strip().splitlines()
-        with far_drivers(wires, clock, tmp_path / "run", options) as ended:
+        with far_drivers(wires, clock, folder, options.strip().splitlines()) as ended:
             assert ended.returncode == 0, ended.stderr
-    report = json.loads(ended.stdout)
+    return json.loads(ended.stdout), ended.stderr.splitlines()[-1]
+
+
+@pytest.mark.timeout(300)
+def test_twenty_views_stay_under_200_mb(tmp_path):
+    report, loaded = digitised(tmp_path / "run", QUICK + TWENTY)
     assert report["views"] == 20
     assert report["peak_memory_mb"] < 200
-    loaded = ended.stderr.splitlines()[-1]
     assert "numpy" in loaded
     assert not [name for name in HEAVY if name in loaded]
+
+
+@pytest.mark.timeout(300)
+def test_sweeps_as_fine_as_usual_and_their_plans_stay_under_200_mb(tmp_path):
+    report, _ = digitised(tmp_path / "run", "max_views = 2")
+    assert report["views"] == 2
+    assert report["peak_memory_mb"] < 200
