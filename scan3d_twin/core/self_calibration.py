@@ -47,8 +47,8 @@ MIN_SEAM = 8
 KNOWN = 0.3
 """A value is known when its standard error is below this share of the prior's."""
 STRIDE = 3
-"""Every so manieth line and beam. Windows of surfels overlap a little then; every fifth, which would
-make them independent, finds the lateral offset to 10 % in 3 robots of 10, every third in 8."""
+"""Every so manieth line and beam. Windows of surfels overlap a little then; every fifth, which
+would make them independent, finds the lateral offset to 10 % in 3 robots of 10, this one in 8."""
 NEAREST = 0.30
 """Readings nearer to the lidar than this may be the robot itself [m]."""
 UNEVEN = 0.003
