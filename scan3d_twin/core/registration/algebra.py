@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from scan3d_twin.core.registration.point_to_plane import Equations
-from scan3d_twin.core.types import FloatArray, IntArray
+from scan3d_twin.core.types import FloatArray
 
 SIGNAL = 2.0
 """A direction is determined when its information is this many times what noise fakes of it."""
@@ -18,7 +18,15 @@ UNKNOWN = 1e-9
 """Share of the largest information below which a direction is taken as unknown."""
 
 
-def block(M: FloatArray, rows: IntArray) -> FloatArray:
+def picked(v: FloatArray, rows: tuple[int, ...]) -> FloatArray:
+    """Return these entries of a vector (k,)."""
+    result = np.empty(len(rows))
+    for i in range(len(rows)):
+        result[i] = v[rows[i]]
+    return result
+
+
+def block(M: FloatArray, rows: tuple[int, ...]) -> FloatArray:
     """Return these rows and columns of a matrix (k, k)."""
     result = np.empty((len(rows), len(rows)))
     for i in range(len(rows)):

@@ -27,6 +27,7 @@ from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.algebra import (
     block,
     determined,
+    picked,
     inverse,
     projected,
     without_scale,
@@ -51,7 +52,7 @@ from scan3d_twin.core.registration.pose_prior import (
 from scan3d_twin.core.registration.scan_arrays import Sample, Target
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.registration.surfels import X
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RegistrationResult, read_only
+from scan3d_twin.core.types import BoolArray, FloatArray, RegistrationResult, read_only
 
 Dof = Literal["planar", "se3"]
 MIN_PAIRS = 12
@@ -75,8 +76,8 @@ class Criteria(NamedTuple):
     """When the iteration ends, and the widest gate."""
 
     max_iterations: int = 30
-    translation_epsilon: float = 2e-5
-    rotation_epsilon: float = 2e-5
+    translation_epsilon: float = 1e-4
+    rotation_epsilon: float = 1e-4
     max_correspondence_distance: float = 0.10
 
 
@@ -110,13 +111,13 @@ class Prior(NamedTuple):
     Attributes:
         mean: Of ``T_target_source`` (4, 4).
         information: On the estimated entries of x y z rx ry rz (k, k); 0 when nothing is known.
-        rows: These entries (k,).
+        rows: These entries, k of them.
         yaw_scale: Information of the common relative error of the yaws; infinite when exact.
     """
 
     mean: FloatArray
     information: FloatArray
-    rows: IntArray
+    rows: tuple[int, ...]
     yaw_scale: float
 
 
@@ -195,7 +196,7 @@ class Problem:
         if self.prior is not None:
             mean, information = np.array(self.prior.T), self.prior.information(self.dims)
         yaw_scale = 1.0 / sigma**2 if sigma > 0 else math.inf
-        return Prior(mean, information, np.array(self.dims), yaw_scale)
+        return Prior(mean, information, self.dims, yaw_scale)
 
     @cached_property
     def stride(self) -> int:
@@ -321,8 +322,8 @@ def solve(scans: Scans, prior: Prior, state: State, sample: Sample, gate: Gate) 
         scans.target_edges, scans.source_edges, state.T, gate.distance, EDGE_ROBUST * gate.robust
     )
     H_edges = block(H_edges, rows)
-    off = deviation(state.T, prior.mean)[rows]
-    right = kept @ g + g_edges[rows] + beforehand @ off
+    off = picked(deviation(state.T, prior.mean), rows)
+    right = kept @ g + picked(g_edges, rows) + beforehand @ off
     left = projected(kept, H) + H_edges + beforehand
     small = -(inverse(left, beforehand) @ right)
     step, scale_step = np.zeros(6), per_step[k]
@@ -336,14 +337,14 @@ def solve(scans: Scans, prior: Prior, state: State, sample: Sample, gate: Gate) 
 def report(problem: Problem, outcome: Outcome, ambiguity_gap: float) -> RegistrationResult:
     """Return the result for the last state, with covariances about the target's origin."""
     state, solution, prior = outcome.state, outcome.solution, problem.beforehand
-    rows, equations = problem.source.sample(problem.stride).rows, solution.equations
-    entries = prior.rows[:, None], prior.rows[None, :]
+    surfels, equations = problem.source.sample(problem.stride).rows, solution.equations
+    rows, cells = list(prior.rows), np.ix_(prior.rows, prior.rows)
     covariance, information = np.zeros((6, 6)), np.zeros((6, 6))
-    covariance[entries] = inverse(solution.information, prior.information)
-    information[entries] = solution.information
+    covariance[cells] = inverse(solution.information, prior.information)
+    information[cells] = solution.information
     free = solution.dropped[_without_edges(solution, prior)]
     degenerate = np.zeros((len(free), 6))
-    degenerate[:, prior.rows] = free
+    degenerate[:, rows] = free
     shift = about_target(state.T)
     back = 2.0 * np.eye(6) - shift
     return RegistrationResult(
@@ -352,7 +353,7 @@ def report(problem: Problem, outcome: Outcome, ambiguity_gap: float) -> Registra
         information=read_only(back.T @ information @ back),
         fitness=equations.pairs / outcome.surfels,
         inlier_rmse=math.sqrt(equations.square / equations.pairs),
-        predicted_rmse=spread(rows[:, X] @ state.T[:3, :3].T, covariance),
+        predicted_rmse=spread(surfels[:, X] @ state.T[:3, :3].T, covariance),
         num_inliers=equations.pairs,
         iterations=outcome.iterations,
         converged=outcome.settled,

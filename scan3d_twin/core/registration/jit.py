@@ -11,6 +11,8 @@ from numba.extending import overload
 OPTIONS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy"}
 
 jit = njit(cache=True, **OPTIONS)
+inlined = njit(cache=True, forceinline=True, **OPTIONS)
+"""For functions that loops in wide registers call: LLVM leaves long ones out of line."""
 
 
 def as_written(function: Callable[..., Any]) -> None:

@@ -18,7 +18,7 @@ __all__ = (
 
 for function in (
     pose_prior.deviation, pose_prior.displaced, pose_prior.exp_so3, pose_prior.log_so3,
-    algebra.block, algebra.determined, algebra.inverse, algebra.projected, algebra.quadratic,
+    algebra.block, algebra.determined, algebra.inverse, algebra.picked, algebra.projected, algebra.quadratic,
     algebra.without_scale,
     gauss_newton.apart, gauss_newton.length, gauss_newton.new_basin, gauss_newton.solve,
     gauss_newton.tightened,

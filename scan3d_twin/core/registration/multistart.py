@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.registration.algebra import picked
 from scan3d_twin.core.registration.free_space import contradiction
 from scan3d_twin.core.registration.gauss_newton import (
     SAME_BASIN,
@@ -171,5 +172,5 @@ def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
 def _unlikelihood(problem: Problem, pose: FloatArray) -> float:
     """Return the squared Mahalanobis distance of a pose from the prior's mean."""
     prior = problem.beforehand
-    off = deviation(pose, prior.mean)[prior.rows]
+    off = picked(deviation(pose, prior.mean), prior.rows)
     return float(off @ prior.information @ off)

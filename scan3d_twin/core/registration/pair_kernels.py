@@ -10,58 +10,87 @@ import math
 import numpy as np
 
 from scan3d_twin.core.registration import point_to_plane
+from scan3d_twin.core.registration.algebra import block
 from scan3d_twin.core.registration.free_space import MARGIN, SIGMAS
-from scan3d_twin.core.registration.jit import jit, twin_of
+from scan3d_twin.core.registration.jit import inlined, jit, twin_of
 from scan3d_twin.core.registration.point_to_plane import (
     MIN_NORMAL_COSINE,
     MOST_ALONG_RAY,
     MOST_LINES,
     Equations,
 )
-from scan3d_twin.core.registration.projection import CELLS
+from scan3d_twin.core.registration.projection import CELLS, QUARTER
 from scan3d_twin.core.registration.surfels import EMPTY, UNKNOWN
 
 
-@jit
-def _cell(c, s):  # type: ignore[no-untyped-def]
-    way = s / (abs(c) + abs(s) + 1e-300)
-    around = 2.0 - way if c < 0 else (4.0 + way if s < 0 else way)
-    return int(around * (CELLS / 4)) & (CELLS - 1)
+CHUNK = 256
+"""Surfels that are taken at once: enough for wide registers, few enough for the fastest cache."""
+
+
+@inlined
+def _around(c, s):  # type: ignore[no-untyped-def]
+    """See ``projection.around``."""
+    shrunk = 1.0 / (abs(c) + abs(s) + 1e-9)
+    way = s * shrunk
+    way = 2.0 - way if c < 0 else (4.0 + way if s < 0 else way)
+    return QUARTER * way, QUARTER * (c * c + s * s) * shrunk * shrunk
+
+
+@inlined
+def _ways(x, y, z, sign, mount):  # type: ignore[no-untyped-def]
+    """Return elevation and yaw under which a point is seen, ahead (1) or behind (-1), and the rate.
+
+    All three in entries of the tables, as ``projection.around`` has them.
+    """
+    cos_kappa, sin_kappa, a, k_t, k_z, t_x, t_y, t_z, x_x, x_y, x_z, z_x, z_y, z_z = mount
+    rho = max(math.sqrt(x * x + y * y), 1e-9)
+    sine = min(1.0, max(-1.0, (k_t - k_z * z) / (a * rho)))
+    cosine = sign * math.sqrt(1.0 - sine * sine)
+    c, s = cos_kappa * cosine - sin_kappa * sine, sin_kappa * cosine + cos_kappa * sine
+    forward, left, up = rho * c - t_x, rho * s - t_y, z - t_z
+    elevation, _ = _around(
+        forward * x_x + left * x_y + up * x_z, forward * z_x + left * z_y + up * z_z
+    )
+    yaw, rate = _around(x * c + y * s, y * c - x * s)
+    return elevation, yaw, rate
+
+
+@inlined
+def _reading(elevation, yaw, rate, lines, beams, offsets, n_beams):  # type: ignore[no-untyped-def]
+    """Return the flat index of the reading at these entries of the tables, or -1; no branches."""
+    beam = beams[int(elevation) & (CELLS - 1)]
+    line = lines[int(yaw) & (CELLS - 1)]
+    turn = offsets[max(line, 0) * n_beams + max(beam, 0)]
+    line = lines[int(yaw - turn * rate + CELLS) & (CELLS - 1)]
+    return line * n_beams + beam if (line >= 0) & (beam >= 0) else -1
 
 
 @jit
 def _branch(x, y, z, sign, lines, beams, offsets, mount):  # type: ignore[no-untyped-def]
     """Return the flat index of the reading that sees a point, ahead (1) or behind (-1), or -1."""
-    rho = max(math.sqrt(x * x + y * y), 1e-9)
-    sine = min(1.0, max(-1.0, (mount[3] - mount[4] * z) / (mount[2] * rho)))
-    cosine = sign * math.sqrt(1.0 - sine * sine)
-    c, s = mount[0] * cosine - mount[1] * sine, mount[1] * cosine + mount[0] * sine
-    forward, left, up = rho * c - mount[5], rho * s - mount[6], z - mount[7]
-    beam = beams[
-        _cell(
-            forward * mount[8] + left * mount[9] + up * mount[10],
-            forward * mount[11] + left * mount[12] + up * mount[13],
-        )
-    ]
-    if beam < 0:
-        return -1
-    cos_yaw, sin_yaw = x * c + y * s, y * c - x * s
-    line = lines[_cell(cos_yaw, sin_yaw)]
-    turn = offsets[line, beam]
-    if turn != 0.0:
-        line = lines[_cell(cos_yaw + turn * sin_yaw, sin_yaw - turn * cos_yaw)]
-    return line * offsets.shape[1] + beam if line >= 0 else -1
+    elevation, yaw, rate = _ways(x, y, z, sign, mount)
+    n_beams = offsets.shape[1]
+    return _reading(elevation, yaw, rate, lines, beams, offsets.reshape(-1), n_beams)
+
+
+@jit
+def _scalars(mount):  # type: ignore[no-untyped-def]
+    """Return the numbers of a mount, which loops over arrays would read anew for each point."""
+    return (
+        mount[0], mount[1], mount[2], mount[3], mount[4], mount[5], mount[6], mount[7], mount[8],
+        mount[9], mount[10], mount[11], mount[12], mount[13],
+    )  # fmt: skip
 
 
 @jit
 def lookup(projection, points, seen):  # type: ignore[no-untyped-def]
     """See ``projection.lookup``."""
-    lines, beams, offsets, mount = projection
-    found = np.empty(len(points), np.int64)
+    lines, beams, offsets, mount, backwards = projection
+    mount, found = _scalars(mount), np.empty(len(points), np.int64)
     for m in range(len(points)):
         x, y, z = points[m, 0], points[m, 1], points[m, 2]
         found[m] = _branch(x, y, z, 1.0, lines, beams, offsets, mount)
-        if found[m] < 0 or not seen[found[m]]:
+        if backwards and (found[m] < 0 or not seen[found[m]]):
             behind = _branch(x, y, z, -1.0, lines, beams, offsets, mount)
             if behind >= 0 and seen[behind]:
                 found[m] = behind
@@ -70,87 +99,185 @@ def lookup(projection, points, seen):  # type: ignore[no-untyped-def]
 
 @twin_of(point_to_plane.normal_equations)
 def normal_equations(target, sample, T, scale, gate, both, entries):  # type: ignore[no-untyped-def]
-    """See ``point_to_plane.normal_equations``."""
-    table, yaws, row_of, (lines, beams, offsets, mount) = target
+    """See ``point_to_plane.normal_equations``; the loops over a chunk run in wide registers."""
+    table, yaws, row_of, (lines, beams, offsets, mount, backwards) = target
     rows, source_yaws, source_lines, stride = sample
-    jitter, target_jitter, density, share, tilt = both
-    area, distance, robust = float(stride * stride), gate.distance, gate.robust
-    c2, farthest = robust * robust, (MOST_ALONG_RAY * distance) ** 2
+    jittery, area = both.jitter > 0 or both.target_jitter > 0, float(stride * stride)
     size = len(entries) + 1
     H, lost, faked = np.zeros((size, size)), np.zeros((size, size)), np.zeros((6, 6))
-    b, first, second = np.zeros(size), np.zeros(3), np.zeros((3, 3))
-    whole, J, a, h = np.empty(6), np.empty(size), np.empty(3), np.zeros(size + 2)
-    weight, square, pairs, line = 0.0, 0.0, 0, -1
-    for m in range(len(rows)):
-        sx, sy, sz = rows[m, 0], rows[m, 1], rows[m, 2]
-        ax = T[0, 0] * sx + T[0, 1] * sy + T[0, 2] * sz
-        ay = T[1, 0] * sx + T[1, 1] * sy + T[1, 2] * sz
-        az = T[2, 0] * sx + T[2, 1] * sy + T[2, 2] * sz
-        x, y, z = ax + T[0, 3], ay + T[1, 3], az + T[2, 3]
-        at = _branch(x, y, z, 1.0, lines, beams, offsets, mount)
-        if at < 0 or row_of[at] < 0:
-            at = _branch(x, y, z, -1.0, lines, beams, offsets, mount)
-            if at < 0 or row_of[at] < 0:
-                continue
-        at = row_of[at]
-        sx, sy, sz = rows[m, 3], rows[m, 4], rows[m, 5]
-        nx = T[0, 0] * sx + T[0, 1] * sy + T[0, 2] * sz
-        ny = T[1, 0] * sx + T[1, 1] * sy + T[1, 2] * sz
-        nz = T[2, 0] * sx + T[2, 1] * sy + T[2, 2] * sz
-        if nx * table[at, 3] + ny * table[at, 4] + nz * table[at, 5] <= MIN_NORMAL_COSINE:
-            continue
-        nx, ny, nz = nx + table[at, 3], ny + table[at, 4], nz + table[at, 5]
-        norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
-        nx, ny, nz = nx * norm, ny * norm, nz * norm
-        qx, qy, qz = table[at, 0], table[at, 1], table[at, 2]
-        ux, uy, uz = x - qx, y - qy, z - qz
-        swing, turn = ny * ax - nx * ay, ny * qx - nx * qy
-        g = source_yaws[m] * swing - yaws[at] * turn
-        e = nx * ux + ny * uy + nz * uz + g * scale
-        if abs(e) >= distance or ux * ux + uy * uy + uz * uz >= farthest:
-            continue
-        variance, own = rows[m, 6] + table[at, 6], 0.0
-        if jitter > 0 or target_jitter > 0:
-            k = _lines_per_line(nx, ny, ax, ay, qx, qy, density)
-            own = math.sqrt(jitter * swing * swing + target_jitter * k * turn * turn)
-        w = share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
-        whole[0], whole[1], whole[2] = nx, ny, nz
-        whole[3], whole[4], whole[5] = ay * nz - az * ny, az * nx - ax * nz, swing
-        for i in range(size - 1):
-            J[i] = whole[entries[i]]
-        J[size - 1] = g
-        if own > 0:
-            if source_lines[m] != line:
-                _take_line(lost, b, h, area)
-                line = source_lines[m]
-            own = math.copysign(own, swing)
-            for i in range(size):
-                h[i] += w * own * J[i]
-            h[size] += w * own * e
-            h[size + 1] += w * own * own
-        nu = w * ((rows[m, 7] + table[at, 7]) / 4 + tilt)
-        for i in range(size):
-            b[i] += w * J[i] * e
-            for k in range(i + 1):
-                H[i, k] += w * J[i] * J[k]
-        for i in range(size - 1):
-            for k in range(i + 1):
-                faked[entries[i], entries[k]] -= nu * J[i] * J[k]
-        weight += nu
-        a[0], a[1], a[2] = ax, ay, az
-        for i in range(3):
-            first[i] += nu * a[i]
-            for k in range(i + 1):
-                second[i, k] += nu * a[i] * a[k]
-        pairs += 1
-        square += e * e
+    b, h, line, square, pairs = np.zeros(size), np.zeros(size + 2), -1, 0.0, 0
+    ways, at, met = np.empty((3, CHUNK)), np.empty(CHUNK, np.int64), np.empty((2, CHUNK), np.int64)
+    J, table, scalars = np.empty((14, CHUNK)), table.reshape(-1), _scalars(mount)
+    for first in range(0, len(rows), CHUNK):
+        chunk, own_yaws = rows[first : first + CHUNK], source_yaws[first : first + CHUNK]
+        _look(chunk.reshape(-1), len(chunk), T, scalars, ways)
+        _read(ways, len(chunk), row_of, lines, beams, offsets.reshape(-1), offsets.shape[1], at)
+        if backwards:
+            _look_back(chunk, T, row_of, lines, beams, offsets, scalars, at)
+        n = _meet(at, len(chunk), met)
+        found, off = _residuals(
+            chunk.reshape(-1), own_yaws, table, yaws, met, n, T, scale, gate, both, area, J
+        )  # fmt: skip
+        pairs += found
+        square += off
+        if jittery:
+            lines_of = source_lines[first : first + CHUNK]
+            line = _add_lines(J, n, met[0], lines_of, line, entries, area, lost, b, h)
+        _add(J, n, entries, H, b, faked)
     _take_line(lost, b, h, area)
-    _add_swung(faked, weight, first, second)
-    faked = _mirrored(faked)[entries][:, entries]
-    return Equations(_mirrored(H), _mirrored(lost), b, faked, pairs, square)
+    return Equations(
+        _mirrored(H), _mirrored(lost), b, block(_mirrored(faked), entries), pairs, square
+    )  # fmt: skip
 
 
 @jit
+def _look(rows, n, T, mount, ways):  # type: ignore[no-untyped-def]
+    """Write under which ``ways`` (3, n) surfels ``rows`` (8 n) moved by ``T`` are seen ahead."""
+    t_x, t_y, t_z = T[0, 3], T[1, 3], T[2, 3]
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = (
+        T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2],
+    )  # fmt: skip
+    for m in range(n):
+        x, y, z = rows[8 * m], rows[8 * m + 1], rows[8 * m + 2]
+        ways[0, m], ways[1, m], ways[2, m] = _ways(
+            xx * x + xy * y + xz * z + t_x, yx * x + yy * y + yz * z + t_y,
+            zx * x + zy * y + zz * z + t_z, 1.0, mount,
+        )  # fmt: skip
+
+
+@jit
+def _read(ways, n, row_of, lines, beams, offsets, n_beams, at):  # type: ignore[no-untyped-def]
+    """Write the target's surfels under ``ways`` (3, n) to ``at`` (n,), -1 where there is none."""
+    for m in range(n):
+        reading = _reading(ways[0, m], ways[1, m], ways[2, m], lines, beams, offsets, n_beams)
+        row = row_of[max(reading, 0)]
+        at[m] = row if reading >= 0 else -1
+
+
+@jit
+def _look_back(rows, T, row_of, lines, beams, offsets, mount, at):  # type: ignore[no-untyped-def]
+    """Write to ``at`` (n,) what is seen behind where nothing is ahead."""
+    for m in range(len(rows)):
+        if at[m] >= 0:
+            continue
+        sx, sy, sz = rows[m, 0], rows[m, 1], rows[m, 2]
+        x = T[0, 0] * sx + T[0, 1] * sy + T[0, 2] * sz + T[0, 3]
+        y = T[1, 0] * sx + T[1, 1] * sy + T[1, 2] * sz + T[1, 3]
+        z = T[2, 0] * sx + T[2, 1] * sy + T[2, 2] * sz + T[2, 3]
+        reading = _branch(x, y, z, -1.0, lines, beams, offsets, mount)
+        if reading >= 0:
+            at[m] = row_of[reading]
+
+
+@jit
+def _meet(at, n, met):  # type: ignore[no-untyped-def]
+    """Write the pairs (2, k), source then target, of ``at`` (n,); return how many there are."""
+    k = 0
+    for m in range(n):
+        met[0, k], met[1, k] = m, at[m]
+        k += at[m] >= 0
+    return k
+
+
+@jit
+def _residuals(rows, source_yaws, table, yaws, met, n, T, scale, gate, both, area, J):  # type: ignore[no-untyped-def]
+    """Write the pairs' derivatives (7), residuals, w, w nu, a (3) and c to ``J`` (14, n).
+
+    w is 0 where a pair does not count. Returns how many do, and the sum of their squares.
+    """
+    jitter, target_jitter, density, share, tilt = both
+    distance, c2 = gate.distance, gate.robust * gate.robust
+    farthest, pairs, square = (MOST_ALONG_RAY * distance) ** 2, 0.0, 0.0
+    t_x, t_y, t_z = T[0, 3], T[1, 3], T[2, 3]
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = (
+        T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2],
+    )  # fmt: skip
+    for k in range(n):
+        m, i, at = 8 * met[0, k], met[1, k], 8 * met[1, k]
+        sx, sy, sz = rows[m], rows[m + 1], rows[m + 2]
+        ax, ay = xx * sx + xy * sy + xz * sz, yx * sx + yy * sy + yz * sz
+        az = zx * sx + zy * sy + zz * sz
+        sx, sy, sz = rows[m + 3], rows[m + 4], rows[m + 5]
+        nx, ny = xx * sx + xy * sy + xz * sz, yx * sx + yy * sy + yz * sz
+        nz = zx * sx + zy * sy + zz * sz
+        cosine = nx * table[at + 3] + ny * table[at + 4] + nz * table[at + 5]
+        nx, ny, nz = nx + table[at + 3], ny + table[at + 4], nz + table[at + 5]
+        norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-18)
+        nx, ny, nz = nx * norm, ny * norm, nz * norm
+        qx, qy, qz = table[at], table[at + 1], table[at + 2]
+        ux, uy, uz = ax + t_x - qx, ay + t_y - qy, az + t_z - qz
+        swing, turn = ny * ax - nx * ay, ny * qx - nx * qy
+        g = source_yaws[met[0, k]] * swing - yaws[i] * turn
+        e = nx * ux + ny * uy + nz * uz + g * scale
+        variance = rows[m + 6] + table[at + 6]
+        lines = _lines_per_line(nx, ny, ax, ay, qx, qy, density)
+        own = math.sqrt(jitter * swing * swing + target_jitter * lines * turn * turn)
+        w = c2 / (c2 + e * e / (variance + own * own))
+        w = share * area / variance * w * w
+        good = (cosine > MIN_NORMAL_COSINE) & (abs(e) < distance)
+        good &= ux * ux + uy * uy + uz * uz < farthest
+        counts = 1.0 if good else 0.0
+        w *= counts
+        pairs += counts
+        square += counts * e * e
+        J[0, k], J[1, k], J[2, k] = nx, ny, nz
+        J[3, k], J[4, k], J[5, k] = ay * nz - az * ny, az * nx - ax * nz, swing
+        J[6, k], J[7, k], J[8, k] = g, e, w
+        J[9, k] = w * ((rows[m + 7] + table[at + 7]) / 4 + tilt)
+        J[10, k], J[11, k], J[12, k], J[13, k] = ax, ay, az, math.copysign(own, swing)
+    return int(pairs), square
+
+
+@jit
+def _add_lines(J, n, met, lines, line, entries, area, lost, b, h):  # type: ignore[no-untyped-def]
+    """Add to the sums of a line in ``h`` and take the lines before from ``b``; return the line."""
+    size = len(b)
+    for m in range(n):
+        if J[8, m] == 0.0:
+            continue
+        if lines[met[m]] != line:
+            _take_line(lost, b, h, area)
+            line = lines[met[m]]
+        weighted = J[8, m] * J[13, m]
+        for i in range(size - 1):
+            h[i] += weighted * J[entries[i], m]
+        h[size - 1] += weighted * J[6, m]
+        h[size] += weighted * J[7, m]
+        h[size + 1] += weighted * J[13, m]
+    return line
+
+
+@jit
+def _dot(a, b, c, n):  # type: ignore[no-untyped-def]
+    """Return the sum of a b c over arrays (n,)."""
+    total = 0.0
+    for m in range(n):
+        total += a[m] * b[m] * c[m]
+    return total
+
+
+@jit
+def _add(J, n, entries, H, b, faked):  # type: ignore[no-untyped-def]
+    """Add the pairs of ``_residuals`` to the lower triangles of the sums."""
+    size, e, w, nu = len(b), J[7], J[8], J[9]
+    for i in range(size):
+        column = J[entries[i]] if i < size - 1 else J[6]
+        b[i] += _dot(column, w, e, n)
+        for k in range(i + 1):
+            H[i, k] += _dot(column, w, J[entries[k]] if k < size - 1 else J[6], n)
+    for i in entries:
+        for k in entries:
+            if k <= i:
+                faked[i, k] -= _dot(J[i], nu, J[k], n)
+    first, second = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        first[i] = np.sum(nu[:n] * J[10 + i, :n])
+        for k in range(i + 1):
+            second[i, k] = _dot(J[10 + i], nu, J[10 + k], n)
+    _add_swung(faked, np.sum(nu[:n]), first, second)
+
+
+@inlined
 def _lines_per_line(nx, ny, ax, ay, qx, qy, density):  # type: ignore[no-untyped-def]
     """Return how many source lines cross the surface for each target line."""
     source = abs(nx * ax + ny * ay) * (qx * qx + qy * qy)
@@ -199,8 +326,8 @@ def _add_swung(lower, weight, first, second):  # type: ignore[no-untyped-def]
 @jit
 def violations(target, known, rows, T):  # type: ignore[no-untyped-def]
     """See ``free_space.violations``."""
-    table, _, row_of, (lines, beams, offsets, mount) = target
-    cost, seen = 0.0, 0
+    table, _, row_of, (lines, beams, offsets, mount, backwards) = target
+    mount, cost, seen = _scalars(mount), 0.0, 0
     for m in range(len(rows)):
         sx, sy, sz = rows[m, 0], rows[m, 1], rows[m, 2]
         x = T[0, 0] * sx + T[0, 1] * sy + T[0, 2] * sz + T[0, 3]
@@ -208,7 +335,7 @@ def violations(target, known, rows, T):  # type: ignore[no-untyped-def]
         z = T[2, 0] * sx + T[2, 1] * sy + T[2, 2] * sz + T[2, 3]
         at = _branch(x, y, z, 1.0, lines, beams, offsets, mount)
         if at < 0 or known[at] == UNKNOWN:
-            at = _branch(x, y, z, -1.0, lines, beams, offsets, mount)
+            at = _branch(x, y, z, -1.0, lines, beams, offsets, mount) if backwards else -1
             if at < 0 or known[at] == UNKNOWN:
                 continue
         seen += 1

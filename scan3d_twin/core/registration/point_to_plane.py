@@ -119,7 +119,7 @@ def linearise(
     """
     run = compiled("normal_equations") or normal_equations
     both, sample = weighting(target, source), source.sample(stride)
-    found = run(target.target, sample, np.array(T), scale, gate, both, np.arange(6))
+    found = run(target.target, sample, np.array(T), scale, gate, both, (0, 1, 2, 3, 4, 5))
     return Equations(*found)
 
 
@@ -130,7 +130,7 @@ def normal_equations(
     scale: float,
     gate: Gate,
     both: Weighting,
-    entries: IntArray,
+    entries: tuple[int, ...],
 ) -> Equations:
     """Return the normal equations; the method is at the module's head.
 
@@ -141,7 +141,7 @@ def normal_equations(
         scale: Relative error of the yaws of both sweeps.
         gate: Which pairs count.
         both: What the sweeps err by.
-        entries: Of x y z rx ry rz, those that are wanted (k,), ascending.
+        entries: Of x y z rx ry rz, those that are wanted, ascending.
     """
     rows, area = sample.rows, float(sample.stride**2)
     a, n_s = rows[:, X] @ T[:3, :3].T, rows[:, N] @ T[:3, :3].T
@@ -167,7 +167,7 @@ def normal_equations(
     own = np.sqrt(both.jitter * swing**2 + both.target_jitter * k * turn**2) * np.sign(swing)
     w = both.share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
     J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
-    J = J[:, np.append(entries, 6)]
+    J = J[:, (*entries, 6)]
     information, gradient = (J * w[:, None]).T @ J, J.T @ (w * e)
     lost = np.zeros_like(information)
     if both.jitter > 0 or both.target_jitter > 0:

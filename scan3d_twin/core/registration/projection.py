@@ -11,7 +11,7 @@ is seen ahead of the axis, the second over the zenith behind it. In the scan pla
 follows from the point relative to the lidar. Tables then give the nearest line and beam.
 
 No angle is computed: a direction (c, s) is looked up by how far round the square |c| + |s| = 1 it
-lies, which grows with its angle.
+lies, which grows with its angle, by (c^2 + s^2) / (|c| + |s|)^2 per radian.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from scan3d_twin.core.types import (
 
 CELLS = 16384
 """Entries of the tables over a full turn: 0.016 to 0.031 deg each."""
+QUARTER = CELLS / 4
 REACH = 0.75
 """A direction belongs to the nearest line or beam within this many spacings."""
 
@@ -50,12 +51,14 @@ class Projection(NamedTuple):
             line takes a tenth of a second, so that they stay small.
         mount: cos kappa, sin kappa, a, k . t, k_z, then t (3), x axis (3), z axis (3) of the lidar
             in ``base`` (14,).
+        backwards: Whether any beam looks back over the zenith or the nadir.
     """
 
     lines: SmallIntArray
     beams: SmallIntArray
     offsets: FloatArray
     mount: FloatArray
+    backwards: bool
 
     @staticmethod
     def of(image: RangeImage) -> Projection:
@@ -66,11 +69,13 @@ class Projection(NamedTuple):
         kappa = math.atan2(k[1], k[0]) - math.pi / 2
         a = max(math.hypot(k[0], k[1]), 1e-9)
         head = [math.cos(kappa), math.sin(kappa), a, float(k @ t), k[2]]
+        beams = _beams(np.ascontiguousarray(image.spec.elevations).tobytes())
         return Projection(
             _table(middle),
-            _beams(np.ascontiguousarray(image.spec.elevations).tobytes()),
+            beams,
             image.yaws - middle[:, None],
             np.concatenate([head, t, R[:, 0], R[:, 2]]),
+            bool(np.any(beams[CELLS // 4 : 3 * CELLS // 4] >= 0)),
         )
 
     def lookup(self, points: FloatArray, seen: npt.NDArray[Any]) -> IntArray:
@@ -90,6 +95,8 @@ class Projection(NamedTuple):
 def lookup(projection: Projection, points: FloatArray, seen: BoolArray) -> IntArray:
     """Return what ``Projection.lookup`` does."""
     found = _branch(projection, points, ahead=True)
+    if not projection.backwards:
+        return found
     missing = np.flatnonzero((found < 0) | ~seen[found])
     behind = _branch(projection, points[missing], ahead=False)
     better = (behind >= 0) & seen[behind]
@@ -98,7 +105,7 @@ def lookup(projection: Projection, points: FloatArray, seen: BoolArray) -> IntAr
 
 
 def _branch(projection: Projection, points: FloatArray, *, ahead: bool) -> IntArray:
-    lines, beams, offsets, mount = projection
+    lines, beams, offsets, mount, _ = projection
     cos_kappa, sin_kappa, a, k_t, k_z = mount[:5]
     t, x_axis, z_axis = mount[5:8], mount[8:11], mount[11:14]
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
@@ -109,25 +116,31 @@ def _branch(projection: Projection, points: FloatArray, *, ahead: bool) -> IntAr
         cosine = -cosine
     c, s = cos_kappa * cosine - sin_kappa * sine, sin_kappa * cosine + cos_kappa * sine
     forward, left, up = rho * c - t[0], rho * s - t[1], z - t[2]
-    beam = beams[
-        cell(
-            forward * x_axis[0] + left * x_axis[1] + up * x_axis[2],
-            forward * z_axis[0] + left * z_axis[1] + up * z_axis[2],
-        )
-    ]
-    cos_yaw, sin_yaw = x * c + y * s, y * c - x * s  # times rho
-    line = lines[cell(cos_yaw, sin_yaw)]
-    turn = offsets[line, beam]
-    line = lines[cell(cos_yaw + turn * sin_yaw, sin_yaw - turn * cos_yaw)]
+    elevation, _ = around(
+        forward * x_axis[0] + left * x_axis[1] + up * x_axis[2],
+        forward * z_axis[0] + left * z_axis[1] + up * z_axis[2],
+    )
+    beam = beams[_cells(elevation)]
+    yaw, rate = around(x * c + y * s, y * c - x * s)
+    line = lines[_cells(yaw)]
+    line = lines[_cells(yaw - offsets[line, beam] * rate)]
     found = line * offsets.shape[1] + beam
     return np.where((line >= 0) & (beam >= 0), found, -1)
 
 
-def cell(c: FloatArray, s: FloatArray) -> IntArray:
-    """Return the entry of the tables for directions along (c, s)."""
-    way = s / (np.abs(c) + np.abs(s) + 1e-300)  # -1 to 1 within a half turn
-    around = np.where(c < 0, 2.0 - way, np.where(s < 0, 4.0 + way, way))
-    return (around * (CELLS / 4)).astype(np.int64) % CELLS
+def around(c: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far round directions along (c, s) lie, and how much of it a radian is.
+
+    Both in entries of the tables; 0 to CELLS around.
+    """
+    shrunk = 1.0 / (np.abs(c) + np.abs(s) + 1e-9)
+    way = s * shrunk  # -1 to 1 within a half turn
+    way = np.where(c < 0, 2.0 - way, np.where(s < 0, 4.0 + way, way))
+    return QUARTER * way, QUARTER * (c * c + s * s) * shrunk * shrunk
+
+
+def _cells(way: FloatArray) -> IntArray:
+    return (way + CELLS).astype(np.int64) % CELLS
 
 
 def _table(angles: FloatArray) -> SmallIntArray:

@@ -9,150 +9,238 @@ import math
 
 import numpy as np
 
-from scan3d_twin.core.registration.jit import jit
+from scan3d_twin.core.registration.jit import inlined, jit
 from scan3d_twin.core.registration.scan_noise import APART, FLAT
 from scan3d_twin.core.registration.surfels import FILLED, MIN_COSINE, MOMENTS, TOLERANCE
 
 
-@jit
+@inlined
 def _turn(angle, c, s):  # type: ignore[no-untyped-def]
-    """Return cos and sin of ``angle`` [rad] more than the angle of cosine c and sine s."""
-    if abs(angle) > 0.03:
-        dc, ds = math.cos(angle), math.sin(angle)
-    else:  # the next terms are below 1e-12
-        square = angle * angle
-        dc = 1.0 - square * (0.5 - square * (1 / 24 - square / 720))
-        ds = angle * (1.0 - square * (1 / 6 - square * (1 / 120 - square / 5040)))
+    """Return cos and sin of a small ``angle`` [rad] more than the angle of cosine c and sine s."""
+    square = angle * angle  # the next terms are below 1e-12 up to 0.03 rad
+    dc = 1.0 - square * (0.5 - square * (1 / 24 - square / 720))
+    ds = angle * (1.0 - square * (1 / 6 - square * (1 / 120 - square / 5040)))
     return c * dc - s * ds, s * dc + c * ds
 
 
 @jit
-def _add_line(ranges, yaws, beams, lever, valid, above, turns, sums):  # type: ignore[no-untyped-def]
-    """Write cos and sin of a line's yaws and its row of the summed-area table below ``above``."""
-    c0, s0 = math.cos(yaws[0]), math.sin(yaws[0])
-    row = np.zeros(MOMENTS)
-    for j in range(len(ranges)):
-        c, s = _turn(yaws[j] - yaws[0], c0, s0)
-        turns[j, 0], turns[j, 1] = c, s
-        if valid[j]:
-            q = 1.0 / ranges[j]
-            bx, by = beams[j, 0] + q * lever[0], beams[j, 1] + q * lever[1]
-            x, y, z = c * bx - s * by, s * bx + c * by, beams[j, 2] + q * lever[2]
-            row[0] += x * x
-            row[1] += x * y
-            row[2] += x * z
-            row[3] += y * y
-            row[4] += y * z
-            row[5] += z * z
-            row[6] += x * q
-            row[7] += y * q
-            row[8] += z * q
-            row[9] += q * q
-            row[10] += 1.0
-        for m in range(MOMENTS):
-            sums[j + 1, m] = above[j + 1, m] + row[m]
-
-
-@jit
-def _moments(sums, l0, l1, b0, b1):  # type: ignore[no-untyped-def]
-    """Return the 11 moments of the readings of lines l0 to l1 and beams b0 to b1."""
-    A, B, C, D = sums[l1, b1], sums[l0, b1], sums[l1, b0], sums[l0, b0]
-    return (
-        (A[0] - B[0]) - (C[0] - D[0]), (A[1] - B[1]) - (C[1] - D[1]), (A[2] - B[2]) - (C[2] - D[2]),
-        (A[3] - B[3]) - (C[3] - D[3]), (A[4] - B[4]) - (C[4] - D[4]), (A[5] - B[5]) - (C[5] - D[5]),
-        (A[6] - B[6]) - (C[6] - D[6]), (A[7] - B[7]) - (C[7] - D[7]), (A[8] - B[8]) - (C[8] - D[8]),
-        (A[9] - B[9]) - (C[9] - D[9]), (A[10] - B[10]) - (C[10] - D[10]),
-    )  # fmt: skip
-
-
-@jit
-def _plane(moments, area, o, d, q, sigma):  # type: ignore[no-untyped-def]
-    """Return the surfel of a window as 8 numbers; its variance is 0 if no plane fits."""
-    xx, xy, xz, yy, yz, zz, bx, by, bz, qq, n = moments
-    none = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    if n < FILLED * area or n <= 5:
-        return none
-    c_xx, c_xy, c_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    c_yy, c_yz, c_zz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    det = xx * c_xx + xy * c_xy + xz * c_xz
-    if det <= 1e-12 * (xx + yy + zz) ** 3:
-        return none
-    inv = 1.0 / det
-    mx = (c_xx * bx + c_xy * by + c_xz * bz) * inv
-    my = (c_xy * bx + c_yy * by + c_yz * bz) * inv
-    mz = (c_xz * bx + c_yz * by + c_zz * bz) * inv
-    along = mx * d[0] + my * d[1] + mz * d[2]
-    by_range = (along * sigma) ** 2
-    scatter = q * q * by_range
-    rss = qq - mx * bx - my * by - mz * bz
-    if rss > scatter * (n - 3) * (1 + TOLERANCE * math.sqrt(2 / (n - 3))):
-        return none
-    square = mx * mx + my * my + mz * mz
-    if along * along <= MIN_COSINE**2 * square:
-        return none
-    r = (1.0 - (mx * o[0] + my * o[1] + mz * o[2])) / along
-    if r <= 0:
-        return none
-    quadratic = mx * (c_xx * mx + 2 * (c_xy * my + c_xz * mz)) + my * (c_yy * my + 2 * c_yz * mz)
-    tangents = (c_xx + c_yy + c_zz - (quadratic + c_zz * mz * mz) / square) * inv
-    towards = -math.copysign(1.0, along) / math.sqrt(square)
-    return (
-        o[0] + r * d[0], o[1] + r * d[1], o[2] + r * d[2], towards * mx, towards * my, towards * mz,
-        by_range / square, tangents * scatter / (2 * square),
-    )  # fmt: skip
-
-
-@jit
 def fit_surfels(ranges, yaws, beams, lever, valid, keep, noise, windows):  # type: ignore[no-untyped-def]
-    """See ``surfels.fit_surfels``; of the summed-area table only the rows in use are kept."""
+    """See ``surfels.fit_surfels``; of the summed-area table only the rows in use are kept.
+
+    The beams of a line are taken together, ``WIDE`` at once, as the columns of ``work``.
+    """
     n_lines, n_beams = ranges.shape
-    half = windows[:, 0].max()
+    half, margin = windows[:, 0].max(), windows[:, 1].max()
     depth = 2 * half + 2
-    sums, turns = np.zeros((depth, n_beams + 1, MOMENTS)), np.empty((depth, n_beams, 2))
+    sums, turns = np.zeros((depth, MOMENTS, n_beams + 1 + 2 * margin)), np.empty((2, n_beams))
     rows, index = np.empty((np.sum(keep), 8)), np.full((n_lines, n_beams), -1, np.int32)
-    n, summed = 0, 0
+    work, n, summed = np.empty(COLUMNS * WIDE), 0, 0
     for i in range(n_lines):
         while summed < min(i + half + 1, n_lines):
+            _turns(yaws[summed], turns)
             _add_line(
-                ranges[summed], yaws[summed], beams, lever, valid[summed], sums[summed % depth],
-                turns[summed % depth], sums[(summed + 1) % depth],
+                ranges[summed], beams, lever, valid[summed], turns, margin, sums[summed % depth],
+                sums[(summed + 1) % depth],
             )  # fmt: skip
             summed += 1
-        for j in range(n_beams):
-            if not keep[i, j]:
-                continue
-            c, s, q = turns[i % depth, j, 0], turns[i % depth, j, 1], 1.0 / ranges[i, j]
-            o = (c * lever[0] - s * lever[1], s * lever[0] + c * lever[1], lever[2])
-            x, y, z = beams[j, 0], beams[j, 1], beams[j, 2]
-            d, sigma = (c * x - s * y, s * x + c * y, z), noise[0] + noise[1] * ranges[i, j]
+        if not keep[i].any():
+            continue
+        _turns(yaws[i], turns)
+        for start in range(0, n_beams, WIDE):
+            first, end = _wanted(keep[i], start, min(start + WIDE, n_beams))
+            _look(ranges[i], beams, lever, turns, noise, first, end - first, work)
+            pending = end - first
             for k in range(len(windows)):
-                l0, l1 = max(i - windows[k, 0], 0), min(i + windows[k, 0] + 1, n_lines)
-                b0, b1 = max(j - windows[k, 1], 0), min(j + windows[k, 1] + 1, n_beams)
-                moments = _moments(sums, l0 % depth, l1 % depth, b0, b1)
-                surfel = _plane(moments, float((l1 - l0) * (b1 - b0)), o, d, q, sigma)
-                if surfel[6] > 0.0:
-                    for m in range(8):
-                        rows[n, m] = surfel[m]
-                    index[i, j] = n
-                    n += 1
+                if pending == 0:
                     break
+                l0, l1 = max(i - windows[k, 0], 0), min(i + windows[k, 0] + 1, n_lines)
+                _moments(
+                    sums[l0 % depth], sums[l1 % depth], margin, windows[k, 1], l1 - l0, n_beams,
+                    first, pending, work,
+                )  # fmt: skip
+                _planes(pending, lever[2], work)
+                pending = _pending(keep[i, first:], work, pending)
+            n = _take(keep[i, first:end], work, rows, index[i, first:end], n)
     return rows[:n], index
+
+
+WIDE = 128
+"""Beams at once: some 30 kB of ``work``, which stays in the fastest cache."""
+AREA, D, O, Q, SIGMA, FOUND, COLUMNS = 11, 12, 15, 17, 18, 19, 27
+"""Columns of ``work`` after the moments: readings of a whole window, the ray (3) and the lidar's
+place (2) in ``scan``, inverse range, sigma of the range, and the surfels (8)."""
+
+
+@jit
+def _turns(yaws, turns):  # type: ignore[no-untyped-def]
+    """Write cos and sin (2, n) of a line's yaws."""
+    c0, s0, turned = math.cos(yaws[0]), math.sin(yaws[0]), 0.0
+    for j in range(len(yaws)):
+        turned = max(turned, abs(yaws[j] - yaws[0]))
+    if turned > 0.03:
+        for j in range(len(yaws)):
+            turns[0, j], turns[1, j] = math.cos(yaws[j]), math.sin(yaws[j])
+    else:
+        for j in range(len(yaws)):
+            turns[0, j], turns[1, j] = _turn(yaws[j] - yaws[0], c0, s0)
+
+
+@jit
+def _add_line(ranges, beams, lever, valid, turns, margin, above, below):  # type: ignore[no-untyped-def]
+    """Write a line's row of the summed-area table (11, n + 1 + 2 margin) ``below`` another."""
+    used = np.flatnonzero(valid)
+    first, end = (used[0], used[-1] + 1) if len(used) > 0 else (0, 0)
+    xx, xy, xz, yy, yz, zz, xq, yq, zq, qq, n = (
+        0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+    )  # fmt: skip
+    for j in range(first, end):
+        if valid[j]:
+            c, s, q = turns[0, j], turns[1, j], 1.0 / ranges[j]
+            bx, by = beams[j, 0] + q * lever[0], beams[j, 1] + q * lever[1]
+            x, y, z = c * bx - s * by, s * bx + c * by, beams[j, 2] + q * lever[2]
+            xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
+            yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
+            xq, yq, zq, qq, n = xq + x * q, yq + y * q, zq + z * q, qq + q * q, n + 1.0
+        at = margin + 1 + j
+        below[0, at], below[1, at], below[2, at] = above[0, at] + xx, above[1, at] + xy, above[2, at] + xz
+        below[3, at], below[4, at], below[5, at] = above[3, at] + yy, above[4, at] + yz, above[5, at] + zz
+        below[6, at], below[7, at], below[8, at] = above[6, at] + xq, above[7, at] + yq, above[8, at] + zq
+        below[9, at], below[10, at] = above[9, at] + qq, above[10, at] + n
+    whole = (xx, xy, xz, yy, yz, zz, xq, yq, zq, qq, n)
+    for m in range(MOMENTS):
+        for at in range(margin + 1 + first):
+            below[m, at] = above[m, at]
+        for at in range(margin + 1 + end, below.shape[1]):
+            below[m, at] = above[m, at] + whole[m]
+
+
+@jit
+def _look(ranges, beams, lever, turns, noise, first, n, work):  # type: ignore[no-untyped-def]
+    """Write ray, place of the lidar, inverse range and noise of ``n`` beams."""
+    l_x, l_y, at_zero, per_metre = lever[0], lever[1], noise[0], noise[1]
+    for k in range(n):
+        j = first + k
+        c, s = turns[0, j], turns[1, j]
+        work[D * WIDE + k] = c * beams[j, 0] - s * beams[j, 1]
+        work[(D + 1) * WIDE + k] = s * beams[j, 0] + c * beams[j, 1]
+        work[(D + 2) * WIDE + k] = beams[j, 2]
+        work[O * WIDE + k], work[(O + 1) * WIDE + k] = c * l_x - s * l_y, s * l_x + c * l_y
+        work[Q * WIDE + k] = 1.0 / ranges[j]
+        work[SIGMA * WIDE + k] = at_zero + per_metre * ranges[j]
+        work[(FOUND + 6) * WIDE + k] = 0.0
+
+
+@jit
+def _moments(above, below, margin, half, n_lines, n_beams, first, n, work):  # type: ignore[no-untyped-def]
+    """Write moments and area of the windows of ``half`` around ``n`` beams."""
+    left = max(margin + first - half, 0)  # as it is: indices below 0 would keep registers narrow
+    right = left + max(2 * half + 1, 0)
+    for m in range(MOMENTS):
+        A, B, out = above[m], below[m], work[m * WIDE : (m + 1) * WIDE]
+        for k in range(n):
+            out[k] = (B[right + k] - A[right + k]) - (B[left + k] - A[left + k])
+    area = work[AREA * WIDE : (AREA + 1) * WIDE]
+    for k in range(n):
+        area[k] = n_lines * (min(first + k + half + 1, n_beams) - max(first + k - half, 0))
+
+
+@jit
+def _planes(n, height, w):  # type: ignore[no-untyped-def]
+    """Write the surfels of windows where none was found yet; their variance stays 0 where none fits.
+
+    ``height`` is that of the lidar; the columns of ``w`` are those of ``work``.
+    """
+    for j in range(n):
+        xx, xy, xz, yy, yz, zz = (
+            w[j], w[WIDE + j], w[2 * WIDE + j], w[3 * WIDE + j], w[4 * WIDE + j], w[5 * WIDE + j],
+        )  # fmt: skip
+        bx, by, bz = w[6 * WIDE + j], w[7 * WIDE + j], w[8 * WIDE + j]
+        qq, readings, area = w[9 * WIDE + j], w[10 * WIDE + j], w[AREA * WIDE + j]
+        dx, dy, dz = w[D * WIDE + j], w[(D + 1) * WIDE + j], w[(D + 2) * WIDE + j]
+        ox, oy = w[O * WIDE + j], w[(O + 1) * WIDE + j]
+        q, sigma = w[Q * WIDE + j], w[SIGMA * WIDE + j]
+        c_xx, c_xy, c_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        c_yy, c_yz, c_zz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        det, trace = xx * c_xx + xy * c_xy + xz * c_xz, xx + yy + zz
+        inv = 1.0 / det
+        mx = (c_xx * bx + c_xy * by + c_xz * bz) * inv
+        my = (c_xy * bx + c_yy * by + c_yz * bz) * inv
+        mz = (c_xz * bx + c_yz * by + c_zz * bz) * inv
+        along = mx * dx + my * dy + mz * dz
+        square = mx * mx + my * my + mz * mz
+        r = (1.0 - (mx * ox + my * oy + mz * height)) / along
+        by_range = along * along * sigma * sigma
+        scatter = q * q * by_range
+        rss = qq - mx * bx - my * by - mz * bz
+        free = max(readings - 3.0, 1.0)
+        fits = (readings >= FILLED * area) & (readings > 5.0) & (det > 1e-12 * trace * trace * trace)
+        fits &= (rss <= scatter * (free + TOLERANCE * math.sqrt(2.0 * free))) & (r > 0.0)
+        fits &= along * along > MIN_COSINE**2 * square
+        fits &= w[(FOUND + 6) * WIDE + j] == 0.0
+        quadratic = mx * (c_xx * mx + 2.0 * (c_xy * my + c_xz * mz))
+        quadratic += my * (c_yy * my + 2.0 * c_yz * mz) + c_zz * mz * mz
+        tangents = (c_xx + c_yy + c_zz - quadratic / square) * inv
+        towards = math.copysign(1.0, -along) / math.sqrt(square)
+        _keep(w, FOUND * WIDE + j, ox + r * dx, fits)
+        _keep(w, (FOUND + 1) * WIDE + j, oy + r * dy, fits)
+        _keep(w, (FOUND + 2) * WIDE + j, height + r * dz, fits)
+        _keep(w, (FOUND + 3) * WIDE + j, towards * mx, fits)
+        _keep(w, (FOUND + 4) * WIDE + j, towards * my, fits)
+        _keep(w, (FOUND + 5) * WIDE + j, towards * mz, fits)
+        _keep(w, (FOUND + 6) * WIDE + j, by_range / square, fits)
+        _keep(w, (FOUND + 7) * WIDE + j, tangents * scatter / (2.0 * square), fits)
+
+
+@inlined
+def _keep(w, at, value, fits):  # type: ignore[no-untyped-def]
+    before = w[at]
+    w[at] = value if fits else before
+
+
+@jit
+def _wanted(keep, first, end):  # type: ignore[no-untyped-def]
+    """Return the first and the end of the beams of a part of a line that get a surfel."""
+    while first < end and not keep[first]:
+        first += 1
+    while first < end and not keep[end - 1]:
+        end -= 1
+    return first, end
+
+
+@jit
+def _pending(keep, work, n):  # type: ignore[no-untyped-def]
+    """Return how many of the first ``n`` beams there are up to the last that has no surfel yet."""
+    while n > 0 and (not keep[n - 1] or work[(FOUND + 6) * WIDE + n - 1] > 0.0):
+        n -= 1
+    return n
+
+
+@jit
+def _take(keep, work, rows, index, n):  # type: ignore[no-untyped-def]
+    """Append the surfels found to ``rows`` and their numbers to ``index``; return how many."""
+    for j in range(len(keep)):
+        if keep[j] and work[(FOUND + 6) * WIDE + j] > 0.0:
+            for m in range(8):
+                rows[n, m] = work[(FOUND + m) * WIDE + j]
+            index[j] = n
+            n += 1
+    return n
 
 
 @jit
 def line_residuals(ranges, yaws, lever, rows, index):  # type: ignore[no-untyped-def]
     """See ``scan_noise.line_residuals``."""
     n_lines, n_beams = ranges.shape
-    sums = np.zeros((n_lines, 2))
+    sums, turns = np.zeros((n_lines, 2)), np.empty((2, n_beams))
     for i in range(APART, n_lines - APART):
-        c0, s0 = math.cos(yaws[i, 0]), math.sin(yaws[i, 0])
+        _turns(yaws[i], turns)
         for j in range(n_beams):
             here, before, after = index[i, j], index[i - APART, j], index[i + APART, j]
             if here < 0 or before < 0 or after < 0:
                 continue
             if not (_flat(rows, here, before) and _flat(rows, here, after)):
                 continue
-            c, s = _turn(yaws[i, j] - yaws[i, 0], c0, s0)
+            c, s = turns[0, j], turns[1, j]
             x = rows[here, 0] - (c * lever[0] - s * lever[1])
             y = rows[here, 1] - (s * lever[0] + c * lever[1])
             z = rows[here, 2] - lever[2]
