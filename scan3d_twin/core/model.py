@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.mixed_pixels import steepest_step
 from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
+from scan3d_twin.core.registration.scan_noise import estimate_range_noise
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.smoothing import smooth
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RangeImage
@@ -122,10 +122,7 @@ def oriented(view: View, index: int = 0) -> Model:
     r = np.linalg.norm(rays, axis=1)
     normals = estimate_normals(smoothed, -rays)
     valid = np.isfinite(image.ranges)
-    known = estimate_range_noise(image.ranges, valid) or (
-        ScanNoise().range_sigma,
-        ScanNoise().range_sigma_per_metre,
-    )
+    known = estimate_range_noise(image.ranges, valid)
     beam = float(np.median(np.diff(image.spec.elevations))) / math.sqrt(12.0)
     cosine = -np.sum(rays * np.nan_to_num(normals), axis=1) / np.maximum(r, 1e-9)
     cosine = np.clip(cosine, math.cos(GRAZING), 1.0)

@@ -125,7 +125,8 @@ def kept_surfels(view: View, config: Config) -> SurfelGrid:
     grid, scope = surfels_of(view, config), _in_scope(view, config.registration.scope)
     # Not the grid itself: it holds the image, and a circle is freed late.
     view.observation.image.derived[SURFELS] = (
-        scope, grid.noise, grid.rows, grid.index, grid.valid
+        scope, grid.noise, grid.rows, grid.yaws, grid.index, grid.valid,
+        grid.line_spacing,
     )  # fmt: skip
     return grid
 

@@ -21,7 +21,7 @@ def edges(pose: Pose2, seed: int, room: bool) -> Edges:
     rng = np.random.default_rng(seed)
     image = synthetic.observe(pose, synthetic.THREE_BOXES, room=room, sigma=SIGMA, rng=rng).image
     grid = prepare(image, noise=ScanNoise(SIGMA))
-    return find_edges(image, grid.rows, grid.index, grid.valid, YAW_SIGMA)
+    return Edges.of(find_edges(image, grid.rows, grid.index, grid.valid, YAW_SIGMA))
 
 
 @pytest.mark.parametrize("room", [False, True])

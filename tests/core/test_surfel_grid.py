@@ -12,7 +12,7 @@ from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import compiled as compiled_module
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
 from scan3d_twin.core.registration.surfel_grid import prepare
-from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N, X
+from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N
 from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
 
 WALL = (synthetic.Box((1.0, -3.0, 0.0), (1.5, 3.0, 2.0)),)
@@ -63,7 +63,6 @@ def test_smoothing_leaves_a_fraction_of_the_noise() -> None:
 def test_range_noise_is_estimated_from_the_scan(sigma: float) -> None:
     image = wall(sigma)
     found = estimate_range_noise(image.ranges, np.isfinite(image.ranges))
-    assert found is not None
     assert found[0] + found[1] == pytest.approx(sigma, rel=0.15)
 
 
@@ -88,8 +87,13 @@ def test_arrays_and_compiled_loops_agree(monkeypatch: pytest.MonkeyPatch) -> Non
     assert fast.noise.yaw_sigma == pytest.approx(slow.noise.yaw_sigma, abs=1e-9)
     both = (fast.index >= 0) & (slow.index >= 0)
     assert np.mean(both != ((fast.index >= 0) | (slow.index >= 0))) < 1e-4
-    differ = fast.rows[fast.index[both]] - slow.rows[slow.index[both]]
-    assert np.abs(differ[:, X]).max() < 1e-5
+    differ = np.abs(fast.rows[fast.index[both]] - slow.rows[slow.index[both]])[:, :6].max(axis=1)
+    # A window that fits but for rounding makes another surfel of one in many thousands.
+    assert np.mean(differ > 1e-5) < 1e-4
+    yaws = fast.yaws[fast.index[both]] - slow.yaws[slow.index[both]]
+    assert np.abs(yaws).max() < 1e-12
+    assert fast.noise.range_sigma == pytest.approx(slow.noise.range_sigma, abs=1e-12)
+    assert fast.line_spacing == pytest.approx(slow.line_spacing, abs=1e-12)
 
 
 def test_points_project_back_to_the_reading_they_came_from() -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible_from
 from scan3d_twin.core.registration import SurfelGrid, prepare
 from scan3d_twin.core.registration.compiled import compiled
+from scan3d_twin.core.registration.scan_arrays import Beams
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
 from scan3d_twin.core.registration.surfels import EMPTY, SURFACE, N, X, fit_surfels
 from scan3d_twin.core.types import (
@@ -149,12 +150,6 @@ class Planes:
         return Planes(self.image, met, normals, offsets, keep, on_target, self.empty)
 
 
-def _beams(image: RangeImage) -> FloatArray:
-    """Return the directions of the beams in ``base`` (n_beams, 3)."""
-    e, R = image.spec.elevations, image.T_base_lidar[:3, :3]
-    return np.asarray(np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2])
-
-
 def _eyes_and_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return eyes and directions (k, 3) of the readings ``where`` (n_lines, n_beams) is True."""
     yaws, beam = image.yaws[where], np.nonzero(where)[1]
@@ -163,7 +158,7 @@ def _eyes_and_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, Flo
     def turned(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         return np.stack([c * x - s * y, s * x + c * y, np.broadcast_to(z, c.shape)], axis=1)
 
-    return turned(*image.T_base_lidar[:3, 3]), turned(*_beams(image)[beam].T)
+    return turned(*image.T_base_lidar[:3, 3]), turned(*Beams.of(image).directions[beam].T)
 
 
 @dataclass(frozen=True)
@@ -217,13 +212,13 @@ class Surface:
     def _planes(self) -> tuple[FloatArray, BoolArray]:
         """Planes behind the readings (n, 8), whatever their scope, and which readings have one."""
         image, noise = self.grid.image, self.grid.noise
-        elevations = image.spec.elevations
-        steps = np.array([self.grid.line_spacing, float(np.median(np.abs(np.diff(elevations))))])
+        beams = Beams.of(image)
+        steps = np.array([self.grid.line_spacing, beams.spacing])
         halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MOST_HALF)
         valid, run = self.grid.valid, compiled("fit_surfels") or fit_surfels
-        rows, index = run(
-            np.array(image.ranges), np.array(image.yaws), _beams(image),
-            np.array(image.T_base_lidar[:3, 3]), valid, valid,
+        rows, _, index = run(
+            np.array(image.ranges), np.array(image.yaws), beams.directions, beams.lever, valid,
+            valid,
             np.array([noise.range_sigma, noise.range_sigma_per_metre]), halves.astype(np.int64),
         )  # fmt: skip
         return rows, np.asarray(index >= 0)

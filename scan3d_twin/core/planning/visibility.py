@@ -58,7 +58,7 @@ class NextSweep:
             ranges=np.broadcast_to(np.nan, shape),
             codes=np.broadcast_to(np.int64(0), shape),
         )
-        return NextSweep(empty, Projection.of(empty))
+        return NextSweep(empty, Projection.of(empty, spacing))
 
     def cells(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return reading (n,), -1 for none, and cell (n,) of ``points`` (n, 3) in its frame."""

@@ -31,16 +31,19 @@ def edge_rows(ranges, yaws, beams, lever, rows, index, valid, yaw_sigma):  # typ
     found, count = np.empty((2 * n_lines * (n_beams // MIN_BEAMS + 1), 8)), 0
     places, jumps = np.empty((n_beams, 3)), np.empty(n_beams, dtype=np.bool_)
     variance = np.mean(np.abs(yaws[1] - yaws[0])) ** 2 / 12 + yaw_sigma**2
+    lows, highs = _carrying(index)
     for side in (1, -1):
         for pair in range(n_lines - 1):
             near = pair if side > 0 else pair + 1
-            if not 0 <= near - INWARDS * side < n_lines:
+            inner = near - INWARDS * side
+            if not 0 <= inner < n_lines or highs[inner] - lows[inner] < MIN_BEAMS:
                 continue
-            if _mark(ranges, index, valid, near, side, jumps) < MIN_BEAMS:
+            low, high = lows[inner], highs[inner]
+            if _mark(ranges, index, valid, near, side, low, high, jumps) < MIN_BEAMS:
                 continue
             first = -1
-            for j in range(n_beams + 1):
-                if j < n_beams and jumps[j]:
+            for j in range(low, high + 1):
+                if j < high and jumps[j]:
                     first = j if first < 0 else first
                     continue
                 if first >= 0 and j - first >= MIN_BEAMS:
@@ -54,10 +57,27 @@ def edge_rows(ranges, yaws, beams, lever, rows, index, valid, yaw_sigma):  # typ
 
 
 @jit
-def _mark(ranges, index, valid, near, side, out):  # type: ignore[no-untyped-def]
-    """Write at which beams the surface on line ``near`` ends towards ``side``; return how many."""
+def _carrying(index):  # type: ignore[no-untyped-def]
+    """Return the first beam with a surfel of each line, and the end (n_lines,); 0 and 0 if none."""
+    lows, highs = np.zeros(len(index), np.int64), np.zeros(len(index), np.int64)
+    for i in range(len(index)):
+        low, high = 0, index.shape[1]
+        while low < high and index[i, low] < 0:
+            low += 1
+        while high > low and index[i, high - 1] < 0:
+            high -= 1
+        lows[i], highs[i] = low, high
+    return lows, highs
+
+
+@jit
+def _mark(ranges, index, valid, near, side, low, high, out):  # type: ignore[no-untyped-def]
+    """Write at which beams the surface on line ``near`` ends towards ``side``; return how many.
+
+    Only beams ``low`` to ``high`` are looked at.
+    """
     n, inner = 0, near - INWARDS * side
-    for j in range(valid.shape[1]):
+    for j in range(low, high):
         out[j] = False
         if not valid[near, j]:
             continue

@@ -15,8 +15,17 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.registration.compiled import compiled
+from scan3d_twin.core.registration.scan_arrays import Beams
 from scan3d_twin.core.registration.surfels import N, X
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage, SmallIntArray
+from scan3d_twin.core.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Pose2,
+    RangeImage,
+    SmallIntArray,
+    read_only,
+)
 
 JUMP = 0.10
 """Least step in range at an edge [m]; several sigma, and more than a steep face within a line."""
@@ -60,6 +69,12 @@ class Edges:
     def __len__(self) -> int:
         return len(self.places)
 
+    @staticmethod
+    def of(rows: FloatArray) -> Edges:
+        """Return the edges of ``edge_rows`` (n, 8)."""
+        sides = rows[:, 5].astype(np.int64)
+        return Edges(rows[:, :2], rows[:, 2:4], rows[:, 4], sides, rows[:, 6:])
+
     @cached_property
     def rows(self) -> FloatArray:
         """The edges as place, across, variance, side and heights (n, 8)."""
@@ -83,8 +98,8 @@ class Edges:
 
 def find_edges(
     image: RangeImage, rows: FloatArray, index: SmallIntArray, valid: BoolArray, yaw_sigma: float
-) -> Edges:
-    """Return the vertical edges of a sweep.
+) -> FloatArray:
+    """Return the vertical edges of a sweep as rows (n, 8), see ``edge_rows``.
 
     Args:
         image: The sweep.
@@ -93,12 +108,12 @@ def find_edges(
         valid: Readings that are distances (n_lines, n_beams).
         yaw_sigma: Of a line [rad].
     """
-    run = compiled("edge_rows") or edge_rows
-    e, mount = image.spec.elevations, image.T_base_lidar
-    beams = np.cos(e)[:, None] * mount[:3, 0] + np.sin(e)[:, None] * mount[:3, 2]
-    found = run(image.ranges, image.yaws, beams, mount[:3, 3].copy(), rows, index, valid, yaw_sigma)
-    sides = found[:, 5].astype(np.int64)
-    return Edges(found[:, :2], found[:, 2:4], found[:, 4], sides, found[:, 6:])
+    run, beams = compiled("edge_rows") or edge_rows, Beams.of(image)
+    found: FloatArray = run(
+        read_only(image.ranges), read_only(image.yaws), beams.directions, beams.lever,
+        rows, index, valid, yaw_sigma,
+    )  # fmt: skip
+    return found
 
 
 def edge_rows(

@@ -27,9 +27,10 @@ from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.algebra import (
     block,
     determined,
-    picked,
     inverse,
+    picked,
     projected,
+    quadratic,
     without_scale,
 )
 from scan3d_twin.core.registration.compiled import compiled
@@ -43,16 +44,17 @@ from scan3d_twin.core.registration.point_to_plane import (
 )
 from scan3d_twin.core.registration.pose_prior import (
     PLANAR,
+    Moments,
     PosePrior,
     about_target,
     deviation,
     displaced,
-    spread,
+    displacement,
 )
 from scan3d_twin.core.registration.scan_arrays import Sample, Target
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.registration.surfels import X
-from scan3d_twin.core.types import BoolArray, FloatArray, RegistrationResult, read_only
+from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
 Dof = Literal["planar", "se3"]
 MIN_PAIRS = 12
@@ -92,7 +94,7 @@ class Scans(NamedTuple):
         target_edges: As rows (m, 8), see ``edges``.
         source_edges: As rows (n, 8).
         both: What the sweeps err by.
-        reach: Length that makes turns of the source comparable with shifts [m].
+        moments: Of the source's surfels.
     """
 
     target: Target
@@ -102,7 +104,7 @@ class Scans(NamedTuple):
     target_edges: FloatArray
     source_edges: FloatArray
     both: Weighting
-    reach: float
+    moments: Moments
 
 
 class Prior(NamedTuple):
@@ -148,12 +150,29 @@ class Solution(NamedTuple):
     equations: Equations
 
 
+class Knowledge(NamedTuple):
+    """What is known of ``T_target_source`` at the end, about the target's origin.
+
+    Attributes:
+        covariance: Of x y z rx ry rz (6, 6).
+        information: Its inverse on the estimated entries (6, 6).
+        degenerate: Directions (j, 6) that neither surfels nor edges determine.
+        predicted_rmse: RMS displacement of the source's surfels to be expected [m].
+    """
+
+    covariance: FloatArray
+    information: FloatArray
+    degenerate: FloatArray
+    predicted_rmse: float
+
+
 class Outcome(NamedTuple):
     """Where the iteration ended.
 
     Attributes:
         state: After the last step.
         solution: Of the last step.
+        knowledge: What it leaves unknown.
         surfels: Of the source that took part in it.
         iterations: Steps in all.
         settled: Whether they became small enough.
@@ -162,6 +181,7 @@ class Outcome(NamedTuple):
 
     state: State
     solution: Solution
+    knowledge: Knowledge
     surfels: int
     iterations: int
     settled: bool
@@ -209,10 +229,14 @@ class Problem:
         return max(1, round(math.sqrt(self.source.count / WANTED_LAST)))
 
     @cached_property
+    def moments(self) -> Moments:
+        """Moments of the source's surfels, of those of the first steps."""
+        return Moments.of(self.source.sample(2 * self.stride).rows[:, X])
+
+    @property
     def reach(self) -> float:
-        """Root mean square distance of the source's surfels [m]: makes turns lengths."""
-        rows = self.source.sample(self.stride).rows[:, X]
-        return float(np.sqrt(np.mean(np.sum(rows**2, axis=1))))
+        """See ``reach``."""
+        return reach(self.moments)
 
     def scans(self, thinning: int = 1) -> Scans:
         """Return the arrays for the iteration, of every ``thinning``-th line and beam taken."""
@@ -222,10 +246,10 @@ class Problem:
             coarse=self.source.sample(2 * fine),
             fine=self.source.sample(fine),
             every=self.source.sample(self.last_stride),
-            target_edges=self.target.edges.rows,
-            source_edges=self.source.edges.rows,
+            target_edges=self.target.edge_rows,
+            source_edges=self.source.edge_rows,
             both=weighting(self.target, self.source),
-            reach=self.reach,
+            moments=self.moments,
         )
 
 
@@ -275,10 +299,11 @@ def descend(
             shift, turn = length(solution.step[:3]), length(solution.step[3:])
             small = shift < criteria.translation_epsilon and turn < criteria.rotation_epsilon
             settled = final and small
-        if overlap and new_basin(state.T, ends[:n], scans.reach):
+        if overlap and new_basin(state.T, ends[:n], reach(scans.moments)):
             ends[n] = state.T
             n += 1
-    last = Outcome(state, solution, len(sample.rows), iteration + 1, settled, overlap)
+    known = knowledge(scans, prior, state, solution)
+    last = Outcome(state, solution, known, len(sample.rows), iteration + 1, settled, overlap)
     return ends[:n].copy(), last
 
 
@@ -288,6 +313,12 @@ def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:
         if apart(T, others[k], reach) <= SAME_BASIN:
             return False
     return True
+
+
+def reach(moments: Moments) -> float:
+    """Return the root mean square distance of points [m]: it makes turns comparable with shifts."""
+    second = moments.second
+    return math.sqrt(second[0, 0] + second[1, 1] + second[2, 2])
 
 
 def apart(a: FloatArray, b: FloatArray, reach: float) -> float:
@@ -317,7 +348,9 @@ def solve(scans: Scans, prior: Prior, state: State, sample: Sample, gate: Gate) 
     equations = normal_equations(scans.target, sample, state.T, state.scale, gate, scans.both, rows)
     H, g, per_step = without_scale(equations, prior.yaw_scale, state.scale)
     k = len(rows)
-    kept, honest, dropped = determined(equations.information[:k, :k], equations.faked, scans.reach)
+    kept, honest, dropped = determined(
+        equations.information[:k, :k], equations.faked, reach(scans.moments)
+    )
     H_edges, g_edges = edge_sums(
         scans.target_edges, scans.source_edges, state.T, gate.distance, EDGE_ROBUST * gate.robust
     )
@@ -334,36 +367,46 @@ def solve(scans: Scans, prior: Prior, state: State, sample: Sample, gate: Gate) 
     return Solution(step, scale_step, information, dropped, H_edges, equations)
 
 
-def report(problem: Problem, outcome: Outcome, ambiguity_gap: float) -> RegistrationResult:
-    """Return the result for the last state, with covariances about the target's origin."""
-    state, solution, prior = outcome.state, outcome.solution, problem.beforehand
-    surfels, equations = problem.source.sample(problem.stride).rows, solution.equations
-    rows, cells = list(prior.rows), np.ix_(prior.rows, prior.rows)
+def knowledge(scans: Scans, prior: Prior, state: State, solution: Solution) -> Knowledge:
+    """Return what is known of ``state``, the last but one to be solved for."""
+    small = inverse(solution.information, prior.information)
     covariance, information = np.zeros((6, 6)), np.zeros((6, 6))
-    covariance[cells] = inverse(solution.information, prior.information)
-    information[cells] = solution.information
-    free = solution.dropped[_without_edges(solution, prior)]
-    degenerate = np.zeros((len(free), 6))
-    degenerate[:, rows] = free
+    for i in range(len(prior.rows)):
+        for j in range(len(prior.rows)):
+            covariance[prior.rows[i], prior.rows[j]] = small[i, j]
+            information[prior.rows[i], prior.rows[j]] = solution.information[i, j]
+    degenerate, n = np.zeros((len(solution.dropped), 6)), 0
+    for m in range(len(degenerate)):
+        v = solution.dropped[m]
+        if quadratic(solution.edges, v) <= quadratic(prior.information, v):
+            for i in range(len(v)):
+                degenerate[n, prior.rows[i]] = v[i]
+            n += 1
+    R = state.T[:3, :3].copy()
+    turned = Moments(R @ scans.moments.first, projected(R, scans.moments.second))
     shift = about_target(state.T)
     back = 2.0 * np.eye(6) - shift
-    return RegistrationResult(
-        T_target_source=read_only(state.T),
-        covariance=read_only(shift @ covariance @ shift.T),
-        information=read_only(back.T @ information @ back),
-        fitness=equations.pairs / outcome.surfels,
-        inlier_rmse=math.sqrt(equations.square / equations.pairs),
-        predicted_rmse=spread(surfels[:, X] @ state.T[:3, :3].T, covariance),
-        num_inliers=equations.pairs,
-        iterations=outcome.iterations,
-        converged=outcome.settled,
-        degenerate_directions=read_only(degenerate @ shift.T),
-        ambiguity_gap=ambiguity_gap,
+    return Knowledge(
+        projected(shift, covariance),
+        projected(back.T.copy(), information),
+        degenerate[:n] @ shift.T.copy(),
+        displacement(turned, covariance),
     )
 
 
-def _without_edges(solution: Solution, prior: Prior) -> BoolArray:
-    """Tell in which of the dropped directions edges do not know more than the prior (j,)."""
-    v = solution.dropped
-    by_edges = np.sum(v @ solution.edges * v, axis=1)
-    return np.asarray(by_edges <= np.sum(v @ prior.information * v, axis=1))
+def report(outcome: Outcome, ambiguity_gap: float) -> RegistrationResult:
+    """Return the result for the last state."""
+    known, equations = outcome.knowledge, outcome.solution.equations
+    return RegistrationResult(
+        T_target_source=read_only(outcome.state.T),
+        covariance=read_only(known.covariance),
+        information=read_only(known.information),
+        fitness=equations.pairs / outcome.surfels,
+        inlier_rmse=math.sqrt(equations.square / equations.pairs),
+        predicted_rmse=known.predicted_rmse,
+        num_inliers=equations.pairs,
+        iterations=outcome.iterations,
+        converged=outcome.settled,
+        degenerate_directions=read_only(known.degenerate),
+        ambiguity_gap=ambiguity_gap,
+    )

@@ -84,7 +84,7 @@ def register_grids(
     problem = Problem(target, source, prior, dof, criteria or Criteria())
     init = _first_guess(init_T_target_source, prior)
     basin, gap = search(problem, init, starts)
-    return report(problem, basin.outcome, gap)
+    return report(basin.outcome, gap)
 
 
 def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:

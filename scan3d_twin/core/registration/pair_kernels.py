@@ -22,9 +22,13 @@ from scan3d_twin.core.registration.point_to_plane import (
 from scan3d_twin.core.registration.projection import CELLS, QUARTER
 from scan3d_twin.core.registration.surfels import EMPTY, UNKNOWN
 
-
 CHUNK = 256
-"""Surfels that are taken at once: enough for wide registers, few enough for the fastest cache."""
+"""Surfels that are taken at once, as the columns of some scratch memory in the fastest cache."""
+SOURCE, TARGET, YAWS, DERIVATIVES, E, WEIGHT, NU, A, OWN, COLUMNS = (
+    0, 8, 16, 18, 25, 26, 27, 28, 31, 32,
+)  # fmt: skip
+"""Columns: both surfels (8 each), their yaws, the derivatives (7) for x y z rx ry rz and the scale,
+residual, w, w nu, a (3), and c with its sign; see ``point_to_plane``."""
 
 
 @inlined
@@ -56,21 +60,21 @@ def _ways(x, y, z, sign, mount):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _reading(elevation, yaw, rate, lines, beams, offsets, n_beams):  # type: ignore[no-untyped-def]
+def _reading(elevation, yaw, rate, lines, beams, yaws, middles, n_beams):  # type: ignore[no-untyped-def]
     """Return the flat index of the reading at these entries of the tables, or -1; no branches."""
     beam = beams[int(elevation) & (CELLS - 1)]
     line = lines[int(yaw) & (CELLS - 1)]
-    turn = offsets[max(line, 0) * n_beams + max(beam, 0)]
+    turn = yaws[max(line, 0) * n_beams + max(beam, 0)] - middles[max(line, 0)]
     line = lines[int(yaw - turn * rate + CELLS) & (CELLS - 1)]
     return line * n_beams + beam if (line >= 0) & (beam >= 0) else -1
 
 
 @jit
-def _branch(x, y, z, sign, lines, beams, offsets, mount):  # type: ignore[no-untyped-def]
+def _branch(x, y, z, sign, lines, beams, yaws, middles, mount):  # type: ignore[no-untyped-def]
     """Return the flat index of the reading that sees a point, ahead (1) or behind (-1), or -1."""
     elevation, yaw, rate = _ways(x, y, z, sign, mount)
-    n_beams = offsets.shape[1]
-    return _reading(elevation, yaw, rate, lines, beams, offsets.reshape(-1), n_beams)
+    n_beams = yaws.shape[1]
+    return _reading(elevation, yaw, rate, lines, beams, yaws.reshape(-1), middles, n_beams)
 
 
 @jit
@@ -85,13 +89,13 @@ def _scalars(mount):  # type: ignore[no-untyped-def]
 @jit
 def lookup(projection, points, seen):  # type: ignore[no-untyped-def]
     """See ``projection.lookup``."""
-    lines, beams, offsets, mount, backwards = projection
+    lines, beams, yaws, middles, mount, backwards = projection
     mount, found = _scalars(mount), np.empty(len(points), np.int64)
     for m in range(len(points)):
         x, y, z = points[m, 0], points[m, 1], points[m, 2]
-        found[m] = _branch(x, y, z, 1.0, lines, beams, offsets, mount)
+        found[m] = _branch(x, y, z, 1.0, lines, beams, yaws, middles, mount)
         if backwards and (found[m] < 0 or not seen[found[m]]):
-            behind = _branch(x, y, z, -1.0, lines, beams, offsets, mount)
+            behind = _branch(x, y, z, -1.0, lines, beams, yaws, middles, mount)
             if behind >= 0 and seen[behind]:
                 found[m] = behind
     return found
@@ -100,30 +104,29 @@ def lookup(projection, points, seen):  # type: ignore[no-untyped-def]
 @twin_of(point_to_plane.normal_equations)
 def normal_equations(target, sample, T, scale, gate, both, entries):  # type: ignore[no-untyped-def]
     """See ``point_to_plane.normal_equations``; the loops over a chunk run in wide registers."""
-    table, yaws, row_of, (lines, beams, offsets, mount, backwards) = target
+    table, target_yaws, row_of, (lines, beams, yaws, middles, mount, backwards) = target
     rows, source_yaws, source_lines, stride = sample
     jittery, area = both.jitter > 0 or both.target_jitter > 0, float(stride * stride)
     size = len(entries) + 1
     H, lost, faked = np.zeros((size, size)), np.zeros((size, size)), np.zeros((6, 6))
     b, h, line, square, pairs = np.zeros(size), np.zeros(size + 2), -1, 0.0, 0
     ways, at, met = np.empty((3, CHUNK)), np.empty(CHUNK, np.int64), np.empty((2, CHUNK), np.int64)
-    J, table, scalars = np.empty((14, CHUNK)), table.reshape(-1), _scalars(mount)
+    work, scalars = np.empty((COLUMNS, CHUNK)), _scalars(mount)
     for first in range(0, len(rows), CHUNK):
         chunk, own_yaws = rows[first : first + CHUNK], source_yaws[first : first + CHUNK]
         _look(chunk.reshape(-1), len(chunk), T, scalars, ways)
-        _read(ways, len(chunk), row_of, lines, beams, offsets.reshape(-1), offsets.shape[1], at)
+        _read(ways, len(chunk), row_of, lines, beams, yaws.reshape(-1), middles, yaws.shape[1], at)
         if backwards:
-            _look_back(chunk, T, row_of, lines, beams, offsets, scalars, at)
+            _look_back(chunk, T, row_of, lines, beams, yaws, middles, scalars, at)
         n = _meet(at, len(chunk), met)
-        found, off = _residuals(
-            chunk.reshape(-1), own_yaws, table, yaws, met, n, T, scale, gate, both, area, J
-        )  # fmt: skip
+        _gather(chunk, own_yaws, table, target_yaws, met, n, work.reshape(-1))
+        found, off = _residuals(n, T, scale, gate, both, area, work.reshape(-1))
         pairs += found
         square += off
         if jittery:
             lines_of = source_lines[first : first + CHUNK]
-            line = _add_lines(J, n, met[0], lines_of, line, entries, area, lost, b, h)
-        _add(J, n, entries, H, b, faked)
+            line = _add_lines(work, n, met[0], lines_of, line, entries, area, lost, b, h)
+        _add(work, n, entries, H, b, faked)
     _take_line(lost, b, h, area)
     return Equations(
         _mirrored(H), _mirrored(lost), b, block(_mirrored(faked), entries), pairs, square
@@ -146,16 +149,16 @@ def _look(rows, n, T, mount, ways):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _read(ways, n, row_of, lines, beams, offsets, n_beams, at):  # type: ignore[no-untyped-def]
+def _read(ways, n, row_of, lines, beams, yaws, middles, n_beams, at):  # type: ignore[no-untyped-def]
     """Write the target's surfels under ``ways`` (3, n) to ``at`` (n,), -1 where there is none."""
     for m in range(n):
-        reading = _reading(ways[0, m], ways[1, m], ways[2, m], lines, beams, offsets, n_beams)
+        reading = _reading(ways[0, m], ways[1, m], ways[2, m], lines, beams, yaws, middles, n_beams)
         row = row_of[max(reading, 0)]
         at[m] = row if reading >= 0 else -1
 
 
 @jit
-def _look_back(rows, T, row_of, lines, beams, offsets, mount, at):  # type: ignore[no-untyped-def]
+def _look_back(rows, T, row_of, lines, beams, yaws, middles, mount, at):  # type: ignore[no-untyped-def]
     """Write to ``at`` (n,) what is seen behind where nothing is ahead."""
     for m in range(len(rows)):
         if at[m] >= 0:
@@ -164,7 +167,7 @@ def _look_back(rows, T, row_of, lines, beams, offsets, mount, at):  # type: igno
         x = T[0, 0] * sx + T[0, 1] * sy + T[0, 2] * sz + T[0, 3]
         y = T[1, 0] * sx + T[1, 1] * sy + T[1, 2] * sz + T[1, 3]
         z = T[2, 0] * sx + T[2, 1] * sy + T[2, 2] * sz + T[2, 3]
-        reading = _branch(x, y, z, -1.0, lines, beams, offsets, mount)
+        reading = _branch(x, y, z, -1.0, lines, beams, yaws, middles, mount)
         if reading >= 0:
             at[m] = row_of[reading]
 
@@ -180,10 +183,20 @@ def _meet(at, n, met):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _residuals(rows, source_yaws, table, yaws, met, n, T, scale, gate, both, area, J):  # type: ignore[no-untyped-def]
-    """Write the pairs' derivatives (7), residuals, w, w nu, a (3) and c to ``J`` (14, n).
+def _gather(rows, source_yaws, table, yaws, met, n, w):  # type: ignore[no-untyped-def]
+    """Write both surfels (8 each) and both yaws of ``n`` pairs to the columns of ``w``."""
+    for k in range(n):
+        i, j = met[0, k], met[1, k]
+        for c in range(8):
+            w[(SOURCE + c) * CHUNK + k], w[(TARGET + c) * CHUNK + k] = rows[i, c], table[j, c]
+        w[YAWS * CHUNK + k], w[(YAWS + 1) * CHUNK + k] = source_yaws[i], yaws[j]
 
-    w is 0 where a pair does not count. Returns how many do, and the sum of their squares.
+
+@jit
+def _residuals(n, T, scale, gate, both, area, w):  # type: ignore[no-untyped-def]
+    """Write derivatives, residuals and weights of ``n`` pairs to the columns of ``w``.
+
+    The weight is 0 where a pair does not count. Returns how many do, and the sum of their squares.
     """
     jitter, target_jitter, density, share, tilt = both
     distance, c2 = gate.distance, gate.robust * gate.robust
@@ -193,57 +206,60 @@ def _residuals(rows, source_yaws, table, yaws, met, n, T, scale, gate, both, are
         T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2],
     )  # fmt: skip
     for k in range(n):
-        m, i, at = 8 * met[0, k], met[1, k], 8 * met[1, k]
-        sx, sy, sz = rows[m], rows[m + 1], rows[m + 2]
-        ax, ay = xx * sx + xy * sy + xz * sz, yx * sx + yy * sy + yz * sz
-        az = zx * sx + zy * sy + zz * sz
-        sx, sy, sz = rows[m + 3], rows[m + 4], rows[m + 5]
-        nx, ny = xx * sx + xy * sy + xz * sz, yx * sx + yy * sy + yz * sz
-        nz = zx * sx + zy * sy + zz * sz
-        cosine = nx * table[at + 3] + ny * table[at + 4] + nz * table[at + 5]
-        nx, ny, nz = nx + table[at + 3], ny + table[at + 4], nz + table[at + 5]
+        s, t = SOURCE * CHUNK + k, TARGET * CHUNK + k
+        px, py, pz = w[s], w[s + CHUNK], w[s + 2 * CHUNK]
+        ax, ay = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
+        az = zx * px + zy * py + zz * pz
+        px, py, pz = w[s + 3 * CHUNK], w[s + 4 * CHUNK], w[s + 5 * CHUNK]
+        nx, ny = xx * px + xy * py + xz * pz, yx * px + yy * py + yz * pz
+        nz = zx * px + zy * py + zz * pz
+        qx, qy, qz = w[t], w[t + CHUNK], w[t + 2 * CHUNK]
+        px, py, pz = w[t + 3 * CHUNK], w[t + 4 * CHUNK], w[t + 5 * CHUNK]
+        cosine = nx * px + ny * py + nz * pz
+        nx, ny, nz = nx + px, ny + py, nz + pz
         norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-18)
         nx, ny, nz = nx * norm, ny * norm, nz * norm
-        qx, qy, qz = table[at], table[at + 1], table[at + 2]
         ux, uy, uz = ax + t_x - qx, ay + t_y - qy, az + t_z - qz
         swing, turn = ny * ax - nx * ay, ny * qx - nx * qy
-        g = source_yaws[met[0, k]] * swing - yaws[i] * turn
+        g = w[YAWS * CHUNK + k] * swing - w[(YAWS + 1) * CHUNK + k] * turn
         e = nx * ux + ny * uy + nz * uz + g * scale
-        variance = rows[m + 6] + table[at + 6]
+        variance = w[s + 6 * CHUNK] + w[t + 6 * CHUNK]
         lines = _lines_per_line(nx, ny, ax, ay, qx, qy, density)
         own = math.sqrt(jitter * swing * swing + target_jitter * lines * turn * turn)
-        w = c2 / (c2 + e * e / (variance + own * own))
-        w = share * area / variance * w * w
+        robust = c2 / (c2 + e * e / (variance + own * own))
         good = (cosine > MIN_NORMAL_COSINE) & (abs(e) < distance)
         good &= ux * ux + uy * uy + uz * uz < farthest
         counts = 1.0 if good else 0.0
-        w *= counts
+        weight = counts * share * area / variance * robust * robust
         pairs += counts
         square += counts * e * e
-        J[0, k], J[1, k], J[2, k] = nx, ny, nz
-        J[3, k], J[4, k], J[5, k] = ay * nz - az * ny, az * nx - ax * nz, swing
-        J[6, k], J[7, k], J[8, k] = g, e, w
-        J[9, k] = w * ((rows[m + 7] + table[at + 7]) / 4 + tilt)
-        J[10, k], J[11, k], J[12, k], J[13, k] = ax, ay, az, math.copysign(own, swing)
+        j = DERIVATIVES * CHUNK + k
+        w[j], w[j + CHUNK], w[j + 2 * CHUNK] = nx, ny, nz
+        w[j + 3 * CHUNK], w[j + 4 * CHUNK] = ay * nz - az * ny, az * nx - ax * nz
+        w[j + 5 * CHUNK], w[j + 6 * CHUNK] = swing, g
+        w[E * CHUNK + k], w[WEIGHT * CHUNK + k] = e, weight
+        w[NU * CHUNK + k] = weight * ((w[s + 7 * CHUNK] + w[t + 7 * CHUNK]) / 4 + tilt)
+        w[A * CHUNK + k], w[(A + 1) * CHUNK + k], w[(A + 2) * CHUNK + k] = ax, ay, az
+        w[OWN * CHUNK + k] = math.copysign(own, swing)
     return int(pairs), square
 
 
 @jit
-def _add_lines(J, n, met, lines, line, entries, area, lost, b, h):  # type: ignore[no-untyped-def]
+def _add_lines(w, n, met, lines, line, entries, area, lost, b, h):  # type: ignore[no-untyped-def]
     """Add to the sums of a line in ``h`` and take the lines before from ``b``; return the line."""
     size = len(b)
     for m in range(n):
-        if J[8, m] == 0.0:
+        if w[WEIGHT, m] == 0.0:
             continue
         if lines[met[m]] != line:
             _take_line(lost, b, h, area)
             line = lines[met[m]]
-        weighted = J[8, m] * J[13, m]
+        weighted = w[WEIGHT, m] * w[OWN, m]
         for i in range(size - 1):
-            h[i] += weighted * J[entries[i], m]
-        h[size - 1] += weighted * J[6, m]
-        h[size] += weighted * J[7, m]
-        h[size + 1] += weighted * J[13, m]
+            h[i] += weighted * w[DERIVATIVES + entries[i], m]
+        h[size - 1] += weighted * w[DERIVATIVES + 6, m]
+        h[size] += weighted * w[E, m]
+        h[size + 1] += weighted * w[OWN, m]
     return line
 
 
@@ -257,23 +273,23 @@ def _dot(a, b, c, n):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _add(J, n, entries, H, b, faked):  # type: ignore[no-untyped-def]
-    """Add the pairs of ``_residuals`` to the lower triangles of the sums."""
-    size, e, w, nu = len(b), J[7], J[8], J[9]
+def _add(w, n, entries, H, b, faked):  # type: ignore[no-untyped-def]
+    """Add ``n`` pairs to the lower triangles of the sums."""
+    size, J, e, weight, nu = len(b), w[DERIVATIVES:], w[E], w[WEIGHT], w[NU]
     for i in range(size):
         column = J[entries[i]] if i < size - 1 else J[6]
-        b[i] += _dot(column, w, e, n)
+        b[i] += _dot(column, weight, e, n)
         for k in range(i + 1):
-            H[i, k] += _dot(column, w, J[entries[k]] if k < size - 1 else J[6], n)
+            H[i, k] += _dot(column, weight, J[entries[k]] if k < size - 1 else J[6], n)
     for i in entries:
         for k in entries:
             if k <= i:
                 faked[i, k] -= _dot(J[i], nu, J[k], n)
     first, second = np.empty(3), np.empty((3, 3))
     for i in range(3):
-        first[i] = np.sum(nu[:n] * J[10 + i, :n])
+        first[i] = np.sum(nu[:n] * w[A + i, :n])
         for k in range(i + 1):
-            second[i, k] = _dot(J[10 + i], nu, J[10 + k], n)
+            second[i, k] = _dot(w[A + i], nu, w[A + k], n)
     _add_swung(faked, np.sum(nu[:n]), first, second)
 
 
@@ -326,16 +342,16 @@ def _add_swung(lower, weight, first, second):  # type: ignore[no-untyped-def]
 @jit
 def violations(target, known, rows, T):  # type: ignore[no-untyped-def]
     """See ``free_space.violations``."""
-    table, _, row_of, (lines, beams, offsets, mount, backwards) = target
+    table, _, row_of, (lines, beams, yaws, middles, mount, backwards) = target
     mount, cost, seen = _scalars(mount), 0.0, 0
     for m in range(len(rows)):
         sx, sy, sz = rows[m, 0], rows[m, 1], rows[m, 2]
         x = T[0, 0] * sx + T[0, 1] * sy + T[0, 2] * sz + T[0, 3]
         y = T[1, 0] * sx + T[1, 1] * sy + T[1, 2] * sz + T[1, 3]
         z = T[2, 0] * sx + T[2, 1] * sy + T[2, 2] * sz + T[2, 3]
-        at = _branch(x, y, z, 1.0, lines, beams, offsets, mount)
+        at = _branch(x, y, z, 1.0, lines, beams, yaws, middles, mount)
         if at < 0 or known[at] == UNKNOWN:
-            at = _branch(x, y, z, -1.0, lines, beams, offsets, mount) if backwards else -1
+            at = _branch(x, y, z, -1.0, lines, beams, yaws, middles, mount) if backwards else -1
             if at < 0 or known[at] == UNKNOWN:
                 continue
         seen += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -114,10 +115,23 @@ def about_target(T: FloatArray) -> FloatArray:
 
     With t the source's origin, d' = d + t x r and r' = r.
     """
-    x, y, z = T[:3, 3]
     result = np.eye(6)
-    result[:3, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    result[0, 4], result[1, 3] = -T[2, 3], T[2, 3]
+    result[0, 5], result[2, 3] = T[1, 3], -T[1, 3]
+    result[1, 5], result[2, 4] = -T[0, 3], T[0, 3]
     return result
+
+
+class Moments(NamedTuple):
+    """Mean (3,) and mean of p p^T (3, 3) of points p."""
+
+    first: FloatArray
+    second: FloatArray
+
+    @staticmethod
+    def of(points: FloatArray) -> Moments:
+        """Return the moments of ``points`` (n, 3)."""
+        return Moments(points.mean(axis=0), points.T @ points / len(points))
 
 
 def spread(points: FloatArray, covariance: FloatArray) -> float:
@@ -127,11 +141,17 @@ def spread(points: FloatArray, covariance: FloatArray) -> float:
         points: Relative to the place the covariance is about (n, 3) [m].
         covariance: In the order x y z rx ry rz.
     """
-    M = points.T @ points / len(points)
-    a = points.mean(axis=0)
-    S, Q = covariance[3:, 3:], covariance[:3, 3:]
-    square = float(np.trace(covariance[:3, :3]) + np.trace(S) * np.trace(M) - np.sum(S * M))
-    square += 2.0 * float(
-        a[2] * (Q[0, 1] - Q[1, 0]) + a[0] * (Q[1, 2] - Q[2, 1]) + a[1] * (Q[2, 0] - Q[0, 2])
-    )
+    return displacement(Moments.of(points), covariance)
+
+
+def displacement(points: Moments, covariance: FloatArray) -> float:
+    """Return what ``spread`` does: E |d + r x p|^2 = tr D + tr S tr M - tr S M + 2 a . E(d x r)."""
+    a, M, square = points.first, points.second, 0.0
+    for i in range(3):
+        square += covariance[i, i]
+        for j in range(3):
+            square += covariance[3 + i, 3 + i] * M[j, j] - covariance[3 + i, 3 + j] * M[j, i]
+    square += 2.0 * a[2] * (covariance[0, 4] - covariance[1, 3])
+    square += 2.0 * a[0] * (covariance[1, 5] - covariance[2, 4])
+    square += 2.0 * a[1] * (covariance[2, 3] - covariance[0, 5])
     return math.sqrt(max(0.0, square))

@@ -47,8 +47,9 @@ class Projection(NamedTuple):
     Attributes:
         lines: Line by yaw of its middle beam (CELLS,); -1 where there is none.
         beams: Beam by elevation (CELLS,); -1 where there is none.
-        offsets: Yaw of each beam relative to its line's middle beam (n_lines, n_beams) [rad]; a
-            line takes a tenth of a second, so that they stay small.
+        yaws: Of each beam (n_lines, n_beams) [rad].
+        middles: Yaw of each line's middle beam (n_lines,) [rad]; a line takes a tenth of a second,
+            so that the others are near.
         mount: cos kappa, sin kappa, a, k . t, k_z, then t (3), x axis (3), z axis (3) of the lidar
             in ``base`` (14,).
         backwards: Whether any beam looks back over the zenith or the nadir.
@@ -56,14 +57,15 @@ class Projection(NamedTuple):
 
     lines: SmallIntArray
     beams: SmallIntArray
-    offsets: FloatArray
+    yaws: FloatArray
+    middles: FloatArray
     mount: FloatArray
     backwards: bool
 
     @staticmethod
-    def of(image: RangeImage) -> Projection:
-        """Return the projection of a sweep."""
-        middle = image.yaws[:, image.spec.n_beams // 2]
+    def of(image: RangeImage, line_spacing: float) -> Projection:
+        """Return the projection of a sweep with lines typically ``line_spacing`` [rad] apart."""
+        middles = image.yaws[:, image.spec.n_beams // 2].copy()
         R, t = image.T_base_lidar[:3, :3], image.T_base_lidar[:3, 3]
         k = R[:, 1]
         kappa = math.atan2(k[1], k[0]) - math.pi / 2
@@ -71,9 +73,10 @@ class Projection(NamedTuple):
         head = [math.cos(kappa), math.sin(kappa), a, float(k @ t), k[2]]
         beams = _beams(np.ascontiguousarray(image.spec.elevations).tobytes())
         return Projection(
-            _table(middle),
+            (compiled("nearest") or nearest)(middles, line_spacing, _centres()),
             beams,
-            image.yaws - middle[:, None],
+            read_only(image.yaws),
+            middles,
             np.concatenate([head, t, R[:, 0], R[:, 2]]),
             bool(np.any(beams[CELLS // 4 : 3 * CELLS // 4] >= 0)),
         )
@@ -105,7 +108,7 @@ def lookup(projection: Projection, points: FloatArray, seen: BoolArray) -> IntAr
 
 
 def _branch(projection: Projection, points: FloatArray, *, ahead: bool) -> IntArray:
-    lines, beams, offsets, mount, _ = projection
+    lines, beams, yaws, middles, mount, _ = projection
     cos_kappa, sin_kappa, a, k_t, k_z = mount[:5]
     t, x_axis, z_axis = mount[5:8], mount[8:11], mount[11:14]
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
@@ -123,8 +126,8 @@ def _branch(projection: Projection, points: FloatArray, *, ahead: bool) -> IntAr
     beam = beams[_cells(elevation)]
     yaw, rate = around(x * c + y * s, y * c - x * s)
     line = lines[_cells(yaw)]
-    line = lines[_cells(yaw - offsets[line, beam] * rate)]
-    found = line * offsets.shape[1] + beam
+    line = lines[_cells(yaw - (yaws[line, beam] - middles[line]) * rate)]
+    found = line * yaws.shape[1] + beam
     return np.where((line >= 0) & (beam >= 0), found, -1)
 
 
@@ -143,28 +146,36 @@ def _cells(way: FloatArray) -> IntArray:
     return (way + CELLS).astype(np.int64) % CELLS
 
 
-def _table(angles: FloatArray) -> SmallIntArray:
-    """Return the index of the nearest of ``angles`` (n,) [rad] for each cell, -1 beyond reach."""
-    folded, centres = np.mod(angles, math.tau), _centres()
-    order = np.argsort(folded, kind="stable")
-    index = np.concatenate(([order[-1]], order, [order[0]]))
-    around = folded[index] + np.concatenate(([-math.tau], np.zeros(len(order)), [math.tau]))
-    reach = max(REACH * median(np.abs(np.diff(angles))), math.tau / CELLS)
+def nearest(angles: FloatArray, spacing: float, centres: FloatArray) -> SmallIntArray:
+    """Return the index of the nearest of ``angles`` (n,) [rad] for each cell, -1 beyond reach.
+
+    Args:
+        angles: They may lie anywhere around the turn.
+        spacing: Of two of them, typically [rad].
+        centres: Angles in the middle of the cells, ascending (CELLS,) [rad].
+    """
+    n, folded = len(angles), np.mod(angles, math.tau)
+    index, around = np.empty(n + 2, dtype=np.int64), np.empty(n + 2)
+    index[1:-1] = np.argsort(folded, kind="mergesort")
+    index[0], index[n + 1] = index[n], index[1]
+    around[1:-1] = folded[index[1:-1]]
+    around[0], around[n + 1] = around[n] - math.tau, around[1] + math.tau
     middles = (around[1:] + around[:-1]) / 2
-    low = np.maximum(around - reach, np.append(-math.inf, middles))
-    high = np.minimum(around + reach, np.append(middles, math.inf))
-    first = np.searchsorted(centres, low)
-    counts = np.maximum(np.searchsorted(centres, high) - first, 0)
-    before = np.cumsum(counts) - counts
+    reach = max(REACH * spacing, math.tau / CELLS)
+    low, high = around - reach, around + reach
+    low[1:], high[:-1] = np.maximum(low[1:], middles), np.minimum(high[:-1], middles)
+    first, end = np.searchsorted(centres, low), np.searchsorted(centres, high)
     table = np.full(CELLS, -1, dtype=np.int32)
-    table[np.repeat(first - before, counts) + np.arange(counts.sum())] = np.repeat(index, counts)
+    for k in range(n + 2):
+        table[first[k] : end[k]] = index[k]
     return table
 
 
 @lru_cache(maxsize=16)
 def _beams(elevations: bytes) -> SmallIntArray:
     """Return the table of the beams: a lidar's are the same in all its sweeps."""
-    return _table(np.frombuffer(elevations))
+    angles = np.frombuffer(elevations)
+    return nearest(angles, median(np.abs(np.diff(angles))), _centres())
 
 
 @cache

@@ -2,10 +2,40 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
+
+from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.registration.projection import Projection
-from scan3d_twin.core.types import FloatArray, IntArray, SmallIntArray
+from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, SmallIntArray, read_only
+
+
+class Beams(NamedTuple):
+    """The beams of a lidar on its mount.
+
+    Attributes:
+        directions: In ``base`` (n_beams, 3).
+        lever: Place of the lidar in ``base`` (3,) [m].
+        spacing: Typical angle between two beams [rad].
+    """
+
+    directions: FloatArray
+    lever: FloatArray
+    spacing: float
+
+    @staticmethod
+    def of(image: RangeImage) -> Beams:
+        """Return the beams of a sweep; they are the same in all sweeps of a lidar."""
+        return _beams(read_only(image.spec.elevations).tobytes(), image.T_base_lidar.tobytes())
+
+
+@lru_cache(maxsize=16)
+def _beams(elevations: bytes, T_base_lidar: bytes) -> Beams:
+    e, T = np.frombuffer(elevations), np.frombuffer(T_base_lidar).reshape(4, 4)
+    directions = np.cos(e)[:, None] * T[:3, 0] + np.sin(e)[:, None] * T[:3, 2]
+    return Beams(read_only(directions), read_only(T[:3, 3]), median(np.abs(np.diff(e))))
 
 
 class Target(NamedTuple):
@@ -38,3 +68,16 @@ class Sample(NamedTuple):
     yaws: FloatArray
     lines: IntArray
     stride: int
+
+
+def chosen(index: SmallIntArray, stride: int) -> tuple[IntArray, IntArray]:
+    """Return rows and lines (m,) of every ``stride``-th surfel along lines and beams.
+
+    Args:
+        index: Row of each reading (n_lines, n_beams), or -1.
+        stride: The first is half of it from the corner.
+    """
+    first = stride // 2
+    part = index[first::stride, first::stride]
+    line, beam = np.nonzero(part >= 0)
+    return part[line, beam].astype(np.int64), line * stride + first

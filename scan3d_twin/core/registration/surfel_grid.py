@@ -3,38 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.compiled import compiled
 from scan3d_twin.core.registration.edges import Edges, find_edges
-from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.registration.projection import Projection
-from scan3d_twin.core.registration.scan_arrays import Sample, Target
-from scan3d_twin.core.registration.scan_noise import (
-    BIAS_PATCH,
-    ScanNoise,
-    estimate_range_noise,
-    line_residuals,
-    yaw_jitter,
-)
-from scan3d_twin.core.registration.surfels import fit_surfels, knowledge
+from scan3d_twin.core.registration.scan_arrays import Beams, Sample, Target, chosen
+from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
+from scan3d_twin.core.registration.surfels import knowledge
+from scan3d_twin.core.registration.survey import Swept, survey
 from scan3d_twin.core.types import (
     VALID,
     BoolArray,
     FloatArray,
-    IntArray,
     RangeImage,
     Scan3D,
     SmallIntArray,
+    read_only,
 )
 
-WINDOWS = tuple(math.radians(angle) for angle in (2.1, 1.45, 0.85, 0.0))
-"""Half sizes of the windows along lines and beams [rad]; at least one reading to each side."""
 MIN_SURFELS = 50
 """Fewer surfels than this determine nothing reliably."""
 
@@ -47,15 +38,19 @@ class SurfelGrid:
         image: What they were made from.
         noise: What the sweep's readings were taken to err by.
         rows: Surfels (m, 8), columns as in ``surfels``, line by line.
+        yaws: At which each was measured, from the middle of the sweep (m,) [rad].
         index: Row of each reading (n_lines, n_beams), -1 where there is no surfel.
         valid: Readings that are distances (n_lines, n_beams).
+        line_spacing: Typical angle between two lines [rad].
     """
 
     image: RangeImage
     noise: ScanNoise
     rows: FloatArray
+    yaws: FloatArray
     index: SmallIntArray
     valid: BoolArray
+    line_spacing: float
 
     def at(self, part: tuple[slice, slice]) -> FloatArray:
         """Return the surfels of a part of the grid (n, m, 8), 0 where there is none."""
@@ -65,7 +60,7 @@ class SurfelGrid:
     @cached_property
     def projection(self) -> Projection:
         """The way from a point to the line and beam that see it."""
-        return Projection.of(self.image)
+        return Projection.of(self.image, self.line_spacing)
 
     @cached_property
     def target(self) -> Target:
@@ -73,13 +68,13 @@ class SurfelGrid:
         return Target(self.rows, self.yaws, self.index.reshape(-1), self.projection)
 
     @cached_property
-    def yaws(self) -> FloatArray:
-        """At which each surfel was measured, from the middle of the sweep (m,) [rad]."""
-        return self.image.yaws[self.index >= 0] - self.middle_yaw
-
-    @cached_property
     def edges(self) -> Edges:
         """Vertical edges at which surfaces end in view."""
+        return Edges.of(self.edge_rows)
+
+    @cached_property
+    def edge_rows(self) -> FloatArray:
+        """The same as rows (n, 8), see ``edges``."""
         return find_edges(self.image, self.rows, self.index, self.valid, self.noise.yaw_sigma)
 
     @cached_property
@@ -88,20 +83,11 @@ class SurfelGrid:
         return knowledge(self.index, self.valid)
 
     @cached_property
-    def line_spacing(self) -> float:
-        """Typical angle between two lines [rad]."""
-        return _line_spacing(self.image)
-
-    @cached_property
     def inflation(self) -> float:
         """Factor on the variance of a reading for what it shares with its neighbours."""
-        beam_spacing = median(np.abs(np.diff(self.image.spec.elevations)))
-        return self.noise.inflation(BIAS_PATCH**2 / (self.line_spacing * beam_spacing))
-
-    @cached_property
-    def middle_yaw(self) -> float:
-        """Yaw of the middle of the sweep, about which an error of the yaw scale turns [rad]."""
-        return float(np.mean(self.image.yaws[:, self.image.spec.n_beams // 2]))
+        return self.noise.inflation(
+            BIAS_PATCH**2 / (self.line_spacing * Beams.of(self.image).spacing)
+        )
 
     def sample(self, stride: int) -> Sample:
         """Return every ``stride``-th surfel along lines and beams."""
@@ -114,13 +100,10 @@ class SurfelGrid:
         return {}
 
     def _sample(self, stride: int) -> Sample:
-        first = stride // 2
-        index = self.index[first::stride, first::stride]
-        line, beam = np.nonzero(index >= 0)
+        rows, lines = (compiled("chosen") or chosen)(self.index, stride)
         if stride == 1:
-            return Sample(self.rows, self.yaws, np.ascontiguousarray(line), stride)
-        chosen = index[line, beam]
-        return Sample(self.rows[chosen], self.yaws[chosen], line * stride + first, stride)
+            return Sample(self.rows, self.yaws, lines, stride)
+        return Sample(self.rows[rows], self.yaws[rows], lines, stride)
 
     @property
     def count(self) -> int:
@@ -143,90 +126,34 @@ def prepare(
         ConfigError: The image's parts do not fit together or its yaws are not finite.
     """
     _check(image)
+    mask = _mask(keep, image.codes.shape)
+    wanted = UNKNOWN if noise is None else _sigmas(noise)
     with np.errstate(invalid="ignore"):
-        valid = (image.codes == VALID) & (image.ranges > 0) & np.isfinite(image.ranges)
-    mask, used = _mask(keep, valid), Used.of(image, valid)
-    if noise is None:
-        noise = used.range_noise()
-        rows, part = used.fit(mask, noise)
-        noise = replace(noise, yaw_sigma=used.yaw_jitter(rows, part))
-    else:
-        rows, part = used.fit(mask, noise)
-    index = np.full(valid.shape, -1, dtype=np.int32)
-    index[used.part] = part
-    grid = SurfelGrid(image, noise, rows, index, valid)
-    if grid.count < MIN_SURFELS:
+        found = (compiled("survey") or survey)(_swept(image), mask, wanted)
+    if len(found.rows) < MIN_SURFELS:
         raise RegistrationError(
-            f"the scan shows too little surface: {int(mask.sum())} readings of {image.ranges.size} "
-            f"gave {grid.count} surfels, {MIN_SURFELS} are needed"
+            f"the scan shows too little surface: {np.count_nonzero(found.valid & mask)} readings "
+            f"of {image.ranges.size} gave {len(found.rows)} surfels, {MIN_SURFELS} are needed"
         )
-    return grid
+    sigma, per_metre, yaw_sigma = found.noise.tolist()
+    noise = noise or ScanNoise(sigma, per_metre, yaw_sigma)
+    return SurfelGrid(
+        image, noise, found.rows, found.yaws, found.row_of, found.valid, found.line_spacing
+    )
 
 
-@dataclass(frozen=True)
-class Used:
-    """The part of a sweep from its first to its last line and beam with a reading: all that counts.
-
-    Attributes:
-        image: The sweep.
-        part: Slices of its lines and beams.
-        valid: Readings that are distances, of that part (n, m).
-    """
-
-    image: RangeImage
-    part: tuple[slice, slice]
-    valid: BoolArray
-
-    @staticmethod
-    def of(image: RangeImage, valid: BoolArray) -> Used:
-        """Return the part of ``image`` with readings; one if there is none."""
-        part = (_extent(np.any(valid, axis=1)), _extent(np.any(valid, axis=0)))
-        return Used(image, part, np.ascontiguousarray(valid[part]))
-
-    @cached_property
-    def ranges(self) -> FloatArray:
-        """Ranges of the part (n, m) [m]."""
-        return np.array(self.image.ranges[self.part])
-
-    @cached_property
-    def yaws(self) -> FloatArray:
-        """Yaws of the part (n, m) [rad]."""
-        return np.array(self.image.yaws[self.part])
-
-    def range_noise(self) -> ScanNoise:
-        """Return the noise of the readings as they tell it themselves, or as usual."""
-        estimated = estimate_range_noise(self.ranges, self.valid)
-        if estimated is None:
-            return ScanNoise()
-        return replace(ScanNoise(), range_sigma=estimated[0], range_sigma_per_metre=estimated[1])
-
-    def yaw_jitter(self, rows: FloatArray, index: SmallIntArray) -> float:
-        """Return the jitter of the lines' yaws by the surfels of ``fit`` [rad]."""
-        run = compiled("line_residuals") or line_residuals
-        return yaw_jitter(run(self.ranges, self.yaws, _lever(self.image), rows, index))
-
-    def fit(self, keep: BoolArray, noise: ScanNoise) -> tuple[FloatArray, SmallIntArray]:
-        """Return what ``fit_surfels`` does, for the readings to ``keep`` (n_lines, n_beams)."""
-        run, lever = compiled("fit_surfels") or fit_surfels, _lever(self.image)
-        e, R = self.image.spec.elevations[self.part[1]], self.image.T_base_lidar[:3, :3]
-        beams = np.cos(e)[:, None] * R[:, 0] + np.sin(e)[:, None] * R[:, 2]
-        sigmas = np.array([noise.range_sigma, noise.range_sigma_per_metre])
-        rows, index = run(
-            self.ranges, self.yaws, beams, lever, self.valid, np.array(keep[self.part]),
-            sigmas, _half_sizes(self.image),
-        )  # fmt: skip
-        return rows, index
+UNKNOWN = read_only([math.nan] * 3)
+"""The noise is to be estimated."""
+ALL = read_only([[True]], np.bool_)
 
 
-def _extent(any_valid: npt.ArrayLike) -> slice:
-    """Return the slice from the first to the last True; one entry if there is none."""
-    used = np.flatnonzero(any_valid)
-    return slice(used[0], used[-1] + 1) if len(used) else slice(0, 1)
+def _sigmas(noise: ScanNoise) -> FloatArray:
+    return read_only([noise.range_sigma, noise.range_sigma_per_metre, noise.yaw_sigma])
 
 
-def _lever(image: RangeImage) -> FloatArray:
-    """Return the place of the lidar in ``base`` (3,) [m]."""
-    return np.array(image.T_base_lidar[:3, 3])
+def _swept(image: RangeImage) -> Swept:
+    ranges, yaws = read_only(image.ranges), read_only(image.yaws)
+    return Swept(ranges, yaws, image.codes == VALID, Beams.of(image))
 
 
 def _check(image: RangeImage) -> None:
@@ -245,25 +172,14 @@ def _check(image: RangeImage) -> None:
         raise ConfigError("range image: elevations must be finite")
 
 
-def _mask(keep: BoolArray | Scan3D | None, valid: BoolArray) -> BoolArray:
+def _mask(keep: BoolArray | Scan3D | None, shape: tuple[int, ...]) -> BoolArray:
     if keep is None:
-        return valid
+        return ALL
     if isinstance(keep, Scan3D):
-        mask = np.zeros(valid.shape, dtype=bool)
+        mask = np.zeros(shape, dtype=bool)
         mask[keep.lines, keep.beams] = True
-        return mask & valid
-    if keep.shape != valid.shape:
-        raise ConfigError(f"keep has shape {keep.shape}, the range image {valid.shape}")
-    return np.asarray(keep & valid)
-
-
-def _half_sizes(image: RangeImage) -> IntArray:
-    """Return the half sizes of the windows in lines and beams (4, 2), largest first."""
-    steps = np.array([_line_spacing(image), median(np.abs(np.diff(image.spec.elevations)))])
-    halves = np.round(np.array(WINDOWS)[:, None] / np.maximum(steps, 1e-4))
-    sizes: IntArray = np.clip(halves, 1, 12).astype(np.int64)
-    return sizes
-
-
-def _line_spacing(image: RangeImage) -> float:
-    return median(np.abs(np.diff(image.yaws[:, image.spec.n_beams // 2])))
+    elif keep.shape != shape:
+        raise ConfigError(f"keep has shape {keep.shape}, the range image {shape}")
+    else:
+        mask = keep
+    return read_only(mask, np.bool_)

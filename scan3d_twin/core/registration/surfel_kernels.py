@@ -9,7 +9,8 @@ import math
 
 import numpy as np
 
-from scan3d_twin.core.registration.jit import inlined, jit
+from scan3d_twin.core.registration import scan_noise, surfels
+from scan3d_twin.core.registration.jit import inlined, jit, twin_of
 from scan3d_twin.core.registration.scan_noise import APART, FLAT
 from scan3d_twin.core.registration.surfels import FILLED, MIN_COSINE, MOMENTS, TOLERANCE
 
@@ -23,7 +24,7 @@ def _turn(angle, c, s):  # type: ignore[no-untyped-def]
     return c * dc - s * ds, s * dc + c * ds
 
 
-@jit
+@twin_of(surfels.fit_surfels)
 def fit_surfels(ranges, yaws, beams, lever, valid, keep, noise, windows):  # type: ignore[no-untyped-def]
     """See ``surfels.fit_surfels``; of the summed-area table only the rows in use are kept.
 
@@ -34,6 +35,7 @@ def fit_surfels(ranges, yaws, beams, lever, valid, keep, noise, windows):  # typ
     depth = 2 * half + 2
     sums, turns = np.zeros((depth, MOMENTS, n_beams + 1 + 2 * margin)), np.empty((2, n_beams))
     rows, index = np.empty((np.sum(keep), 8)), np.full((n_lines, n_beams), -1, np.int32)
+    of_rows = np.empty(len(rows))
     work, n, summed = np.empty(COLUMNS * WIDE), 0, 0
     for i in range(n_lines):
         while summed < min(i + half + 1, n_lines):
@@ -60,13 +62,13 @@ def fit_surfels(ranges, yaws, beams, lever, valid, keep, noise, windows):  # typ
                 )  # fmt: skip
                 _planes(pending, lever[2], work)
                 pending = _pending(keep[i, first:], work, pending)
-            n = _take(keep[i, first:end], work, rows, index[i, first:end], n)
-    return rows[:n], index
+            n = _take(keep[i], yaws[i], work, first, end, rows, of_rows, index[i], n)
+    return rows[:n], of_rows[:n], index
 
 
 WIDE = 128
 """Beams at once: some 30 kB of ``work``, which stays in the fastest cache."""
-AREA, D, O, Q, SIGMA, FOUND, COLUMNS = 11, 12, 15, 17, 18, 19, 27
+AREA, RAY, EYE, Q, SIGMA, FOUND, COLUMNS = 11, 12, 15, 17, 18, 19, 27
 """Columns of ``work`` after the moments: readings of a whole window, the ray (3) and the lidar's
 place (2) in ``scan``, inverse range, sigma of the range, and the surfels (8)."""
 
@@ -102,9 +104,21 @@ def _add_line(ranges, beams, lever, valid, turns, margin, above, below):  # type
             yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
             xq, yq, zq, qq, n = xq + x * q, yq + y * q, zq + z * q, qq + q * q, n + 1.0
         at = margin + 1 + j
-        below[0, at], below[1, at], below[2, at] = above[0, at] + xx, above[1, at] + xy, above[2, at] + xz
-        below[3, at], below[4, at], below[5, at] = above[3, at] + yy, above[4, at] + yz, above[5, at] + zz
-        below[6, at], below[7, at], below[8, at] = above[6, at] + xq, above[7, at] + yq, above[8, at] + zq
+        below[0, at], below[1, at], below[2, at] = (
+            above[0, at] + xx,
+            above[1, at] + xy,
+            above[2, at] + xz,
+        )
+        below[3, at], below[4, at], below[5, at] = (
+            above[3, at] + yy,
+            above[4, at] + yz,
+            above[5, at] + zz,
+        )
+        below[6, at], below[7, at], below[8, at] = (
+            above[6, at] + xq,
+            above[7, at] + yq,
+            above[8, at] + zq,
+        )
         below[9, at], below[10, at] = above[9, at] + qq, above[10, at] + n
     whole = (xx, xy, xz, yy, yz, zz, xq, yq, zq, qq, n)
     for m in range(MOMENTS):
@@ -121,10 +135,10 @@ def _look(ranges, beams, lever, turns, noise, first, n, work):  # type: ignore[n
     for k in range(n):
         j = first + k
         c, s = turns[0, j], turns[1, j]
-        work[D * WIDE + k] = c * beams[j, 0] - s * beams[j, 1]
-        work[(D + 1) * WIDE + k] = s * beams[j, 0] + c * beams[j, 1]
-        work[(D + 2) * WIDE + k] = beams[j, 2]
-        work[O * WIDE + k], work[(O + 1) * WIDE + k] = c * l_x - s * l_y, s * l_x + c * l_y
+        work[RAY * WIDE + k] = c * beams[j, 0] - s * beams[j, 1]
+        work[(RAY + 1) * WIDE + k] = s * beams[j, 0] + c * beams[j, 1]
+        work[(RAY + 2) * WIDE + k] = beams[j, 2]
+        work[EYE * WIDE + k], work[(EYE + 1) * WIDE + k] = c * l_x - s * l_y, s * l_x + c * l_y
         work[Q * WIDE + k] = 1.0 / ranges[j]
         work[SIGMA * WIDE + k] = at_zero + per_metre * ranges[j]
         work[(FOUND + 6) * WIDE + k] = 0.0
@@ -146,7 +160,7 @@ def _moments(above, below, margin, half, n_lines, n_beams, first, n, work):  # t
 
 @jit
 def _planes(n, height, w):  # type: ignore[no-untyped-def]
-    """Write the surfels of windows where none was found yet; their variance stays 0 where none fits.
+    """Write the surfels of windows where none was found yet; where none fits the variance stays 0.
 
     ``height`` is that of the lidar; the columns of ``w`` are those of ``work``.
     """
@@ -156,8 +170,8 @@ def _planes(n, height, w):  # type: ignore[no-untyped-def]
         )  # fmt: skip
         bx, by, bz = w[6 * WIDE + j], w[7 * WIDE + j], w[8 * WIDE + j]
         qq, readings, area = w[9 * WIDE + j], w[10 * WIDE + j], w[AREA * WIDE + j]
-        dx, dy, dz = w[D * WIDE + j], w[(D + 1) * WIDE + j], w[(D + 2) * WIDE + j]
-        ox, oy = w[O * WIDE + j], w[(O + 1) * WIDE + j]
+        dx, dy, dz = w[RAY * WIDE + j], w[(RAY + 1) * WIDE + j], w[(RAY + 2) * WIDE + j]
+        ox, oy = w[EYE * WIDE + j], w[(EYE + 1) * WIDE + j]
         q, sigma = w[Q * WIDE + j], w[SIGMA * WIDE + j]
         c_xx, c_xy, c_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
         c_yy, c_yz, c_zz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
@@ -173,7 +187,9 @@ def _planes(n, height, w):  # type: ignore[no-untyped-def]
         scatter = q * q * by_range
         rss = qq - mx * bx - my * by - mz * bz
         free = max(readings - 3.0, 1.0)
-        fits = (readings >= FILLED * area) & (readings > 5.0) & (det > 1e-12 * trace * trace * trace)
+        fits = (
+            (readings >= FILLED * area) & (readings > 5.0) & (det > 1e-12 * trace * trace * trace)
+        )
         fits &= (rss <= scatter * (free + TOLERANCE * math.sqrt(2.0 * free))) & (r > 0.0)
         fits &= along * along > MIN_COSINE**2 * square
         fits &= w[(FOUND + 6) * WIDE + j] == 0.0
@@ -216,18 +232,18 @@ def _pending(keep, work, n):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _take(keep, work, rows, index, n):  # type: ignore[no-untyped-def]
-    """Append the surfels found to ``rows`` and their numbers to ``index``; return how many."""
-    for j in range(len(keep)):
-        if keep[j] and work[(FOUND + 6) * WIDE + j] > 0.0:
+def _take(keep, yaws, work, first, end, rows, of_rows, index, n):  # type: ignore[no-untyped-def]
+    """Append the surfels of beams ``first`` to ``end``; return how many there are."""
+    for j in range(first, end):
+        if keep[j] and work[(FOUND + 6) * WIDE + j - first] > 0.0:
             for m in range(8):
-                rows[n, m] = work[(FOUND + m) * WIDE + j]
-            index[j] = n
+                rows[n, m] = work[(FOUND + m) * WIDE + j - first]
+            index[j], of_rows[n] = n, yaws[j]
             n += 1
     return n
 
 
-@jit
+@twin_of(scan_noise.line_residuals)
 def line_residuals(ranges, yaws, lever, rows, index):  # type: ignore[no-untyped-def]
     """See ``scan_noise.line_residuals``."""
     n_lines, n_beams = ranges.shape
@@ -257,3 +273,16 @@ def _flat(rows, a, b):  # type: ignore[no-untyped-def]
     """Tell whether two surfels lie on one flat surface."""
     dot = rows[a, 3] * rows[b, 3] + rows[a, 4] * rows[b, 4] + rows[a, 5] * rows[b, 5]
     return dot > FLAT
+
+
+@jit
+def chosen(index, stride):  # type: ignore[no-untyped-def]
+    """See ``scan_arrays.chosen``."""
+    first, n = stride // 2, 0
+    most = (len(index) // stride + 1) * (index.shape[1] // stride + 1)
+    rows, lines = np.empty(most, np.int64), np.empty(most, np.int64)
+    for i in range(first, len(index), stride):
+        for j in range(first, index.shape[1], stride):
+            rows[n], lines[n] = index[i, j], i
+            n += index[i, j] >= 0
+    return rows[:n].copy(), lines[:n].copy()

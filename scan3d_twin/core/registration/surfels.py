@@ -50,7 +50,7 @@ def fit_surfels(
     keep: BoolArray,
     noise: FloatArray,
     windows: IntArray,
-) -> tuple[FloatArray, SmallIntArray]:
+) -> tuple[FloatArray, FloatArray, SmallIntArray]:
     """Return the surfels; the method is at the module's head.
 
     Args:
@@ -64,8 +64,8 @@ def fit_surfels(
         windows: Half sizes in lines and beams, largest first (k, 2).
 
     Returns:
-        Rows (m, 8), columns as above, line by line, and the row of each reading (n_lines, n_beams);
-        -1 where no plane fits.
+        Rows (m, 8), columns as above, line by line; the yaw at which each was measured (m,) [rad];
+        and the row of each reading (n_lines, n_beams), -1 where no plane fits.
     """
     margin, n = int(windows[:, 0].max()), 0
     index, found = np.full(ranges.shape, -1, dtype=np.int32), []
@@ -81,7 +81,7 @@ def fit_surfels(
         found.append(block[fits])
         index[inner][fits] = n + np.arange(len(found[-1]))
         n += len(found[-1])
-    return np.concatenate(found), index
+    return np.concatenate(found), yaws[index >= 0], index
 
 
 def _fit_lines(

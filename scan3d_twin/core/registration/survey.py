@@ -1,0 +1,107 @@
+"""What a sweep tells of itself: its readings, their noise and the surfels behind them.
+
+``kernels`` compiles all of it as it stands here, so that a sweep is made ready in one call.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from scan3d_twin.core.registration.scan_arrays import Beams
+from scan3d_twin.core.registration.scan_noise import (
+    estimate_range_noise,
+    line_residuals,
+    yaw_jitter,
+)
+from scan3d_twin.core.registration.surfels import fit_surfels
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray
+
+WINDOWS = tuple(math.radians(angle) for angle in (2.1, 1.45, 0.85, 0.0))
+"""Half sizes of the windows along lines and beams [rad]; at least one reading to each side ..."""
+MOST_HALF = 12
+"""... and at most so many."""
+
+
+class Swept(NamedTuple):
+    """A sweep as arrays.
+
+    Attributes:
+        ranges: (n_lines, n_beams) [m].
+        yaws: Of the base at each beam (n_lines, n_beams) [rad].
+        measured: Readings that are distances by their code (n_lines, n_beams).
+        beams: Of the lidar.
+    """
+
+    ranges: FloatArray
+    yaws: FloatArray
+    measured: BoolArray
+    beams: Beams
+
+
+class Survey(NamedTuple):
+    """What is known of a sweep.
+
+    Attributes:
+        rows: Surfels (m, 8), columns as in ``surfels``, line by line.
+        yaws: At which each was measured, from the middle of the sweep (m,) [rad].
+        row_of: Row of each reading (n_lines, n_beams), -1 where there is no surfel.
+        valid: Readings that are distances (n_lines, n_beams).
+        noise: Range sigma at 0 [m], its growth per metre and the sigma of a line's yaw [rad] (3,).
+        line_spacing: Typical angle between two lines [rad].
+    """
+
+    rows: FloatArray
+    yaws: FloatArray
+    row_of: SmallIntArray
+    valid: BoolArray
+    noise: FloatArray
+    line_spacing: float
+
+
+def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
+    """Return what a sweep shows.
+
+    Only the part from the first to the last line and beam with a reading is looked at.
+
+    Args:
+        swept: The sweep.
+        keep: Readings (n_lines, n_beams) that get a surfel; (1, 1) for all or none.
+        noise: As in ``Survey``, NaN where it is to be estimated (3,).
+    """
+    valid = swept.measured & (swept.ranges > 0) & np.isfinite(swept.ranges)
+    l0, l1 = extent(np.sum(valid, axis=1))
+    b0, b1 = extent(np.sum(valid, axis=0))
+    ranges, yaws = swept.ranges[l0:l1, b0:b1], swept.yaws[l0:l1, b0:b1]
+    part, wanted = valid[l0:l1, b0:b1], (valid & keep)[l0:l1, b0:b1]
+    beams, noise = swept.beams.directions[b0:b1], noise.copy()
+    if np.isnan(noise[0]):
+        noise[0], noise[1] = estimate_range_noise(ranges, part)
+    middles = swept.yaws[:, swept.yaws.shape[1] // 2].copy()
+    line_spacing = np.median(np.abs(np.diff(middles)))
+    windows = half_sizes(line_spacing, swept.beams.spacing)
+    rows, of_rows, found = fit_surfels(
+        ranges, yaws, beams, swept.beams.lever, part, wanted, noise[:2].copy(), windows
+    )
+    if np.isnan(noise[2]):
+        noise[2] = yaw_jitter(line_residuals(ranges, yaws, swept.beams.lever, rows, found))
+    row_of = np.full(valid.shape, -1, dtype=np.int32)
+    row_of[l0:l1, b0:b1] = found
+    return Survey(rows, of_rows - np.mean(middles), row_of, valid, noise, line_spacing)
+
+
+def half_sizes(line_spacing: float, beam_spacing: float) -> IntArray:
+    """Return the half sizes of the windows in lines and beams (4, 2), largest first."""
+    sizes = np.empty((len(WINDOWS), 2), dtype=np.int64)
+    for k in range(len(WINDOWS)):
+        sizes[k, 0] = min(MOST_HALF, max(1, round(WINDOWS[k] / max(line_spacing, 1e-4))))
+        sizes[k, 1] = min(MOST_HALF, max(1, round(WINDOWS[k] / max(beam_spacing, 1e-4))))
+    return sizes
+
+
+def extent(counts: IntArray) -> tuple[int, int]:
+    """Return the first place where ``counts`` (n,) is not 0, and the end; 0 and 1 if none is."""
+    used = np.flatnonzero(counts)
+    return (used[0], used[-1] + 1) if len(used) > 0 else (0, 1)
