@@ -74,6 +74,10 @@ EDGE_ROBUST = 2.0
 """The kernel of edges, in kernels of surfels: their errors are uniform, not normal."""
 
 
+NOTHING = read_only(np.zeros((6, 6)))
+"""Covariance that stands for no knowledge."""
+
+
 class Criteria(NamedTuple):
     """When the iteration ends, and the widest gate."""
 
@@ -107,8 +111,24 @@ class Scans(NamedTuple):
     moments: Moments
 
 
-class Prior(NamedTuple):
+class Expected(NamedTuple):
     """What is known beforehand.
+
+    Attributes:
+        mean: Of ``T_target_source`` (4, 4).
+        covariance: Of x y z rx ry rz (6, 6); 0 when nothing is known.
+        rows: The estimated entries of these, k of them.
+        yaw_scale: Information of the common relative error of the yaws; infinite when exact.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    rows: tuple[int, ...]
+    yaw_scale: float
+
+
+class Prior(NamedTuple):
+    """The same as information on the estimated entries.
 
     Attributes:
         mean: Of ``T_target_source`` (4, 4).
@@ -208,15 +228,13 @@ class Problem:
         return PLANAR if self.dof == "planar" else (0, 1, 2, 3, 4, 5)
 
     @cached_property
-    def beforehand(self) -> Prior:
-        """The prior on the estimated entries, and that of the yaw scale."""
-        k = len(self.dims)
+    def beforehand(self) -> Expected:
+        """The prior, and that of the yaw scale."""
         sigma = max(self.target.noise.yaw_scale_sigma, self.source.noise.yaw_scale_sigma)
-        mean, information = np.eye(4), np.zeros((k, k))
-        if self.prior is not None:
-            mean, information = np.array(self.prior.T), self.prior.information(self.dims)
         yaw_scale = 1.0 / sigma**2 if sigma > 0 else math.inf
-        return Prior(mean, information, self.dims, yaw_scale)
+        if self.prior is None:
+            return Expected(read_only(np.eye(4)), NOTHING, self.dims, yaw_scale)
+        return Expected(self.prior.T, self.prior.covariance, self.dims, yaw_scale)
 
     @cached_property
     def stride(self) -> int:
@@ -278,13 +296,13 @@ def follow(
 
 
 def descend(
-    scans: Scans, prior: Prior, criteria: Criteria, starts: FloatArray
+    scans: Scans, expected: Expected, criteria: Criteria, starts: FloatArray
 ) -> tuple[FloatArray, Outcome]:
     """Return where the steps from ``starts`` (n, 4, 4) end (m, 4, 4), and how the last did.
 
     Ends that met are one, those without overlap left out.
     """
-    ends, n = np.empty_like(starts), 0
+    prior, ends, n = weighed(expected), np.empty_like(starts), 0
     for start in range(len(starts)):
         state, settled = State(starts[start].copy(), 0.0), False
         for iteration in range(criteria.max_iterations):
@@ -305,6 +323,15 @@ def descend(
     known = knowledge(scans, prior, state, solution)
     last = Outcome(state, solution, known, len(sample.rows), iteration + 1, settled, overlap)
     return ends[:n].copy(), last
+
+
+def weighed(expected: Expected) -> Prior:
+    """Return the prior as information on the estimated entries."""
+    mean, covariance, rows, yaw_scale = expected
+    information = np.zeros((len(rows), len(rows)))
+    if covariance[0, 0] > 0.0:
+        information[:] = np.linalg.inv(block(covariance, rows))
+    return Prior(mean, information, rows, yaw_scale)
 
 
 def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:

@@ -27,6 +27,7 @@ from scan3d_twin.core.registration.gauss_newton import (
     apart,
     follow,
     report,
+    weighed,
 )
 from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displaced
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
@@ -171,6 +172,6 @@ def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
 
 def _unlikelihood(problem: Problem, pose: FloatArray) -> float:
     """Return the squared Mahalanobis distance of a pose from the prior's mean."""
-    prior = problem.beforehand
+    prior = weighed(problem.beforehand)
     off = picked(deviation(pose, prior.mean), prior.rows)
     return float(off @ prior.information @ off)

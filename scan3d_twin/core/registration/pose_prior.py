@@ -34,16 +34,19 @@ class PosePrior:
     covariance: FloatArray
 
     def __post_init__(self) -> None:
-        if self.T.shape != (4, 4) or not np.all(np.isfinite(self.T)):
+        if self.T.shape != (4, 4) or not math.isfinite(np.sum(self.T)):
             raise ConfigError("the prior's pose must be a finite (4, 4) transform")
         C = self.covariance
-        if C.shape != (6, 6) or not np.all(np.isfinite(C)) or np.linalg.eigvalsh(C)[0] <= 0:
+        if C.shape != (6, 6) or not positive_definite(C.tolist()):
             raise ConfigError("the prior's covariance must be (6, 6), finite and positive definite")
 
     @staticmethod
     def planar(pose: Pose2, sigma_xy: float, sigma_yaw: float) -> PosePrior:
         """Return the prior of a robot on a floor, with the same error in x and y."""
-        return PosePrior.of_robot(pose, np.diag(np.square([sigma_xy, sigma_xy, sigma_yaw])))
+        covariance = np.zeros((3, 3))
+        covariance[0, 0] = covariance[1, 1] = sigma_xy**2
+        covariance[2, 2] = sigma_yaw**2
+        return PosePrior.of_robot(pose, covariance)
 
     @staticmethod
     def of_robot(pose: Pose2, covariance: FloatArray) -> PosePrior:
@@ -60,6 +63,19 @@ class PosePrior:
     def deviation(self, T: FloatArray) -> FloatArray:
         """Return by how much ``T`` (4, 4) lies off the mean (6,), x y z rx ry rz."""
         return deviation(T, self.T)
+
+
+def positive_definite(rows: list[list[float]]) -> bool:
+    """Tell whether a symmetric matrix is finite and positive definite: its pivots are > 0."""
+    n = len(rows)
+    for k in range(n):
+        if not 0.0 < rows[k][k] < math.inf:
+            return False
+        for i in range(k + 1, n):
+            factor = rows[i][k] / rows[k][k]
+            for j in range(k + 1, n):
+                rows[i][j] -= factor * rows[k][j]
+    return True
 
 
 def deviation(T: FloatArray, mean: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.registration.projection import Projection
-from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, SmallIntArray, read_only
+from scan3d_twin.core.types import FloatArray, RangeImage, SmallIntArray, read_only
 
 
 class Beams(NamedTuple):
@@ -66,12 +66,14 @@ class Sample(NamedTuple):
 
     rows: FloatArray
     yaws: FloatArray
-    lines: IntArray
+    lines: SmallIntArray
     stride: int
 
 
-def chosen(index: SmallIntArray, stride: int) -> tuple[IntArray, IntArray]:
+def chosen(index: SmallIntArray, stride: int) -> tuple[SmallIntArray, SmallIntArray]:
     """Return rows and lines (m,) of every ``stride``-th surfel along lines and beams.
+
+    For a stride of 1 the rows are all there are, and left out.
 
     Args:
         index: Row of each reading (n_lines, n_beams), or -1.
@@ -80,4 +82,5 @@ def chosen(index: SmallIntArray, stride: int) -> tuple[IntArray, IntArray]:
     first = stride // 2
     part = index[first::stride, first::stride]
     line, beam = np.nonzero(part >= 0)
-    return part[line, beam].astype(np.int64), line * stride + first
+    lines = (line * stride + first).astype(np.int32)
+    return part[line, beam] if stride > 1 else np.empty(0, dtype=np.int32), lines

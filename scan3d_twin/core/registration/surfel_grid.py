@@ -166,9 +166,9 @@ def _check(image: RangeImage) -> None:
             )
     if min(shape) < 5:
         raise RegistrationError(f"a scan of {shape[0]} lines and {shape[1]} beams is too small")
-    if not (np.all(np.isfinite(image.yaws)) and np.all(np.isfinite(image.T_base_lidar))):
+    if not (math.isfinite(np.sum(image.yaws)) and math.isfinite(np.sum(image.T_base_lidar))):
         raise ConfigError("range image: yaws and T_base_lidar must be finite")
-    if not np.all(np.isfinite(image.spec.elevations)):
+    if not math.isfinite(np.sum(image.spec.elevations)):
         raise ConfigError("range image: elevations must be finite")
 
 

@@ -280,9 +280,11 @@ def chosen(index, stride):  # type: ignore[no-untyped-def]
     """See ``scan_arrays.chosen``."""
     first, n = stride // 2, 0
     most = (len(index) // stride + 1) * (index.shape[1] // stride + 1)
-    rows, lines = np.empty(most, np.int64), np.empty(most, np.int64)
+    rows, lines = np.empty(most if stride > 1 else 0, np.int32), np.empty(most, np.int32)
     for i in range(first, len(index), stride):
         for j in range(first, index.shape[1], stride):
-            rows[n], lines[n] = index[i, j], i
+            if stride > 1:
+                rows[n] = index[i, j]
+            lines[n] = i
             n += index[i, j] >= 0
-    return rows[:n].copy(), lines[:n].copy()
+    return rows[:n], lines[:n]

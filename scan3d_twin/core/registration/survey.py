@@ -89,7 +89,8 @@ def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
         noise[2] = yaw_jitter(line_residuals(ranges, yaws, swept.beams.lever, rows, found))
     row_of = np.full(valid.shape, -1, dtype=np.int32)
     row_of[l0:l1, b0:b1] = found
-    return Survey(rows, of_rows - np.mean(middles), row_of, valid, noise, line_spacing)
+    of_rows -= np.mean(middles)
+    return Survey(rows, of_rows, row_of, valid, noise, line_spacing)
 
 
 def half_sizes(line_spacing: float, beam_spacing: float) -> IntArray:
