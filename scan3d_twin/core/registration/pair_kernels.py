@@ -1,6 +1,8 @@
 """Compiled twins of the array functions of the same names in ``point_to_plane`` and ``free_space``.
 
-Loops instead of arrays, and the same results: method and arguments are described there.
+Loops instead of arrays, and the same results: method and arguments are described there. Those over
+a chunk are written for wide registers: columns a constant way apart, no branches, and no indices
+that the compiler must take for negative ones.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from scan3d_twin.core.registration.surfels import FILLED, MIN_COSINE, MOMENTS, T
 @inlined
 def _turn(angle, c, s):  # type: ignore[no-untyped-def]
     """Return cos and sin of a small ``angle`` [rad] more than the angle of cosine c and sine s."""
-    square = angle * angle  # the next terms are below 1e-12 up to 0.03 rad
+    square = angle * angle
     dc = 1.0 - square * (0.5 - square * (1 / 24 - square / 720))
     ds = angle * (1.0 - square * (1 / 6 - square * (1 / 120 - square / 5040)))
     return c * dc - s * ds, s * dc + c * ds
@@ -66,6 +66,8 @@ def fit_surfels(ranges, yaws, beams, lever, valid, keep, noise, windows):  # typ
     return rows[:n], of_rows[:n], index
 
 
+MOST_TURNED = 0.03
+"""Up to here the terms that ``_turn`` leaves out are below 1e-12 [rad]."""
 WIDE = 128
 """Beams at once: some 30 kB of ``work``, which stays in the fastest cache."""
 AREA, RAY, EYE, Q, SIGMA, FOUND, COLUMNS = 11, 12, 15, 17, 18, 19, 27
@@ -79,7 +81,7 @@ def _turns(yaws, turns):  # type: ignore[no-untyped-def]
     c0, s0, turned = math.cos(yaws[0]), math.sin(yaws[0]), 0.0
     for j in range(len(yaws)):
         turned = max(turned, abs(yaws[j] - yaws[0]))
-    if turned > 0.03:
+    if turned > MOST_TURNED:
         for j in range(len(yaws)):
             turns[0, j], turns[1, j] = math.cos(yaws[j]), math.sin(yaws[j])
     else:
@@ -104,22 +106,12 @@ def _add_line(ranges, beams, lever, valid, turns, margin, above, below):  # type
             yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
             xq, yq, zq, qq, n = xq + x * q, yq + y * q, zq + z * q, qq + q * q, n + 1.0
         at = margin + 1 + j
-        below[0, at], below[1, at], below[2, at] = (
-            above[0, at] + xx,
-            above[1, at] + xy,
-            above[2, at] + xz,
-        )
-        below[3, at], below[4, at], below[5, at] = (
-            above[3, at] + yy,
-            above[4, at] + yz,
-            above[5, at] + zz,
-        )
-        below[6, at], below[7, at], below[8, at] = (
-            above[6, at] + xq,
-            above[7, at] + yq,
-            above[8, at] + zq,
-        )
-        below[9, at], below[10, at] = above[9, at] + qq, above[10, at] + n
+        below[0, at], below[1, at] = above[0, at] + xx, above[1, at] + xy
+        below[2, at], below[3, at] = above[2, at] + xz, above[3, at] + yy
+        below[4, at], below[5, at] = above[4, at] + yz, above[5, at] + zz
+        below[6, at], below[7, at] = above[6, at] + xq, above[7, at] + yq
+        below[8, at], below[9, at] = above[8, at] + zq, above[9, at] + qq
+        below[10, at] = above[10, at] + n
     whole = (xx, xy, xz, yy, yz, zz, xq, yq, zq, qq, n)
     for m in range(MOMENTS):
         for at in range(margin + 1 + first):
