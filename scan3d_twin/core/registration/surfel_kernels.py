@@ -14,6 +14,14 @@ from scan3d_twin.core.registration.jit import inlined, jit, twin_of
 from scan3d_twin.core.registration.scan_noise import APART, FLAT
 from scan3d_twin.core.registration.surfels import FILLED, MIN_COSINE, MOMENTS, TOLERANCE
 
+MOST_TURNED = 0.03
+"""Up to here the terms that ``_turn`` leaves out are below 1e-12 [rad]."""
+WIDE = 128
+"""Beams at once: some 30 kB of ``work``, which stays in the fastest cache."""
+AREA, RAY, EYE, Q, SIGMA, FOUND, COLUMNS = 11, 12, 15, 17, 18, 19, 27
+"""Columns of ``work`` after the moments: readings of a whole window, the ray (3) and the lidar's
+place (2) in ``scan``, inverse range, sigma of the range, and the surfels (8)."""
+
 
 @inlined
 def _turn(angle, c, s):  # type: ignore[no-untyped-def]
@@ -64,15 +72,6 @@ def fit_surfels(ranges, yaws, beams, lever, valid, keep, noise, windows):  # typ
                 pending = _pending(keep[i, first:], work, pending)
             n = _take(keep[i], yaws[i], work, first, end, rows, of_rows, index[i], n)
     return rows[:n], of_rows[:n], index
-
-
-MOST_TURNED = 0.03
-"""Up to here the terms that ``_turn`` leaves out are below 1e-12 [rad]."""
-WIDE = 128
-"""Beams at once: some 30 kB of ``work``, which stays in the fastest cache."""
-AREA, RAY, EYE, Q, SIGMA, FOUND, COLUMNS = 11, 12, 15, 17, 18, 19, 27
-"""Columns of ``work`` after the moments: readings of a whole window, the ray (3) and the lidar's
-place (2) in ``scan``, inverse range, sigma of the range, and the surfels (8)."""
 
 
 @jit
