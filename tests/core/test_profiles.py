@@ -96,6 +96,16 @@ def test_no_edge_is_told_where_lines_are_far_apart() -> None:
     assert not any(edge.place[1] < 0.0 for edge in in_world(seen(GAP, far), far))
 
 
+@pytest.mark.parametrize("radius", [0.2, 0.4])
+def test_the_outline_of_a_curved_body_is_no_edge(radius: float) -> None:
+    yaws = np.radians(np.arange(40.0, -40.0, -0.5))
+    middle = 1.0 + radius
+    below = radius**2 - (middle * np.sin(yaws)) ** 2
+    away = middle * np.cos(yaws) - np.sqrt(np.where(below > 0, below, np.nan))
+    places = away[:, None] * np.column_stack([np.cos(yaws), np.sin(yaws)])
+    assert list(Profile(places, np.isfinite(away)).edges()) == []
+
+
 def test_a_slice_without_readings_has_no_places() -> None:
     view = session_at(BOX).views[-1]
     profile = Profile.of(view, 3.0, 0.15)

@@ -18,13 +18,16 @@ from scan3d_twin.core.planning.situation import readings_of
 from scan3d_twin.core.registration.edges import INWARDS, JUMP, MIN_BEAMS, MIN_COSINE
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
-from scan3d_twin.core.viewpoints import clockwise
+from scan3d_twin.core.viewpoints import angle_between, clockwise
 
 CARRIES = 0.25
 """Surface this near to an edge tells how the surface lies that ends there [m]; a few windows."""
 COARSEST = 0.03
 """An edge is known to a line; where these are farther apart [m], as in a flat sight, too badly to
 find that the face behind it was seen from elsewhere. As ``hidden.SEEN``."""
+STRAIGHT = math.radians(10.0)
+"""A surface whose halves differ by more is curved, and its outline no edge: a circle's of less than
+0.7 m. Noise makes 2 deg."""
 STEP = 0.06
 """A surface is gone that is followed by something so much farther than foreseen [m]: several times
 what noise leaves, and what shows of a gap of 10 cm in a sight of 55 deg."""
@@ -101,7 +104,7 @@ def _edge(places: FloatArray, side: int) -> Edge | None:
     ``side`` is 1 where the surface ends to the right, -1 to the left.
     """
     end, surface = places[-1], _last_surface(places)
-    if len(surface) < MIN_LINES:
+    if len(surface) < MIN_LINES or _bend(surface) > STRAIGHT:
         return None
     spacing = float(np.linalg.norm(surface[-1] - surface[0])) / (len(surface) - 1)
     onwards = _direction(surface)
@@ -146,6 +149,14 @@ def _ends(away: FloatArray) -> BoolArray:
     gone[-2:] = False
     gone[:-1] &= ~gone[1:]
     return gone
+
+
+def _bend(points: FloatArray) -> float:
+    """Return by how much the halves of ``points`` (n, 2) differ in direction [rad]; 0 for a few."""
+    half = len(points) // 2
+    if half < MIN_LINES:
+        return 0.0
+    return abs(angle_between(_direction(points[:half]), _direction(points[half:])))
 
 
 def _direction(points: FloatArray) -> FloatArray:
