@@ -30,6 +30,7 @@ def session_at(
     poses: tuple[Pose2, ...] = (Pose2(),),
     half: float = 1.0,
     sigma: float = 0.004,
+    seed: int = 4,
 ) -> Session:
     """Return a session with a look around from the origin and a view from each pose.
 
@@ -39,9 +40,10 @@ def session_at(
         poses: Where the sweeps are taken, known without error.
         half: The target is known from y = -half to half at x = 1 [m].
         sigma: Range noise [m].
+        seed: Of the noise.
     """
     config = config or Config()
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(seed)
     around = observe(Pose2(), boxes, room=False, width=math.tau - 1e-3, step=math.radians(2.0))
     hint = np.column_stack([np.full(41, 1.0), np.linspace(half, -half, 41)])
     looks = ((0, around), (len(poses), around))

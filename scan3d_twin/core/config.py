@@ -255,8 +255,9 @@ class PlanningConfig:
     closing: Closing = "none"
     """Whether views are added when the contour is done: none, or where niches and gaps hide
     more."""
-    least_hidden: float = 0.015
-    """Hidden surface that a view must be expected to show to be added [m2]; 10 by 15 cm."""
+    least_hidden: float = 0.010
+    """Hidden surface that a view must be expected to show to be added, as it sees it, foreshortened
+    [m2]; 10 by 10 cm."""
 
     def __post_init__(self) -> None:
         _positive("planning", calibration=self.calibration, least_hidden=self.least_hidden)

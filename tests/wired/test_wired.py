@@ -33,12 +33,8 @@ def digitised(opener, link, config, seed=0, start=0.0):
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("link", ["usb", "115200"])
 def test_three_boxes_through_the_drivers_is_as_good_as_without(link):
-    """From the same instant on, so that both see the same noise; benchmarks/links.py has more.
-
-    Without the views that are added for what gaps hide: noise alone decides on 0 to 4 of those.
-    """
-    along = {"tour": "front", "planning": {"closing": "none"}}
-    config = settings([preset("best"), along]).config
+    """From the same instant on, so that both see the same noise; benchmarks/links.py has more."""
+    config = settings([{"tour": "front"}, preset("best")]).config
     wired, by_wired, lidar, began = digitised(open_wired, link, config, seed=2)
     sim, by_sim, _, _ = digitised(open_sim, link, config, seed=2, start=began)
     assert abs(len(wired.views) - len(sim.views)) <= 1

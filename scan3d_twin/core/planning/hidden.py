@@ -1,10 +1,13 @@
 """What the target still hides: faces behind its edges that no view has shown.
 
 The contour spans every niche and gap (``viewpoints``), so that a finished contour may hide surface
-in them. Where a view saw the target end at an upright edge (``registration.edges``), a face is
-expected to go back from it at a right angle to the surface that ends there, as the forecast of
-registrations has it too. What is left of such faces where surface was seen, where beams passed, or
-where a viewpoint that was taken should have shown it, is hidden.
+in them. Where a view saw the target end in a slice (``profiles``), a face is expected to go back
+from there at a right angle to the surface that ends, as the forecast of registrations has it too.
+What is left of such faces where surface was seen, where beams passed, or where a viewpoint that was
+taken should have shown it, is hidden.
+
+Noise must not decide on it, so that two runs under like conditions take like views: a slice counts
+by the median of its readings, and each edge once, however many views saw it.
 """
 
 from __future__ import annotations
@@ -16,14 +19,9 @@ from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
-from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.placing import surfels_of
+from scan3d_twin.core.planning.profiles import Edge, Profile
 from scan3d_twin.core.planning.voxels import passed
-from scan3d_twin.core.registration import SurfelGrid
-from scan3d_twin.core.registration.surfels import N, X
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 
@@ -35,13 +33,11 @@ THICKNESS = 0.15
 """Of a slice [m]: how far one is from the next."""
 DEPTH = 0.45
 """A face is expected to go back so far [m]: a quarter of what a sweep sees at the standoff."""
-CARRIES = 0.25
-"""Surface this near to an edge tells how the surface lies that ends there [m]; a few windows."""
 SEEN = 0.03
 """Surface or a beam this near settles what is there [m]: a few sigma of the noise."""
-THROUGH = 0.08
-"""A beam that goes on for so long behind a reading passed it [m]: more than a surface seen at 75
-deg recedes from one line to the next."""
+APART, SKEW = 0.10, math.radians(45.0)
+"""Edges of two views that are this near, and whose surfaces end in the same direction, are one [m],
+[rad]: what registration and a few lines put between them, and less than the least jump."""
 FLATTEST = math.radians(75.0)
 """A face seen flatter shows too little of itself; as ``target.GRAZING``."""
 
@@ -71,6 +67,23 @@ class Faces:
         columns = [[getattr(part, each.name) for part in parts] for each in fields(Faces)]
         return Faces(*(np.concatenate(column) for column in columns))
 
+    def passed_in(self, view: View) -> BoolArray:
+        """Tell through which pieces (n,) a beam of ``view`` went, by ``SEEN`` across the face.
+
+        A flat beam tells nothing: it misses a face for long that lies a little farther back.
+        """
+        points = np.column_stack([self.points, np.array(HEIGHTS)[self.slices]])
+        local = view.T_world_scan.inverse().apply(points)
+        cosines = np.abs(self.cosines(view.T_world_scan))
+        steep = cosines >= math.cos(FLATTEST)
+        return steep & passed(local, view.observation.image, SEEN / np.maximum(cosines, 1e-3))
+
+    def cosines(self, pose: Pose2) -> FloatArray:
+        """Return the cosines of the incidence at which ``pose`` sees them (n,); negative behind."""
+        ways = np.array([pose.x, pose.y]) - self.points
+        distance = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
+        return np.asarray(np.sum(ways * self.normals, axis=1) / distance)
+
     def select(self, mask: BoolArray) -> Faces:
         """Return the pieces where ``mask`` (n,) is True."""
         return Faces(self.points[mask], self.normals[mask], self.slices[mask])
@@ -83,31 +96,24 @@ class Slices:
     Attributes:
         origin: Corner of cell (0, 0) (2,) [m].
         surface: Small holes closed (n_slices, nx, ny).
-        solid: The same without cells that a beam passed: noise before a surface (n_slices, nx, ny).
     """
 
     origin: FloatArray
     surface: BoolArray
-    solid: BoolArray
 
     @staticmethod
-    def of(session: Session) -> Slices:
-        """Return the slices through the target of ``session``."""
+    def of(session: Session, profiles: Sequence[Sequence[Profile]]) -> Slices:
+        """Return the slices through the target of ``session``: the ``profiles`` of each view."""
         points = np.concatenate([v.T_world_scan.apply(v.target.points) for v in session.views])
         low, high = points[:, :2].min(axis=0) - DEPTH, points[:, :2].max(axis=0) + DEPTH
-        cells = np.floor((points[:, :2] - low) / CELL).astype(np.int64)
-        shape = np.ceil((high - low) / CELL).astype(np.int64)
-        surface = np.zeros((len(HEIGHTS), *shape), dtype=bool)
-        for index, height in enumerate(HEIGHTS):
-            near = np.abs(points[:, 2] - height) <= THICKNESS / 2
-            surface[index, cells[near, 0], cells[near, 1]] = True
+        surface = np.zeros((len(HEIGHTS), *np.ceil((high - low) / CELL).astype(int)), dtype=bool)
+        for view, of_view in zip(session.views, profiles, strict=True):
+            for index, each in enumerate(of_view):
+                places = view.T_world_scan.apply(each.places[each.on_target])
+                cells = np.floor((places - low) / CELL).astype(np.int64)
+                surface[index, cells[:, 0], cells[:, 1]] = True
         surface = ndimage.binary_closing(surface, np.ones((1, 3, 3), dtype=bool))
-        k, i, j = np.nonzero(surface)
-        middles = low + (np.column_stack([i, j]) + 0.5) * CELL
-        solid = surface.copy()
-        middles = np.column_stack([middles, np.array(HEIGHTS)[k]])
-        solid[k, i, j] = ~was_passed(middles, session, THROUGH)
-        return Slices(low, surface, solid)
+        return Slices(low, surface)
 
     @cached_property
     def distance(self) -> FloatArray:
@@ -134,7 +140,7 @@ class Slices:
         steps = np.arange(CELL, float(np.max(lengths, initial=0.0)), CELL)
         points = starts[:, None] + steps[:, None] * (ways / lengths[:, None])[:, None]
         inside = np.all((points >= self.origin) & (points < self._end), axis=-1)
-        met = self.at(self.solid, points, faces.slices[:, None]) > 0
+        met = self.at(self.surface, points, faces.slices[:, None]) > 0
         met &= inside & (steps < lengths[:, None])
         return np.asarray(met.any(axis=1))
 
@@ -150,90 +156,79 @@ class Hidden:
     session: Session
 
     @cached_property
-    def _slices(self) -> Slices:
-        return Slices.of(self.session)
+    def slices(self) -> Slices:
+        """The slices through the target as far as it was seen."""
+        return Slices.of(self.session, self._profiles)
+
+    @cached_property
+    def _profiles(self) -> list[list[Profile]]:
+        """Of each view, one for each slice."""
+        return [[Profile.of(v, z, THICKNESS) for z in HEIGHTS] for v in self.session.views]
 
     @cached_property
     def faces(self) -> Faces:
         """Those that no view so far has settled."""
-        views, slices = self.session.views, self._slices
-        faces = Faces.joined([each for view in views for each in expected(view, self.session)])
+        views, slices = self.session.views, self.slices
+        indices = range(len(HEIGHTS))
+        faces = Faces.joined([each for k in indices for each in behind(self._edges(k), k)])
         faces = faces.select(slices.at(slices.distance, faces.points, faces.slices) > SEEN)
-        cells = np.column_stack([np.floor(faces.points / CELL), faces.slices])
-        _, first = np.unique(cells, axis=0, return_index=True)
-        faces = faces.select(np.isin(np.arange(len(faces)), first))
-        points = np.column_stack([faces.points, np.array(HEIGHTS)[faces.slices]])
-        faces = faces.select(~was_passed(points, self.session, SEEN))
+        for view in views:
+            faces = faces.select(~faces.passed_in(view))
         for view in views:
             faces = faces.select(~self._shown(faces, view.T_world_scan))
         return faces
 
+    def _edges(self, index: int) -> list[Edge]:
+        """Return the edges of the target in slice ``index``, in ``world``."""
+        edges = []
+        for view, profiles in zip(self.session.views, self._profiles, strict=True):
+            edges += [each.seen_from(view.T_world_scan) for each in profiles[index].edges()]
+        return distinct(edges)
+
     def areas(self, poses: Iterable[Pose2]) -> FloatArray:
-        """Return how much of the hidden faces each of ``poses`` in ``world`` shows (n,) [m2]."""
-        shown = [np.count_nonzero(self._shown(self.faces, pose)) for pose in poses]
-        return CELL * THICKNESS * np.array(shown, dtype=np.float64)
+        """Return how much of the hidden faces each of ``poses`` in ``world`` shows (n,) [m2].
+
+        As it is seen, foreshortened: so many readings there are, and what shows at a flat angle
+        only, which a centimetre here or there decides on, counts for little.
+        """
+        shown = [(self.faces.select(self._shown(self.faces, pose)), pose) for pose in poses]
+        return CELL * THICKNESS * np.array([faces.cosines(pose).sum() for faces, pose in shown])
 
     def _shown(self, faces: Faces, pose: Pose2) -> BoolArray:
         """Tell which ``faces`` (n,) a sweep at ``pose`` shows."""
         config = self.session.config
         ways = np.array([pose.x, pose.y]) - faces.points
-        distance = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
+        distance = np.linalg.norm(ways, axis=1)
         local = pose.inverse().apply(faces.points)
         shown = np.abs(np.arctan2(local[:, 1], local[:, 0])) <= config.sweep.width / 2
-        shown &= np.sum(ways * faces.normals, axis=1) >= math.cos(FLATTEST) * distance
+        shown &= faces.cosines(pose) >= math.cos(FLATTEST)
         shown &= distance <= 2 * config.planning.standoff
-        hidden = self._slices.hides(faces.select(shown), np.array([pose.x, pose.y]))
+        hidden = self.slices.hides(faces.select(shown), np.array([pose.x, pose.y]))
         shown[shown] = ~hidden
         return np.asarray(shown)
 
 
-def was_passed(points: FloatArray, session: Session, clearly: float) -> BoolArray:
-    """Tell which ``points`` (n, 3) in ``world`` a beam of a view passed by ``clearly`` [m]."""
-    free = np.zeros(len(points), dtype=bool)
-    for view in session.views:
-        local = view.T_world_scan.inverse().apply(points)
-        free |= passed(local, view.observation.image, clearly)
-    return free
+def behind(edges: Iterable[Edge], index: int) -> Iterator[Faces]:
+    """Yield the face behind each of the ``edges`` in ``world`` of slice ``index``.
 
-
-def expected(view: View, session: Session) -> Iterator[Faces]:
-    """Yield the faces that are expected behind the edges of the target in ``view``."""
-    try:
-        grid = surfels_of(view, session.config)
-    except RegistrationError:
-        return
-    if len(grid.edges) == 0 or len(view.target) == 0:
-        return
-    distance, _ = nearest(cKDTree(view.target.points[:, :2]), grid.edges.places)
-    depth = np.arange(CELL, DEPTH, CELL)
-    for k in np.flatnonzero(distance <= SEEN):
-        inwards, normal = _behind(grid, int(k))
-        points = view.T_world_scan.apply(grid.edges.places[k] + depth[:, None] * inwards)
-        normals = np.tile(view.T_world_scan.rotate(normal), (len(points), 1))
-        low, high = grid.edges.heights[k] + (-SEEN, SEEN)
-        for j, height in enumerate(HEIGHTS):
-            if low <= height <= high:
-                yield Faces(points, normals, np.full(len(points), j))
-
-
-def _behind(grid: SurfelGrid, k: int) -> tuple[FloatArray, FloatArray]:
-    """Return how the face behind edge ``k`` goes back (2,) and its outward normal (2,).
-
-    Back against the normal of the surface that ends there, the median of what is near: windows at
-    the edge itself lean.
+    It goes back at a right angle to the surface that ends there.
     """
-    rows, edges = grid.sample(2).rows, grid.edges
-    place, side, heights = edges.places[k], edges.sides[k], edges.heights[k]
-    right = np.array([place[1], -place[0]]) / np.linalg.norm(place)
-    offset = rows[:, :2] - place
-    distance = np.linalg.norm(offset, axis=1)
-    z = rows[:, X][:, 2]
-    near = (distance <= CARRIES) & (side * (offset @ right) < 0)
-    near &= (z >= heights[0] - SEEN) & (z <= heights[1] + SEEN)
-    if not near.any():
-        near = distance == distance.min()
-    normals = rows[near, N]
-    angle = float(np.median(np.arctan2(normals[:, 1], normals[:, 0])))
-    inwards = -np.array([math.cos(angle), math.sin(angle)])
-    outwards = np.array([inwards[1], -inwards[0]])
-    return inwards, outwards * np.sign(side * (outwards @ right))
+    depth = np.arange(CELL, DEPTH, CELL)[:, None]
+    for edge in edges:
+        points = edge.place - depth * edge.normal
+        normals = np.tile(edge.onwards, (len(points), 1))
+        yield Faces(points, normals, np.full(len(points), index))
+
+
+def distinct(edges: Iterable[Edge]) -> list[Edge]:
+    """Return each edge once, where it was seen best."""
+    kept: list[Edge] = []
+    for edge in sorted(edges, key=lambda each: each.spacing):
+        if not any(_same(edge, other) for other in kept):
+            kept.append(edge)
+    return kept
+
+
+def _same(a: Edge, b: Edge) -> bool:
+    apart = float(np.linalg.norm(a.place - b.place))
+    return apart <= APART and float(a.onwards @ b.onwards) >= math.cos(SKEW)

@@ -141,10 +141,10 @@ def _images(session: Session) -> Iterator[tuple[Pose2, RangeImage]]:
         yield view.T_world_scan @ move, look.image
 
 
-def passed(points: FloatArray, image: RangeImage, clearly: float) -> BoolArray:
+def passed(points: FloatArray, image: RangeImage, clearly: float | FloatArray) -> BoolArray:
     """Tell which ``points`` (..., 3) in ``scan`` lie before what ``image`` measured.
 
-    By at least ``clearly`` [m].
+    By at least ``clearly`` [m], one for all or one each (...).
     """
     lever, height = image.T_base_lidar[0, 3], image.T_base_lidar[2, 3]
     yaws = image.yaws[:, image.spec.n_beams // 2]
