@@ -218,8 +218,7 @@ class Surface:
         valid, run = self.grid.valid, compiled("fit_surfels") or fit_surfels
         rows, _, index = run(
             np.array(image.ranges), np.array(image.yaws), beams.directions, beams.lever, valid,
-            valid,
-            np.array([noise.range_sigma, noise.range_sigma_per_metre]), halves.astype(np.int64),
+            valid, noise.sigmas, halves.astype(np.int64),
         )  # fmt: skip
         return rows, np.asarray(index >= 0)
 

@@ -127,7 +127,7 @@ def prepare(
     """
     _check(image)
     mask = _mask(keep, image.codes.shape)
-    wanted = UNKNOWN if noise is None else _sigmas(noise)
+    wanted = UNKNOWN if noise is None else noise.sigmas
     with np.errstate(invalid="ignore"):
         found = (compiled("survey") or survey)(_swept(image), mask, wanted)
     if len(found.rows) < MIN_SURFELS:
@@ -145,10 +145,6 @@ def prepare(
 UNKNOWN = read_only([math.nan] * 3)
 """The noise is to be estimated."""
 ALL = read_only([[True]], np.bool_)
-
-
-def _sigmas(noise: ScanNoise) -> FloatArray:
-    return read_only([noise.range_sigma, noise.range_sigma_per_metre, noise.yaw_sigma])
 
 
 def _swept(image: RangeImage) -> Swept:

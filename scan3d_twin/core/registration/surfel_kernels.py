@@ -68,7 +68,7 @@ def fit_surfels(ranges, yaws, beams, lever, valid, keep, noise, windows):  # typ
                     sums[l0 % depth], sums[l1 % depth], margin, windows[k, 1], l1 - l0, n_beams,
                     first, pending, work,
                 )  # fmt: skip
-                _planes(pending, lever[2], work)
+                _planes(pending, lever[2], noise[2] ** 2, l1 - l0, work)
                 pending = _pending(keep[i, first:], work, pending)
             n = _take(keep[i], yaws[i], work, first, end, rows, of_rows, index[i], n)
     return rows[:n], of_rows[:n], index
@@ -150,11 +150,12 @@ def _moments(above, below, margin, half, n_lines, n_beams, first, n, work):  # t
 
 
 @jit
-def _planes(n, height, w):  # type: ignore[no-untyped-def]
+def _planes(n, height, yaw_variance, lines, w):  # type: ignore[no-untyped-def]
     """Write the surfels of windows where none was found yet; where none fits the variance stays 0.
 
     ``height`` is that of the lidar; the columns of ``w`` are those of ``work``.
     """
+    per_line = 1.0 + TOLERANCE * math.sqrt(2.0 / lines)
     for j in range(n):
         xx, xy, xz, yy, yz, zz = (
             w[j], w[WIDE + j], w[2 * WIDE + j], w[3 * WIDE + j], w[4 * WIDE + j], w[5 * WIDE + j],
@@ -177,20 +178,24 @@ def _planes(n, height, w):  # type: ignore[no-untyped-def]
         by_range = along * along * sigma * sigma
         scatter = q * q * by_range
         rss = qq - mx * bx - my * by - mz * bz
+        x, y, z = ox + r * dx, oy + r * dy, height + r * dz
+        swing = my * x - mx * y
+        by_yaw = readings * q * q * swing * swing * yaw_variance * per_line
         free = max(readings - 3.0, 1.0)
         fits = (
             (readings >= FILLED * area) & (readings > 5.0) & (det > 1e-12 * trace * trace * trace)
         )
-        fits &= (rss <= scatter * (free + TOLERANCE * math.sqrt(2.0 * free))) & (r > 0.0)
+        most = scatter * (free + TOLERANCE * math.sqrt(2.0 * free)) + by_yaw
+        fits &= (rss <= most) & (r > 0.0)
         fits &= along * along > MIN_COSINE**2 * square
         fits &= w[(FOUND + 6) * WIDE + j] == 0.0
         quadratic = mx * (c_xx * mx + 2.0 * (c_xy * my + c_xz * mz))
         quadratic += my * (c_yy * my + 2.0 * c_yz * mz) + c_zz * mz * mz
         tangents = (c_xx + c_yy + c_zz - quadratic / square) * inv
         towards = math.copysign(1.0, -along) / math.sqrt(square)
-        _keep(w, FOUND * WIDE + j, ox + r * dx, fits)
-        _keep(w, (FOUND + 1) * WIDE + j, oy + r * dy, fits)
-        _keep(w, (FOUND + 2) * WIDE + j, height + r * dz, fits)
+        _keep(w, FOUND * WIDE + j, x, fits)
+        _keep(w, (FOUND + 1) * WIDE + j, y, fits)
+        _keep(w, (FOUND + 2) * WIDE + j, z, fits)
         _keep(w, (FOUND + 3) * WIDE + j, towards * mx, fits)
         _keep(w, (FOUND + 4) * WIDE + j, towards * my, fits)
         _keep(w, (FOUND + 5) * WIDE + j, towards * mz, fits)

@@ -12,7 +12,12 @@ table of 11 moments. Of several windows the largest counts over which the plane 
 
     rss <= s^2 (n - 3) (1 + 1.5 sqrt(2 / (n - 3))),  s = q |m| sigma_n,   sigma_n = |n . d| sigma_r,
 
-with n = m / |m|. The noise of the normal is that of m: cov(n) = s^2 / |m|^2 (I - n n^T) A^-1
+with n = m / |m|. Where the yaw of each line errs by sigma_psi besides, its readings in the window
+of L lines move together along the normal, by l = n . (z x P) per radian, which adds up to
+
+    n q^2 |m|^2 l^2 sigma_psi^2 (1 + 1.5 sqrt(2 / L)).
+
+The noise of the normal is that of m: cov(n) = s^2 / |m|^2 (I - n n^T) A^-1
 (I - n n^T), of which the mean variance over the two tangents is kept.
 """
 
@@ -60,7 +65,7 @@ def fit_surfels(
         lever: Place of the lidar in ``base`` (3,) [m].
         valid: Readings that count (n_lines, n_beams).
         keep: Readings that get a surfel (n_lines, n_beams).
-        noise: Range sigma at 0 [m] and its growth per metre (2,).
+        noise: Range sigma at 0 [m], its growth per metre and the sigma of a line's yaw [rad] (3,).
         windows: Half sizes in lines and beams, largest first (k, 2).
 
     Returns:
@@ -101,9 +106,9 @@ def _fit_lines(
     table = np.zeros((*ranges.shape, 8))
     line, beam = np.nonzero(keep)
     for half in windows:
-        total, area = _box_sums(sums, line, beam, half)
+        total, lines, area = _box_sums(sums, line, beam, half)
         at = (o[line, beam], d[line, beam], q[line, beam])
-        rows, fits = _planes(total, area, *at, noise)
+        rows, fits = _planes(total, lines, area, *at, noise)
         table[line[fits], beam[fits]] = rows[fits]
         line, beam = line[~fits], beam[~fits]
     return table
@@ -132,8 +137,8 @@ def _summed_area(x: FloatArray, q: FloatArray, valid: BoolArray) -> FloatArray:
 
 def _box_sums(
     sums: FloatArray, line: IntArray, beam: IntArray, half: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the moments (n, 11) and the area (n,) of the windows around readings."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the moments (n, 11), lines (n,) and area (n,) of the windows around readings."""
     low_line, high_line = (
         np.maximum(line - half[0], 0),
         np.minimum(line + half[0] + 1, len(sums) - 1),
@@ -142,11 +147,13 @@ def _box_sums(
     high_beam = np.minimum(beam + half[1] + 1, sums.shape[1] - 1)
     total = sums[high_line, high_beam] - sums[low_line, high_beam]
     total -= sums[high_line, low_beam] - sums[low_line, low_beam]
-    return total, ((high_line - low_line) * (high_beam - low_beam)).astype(np.float64)
+    lines = (high_line - low_line).astype(np.float64)
+    return total, lines, lines * (high_beam - low_beam)
 
 
 def _planes(
     total: FloatArray,
+    lines: FloatArray,
     area: FloatArray,
     o: FloatArray,
     d: FloatArray,
@@ -175,6 +182,9 @@ def _planes(
         by_range = (along * (noise[0] + noise[1] / q)) ** 2
         scatter = q * q * by_range
         rss = qq - mx * bx - my * by - mz * bz
+        by_yaw = q * (my * points[:, 0] - mx * points[:, 1]) * noise[2]
+        most = n * by_yaw * by_yaw * (1 + TOLERANCE * np.sqrt(2 / lines))
+        most += scatter * (n - 3) * (1 + TOLERANCE * np.sqrt(2 / (n - 3)))
         trace = i_xx + i_yy + i_zz
         normal_part = mx * (i_xx * mx + 2 * (i_xy * my + i_xz * mz)) + my * (
             i_yy * my + 2 * i_yz * mz
@@ -182,7 +192,7 @@ def _planes(
         tangents = trace - (normal_part + i_zz * mz * mz) / square
         fits = (n >= FILLED * area) & (n > 5) & (det > 1e-12 * _trace_cubed(xx, yy, zz))
         fits &= (along * along > MIN_COSINE**2 * square) & (r > 0)
-        fits &= rss <= scatter * (n - 3) * (1 + TOLERANCE * np.sqrt(2 / (n - 3)))
+        fits &= rss <= most
         normals = -np.sign(along)[:, None] * m / np.sqrt(square)[:, None]
         rest = np.stack([by_range / square, tangents * scatter / (2 * square)], axis=1)
     return np.concatenate([points, normals, rest], axis=1), fits

@@ -82,11 +82,15 @@ def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
     middles = swept.yaws[:, swept.yaws.shape[1] // 2].copy()
     line_spacing = np.median(np.abs(np.diff(middles)))
     windows = half_sizes(line_spacing, swept.beams.spacing)
-    rows, of_rows, found = fit_surfels(
-        ranges, yaws, beams, swept.beams.lever, part, wanted, noise[:2].copy(), windows
-    )
-    if np.isnan(noise[2]):
-        noise[2] = yaw_jitter(line_residuals(ranges, yaws, swept.beams.lever, rows, found))
+    jittery = np.isnan(noise[2])
+    noise[2] = 0.0 if jittery else noise[2]
+    lever = swept.beams.lever
+    rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
+    if jittery:
+        noise[2] = yaw_jitter(line_residuals(ranges, yaws, lever, rows, found))
+    if jittery and noise[2] > 0.0:  # larger windows fit, which tell it better, too
+        rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
+        noise[2] = max(noise[2], yaw_jitter(line_residuals(ranges, yaws, lever, rows, found)))
     row_of = np.full(valid.shape, -1, dtype=np.int32)
     row_of[l0:l1, b0:b1] = found
     of_rows -= np.mean(middles)
