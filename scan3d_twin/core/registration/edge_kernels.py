@@ -28,10 +28,10 @@ from scan3d_twin.core.registration.jit import jit, twin_of
 def edge_rows(ranges, yaws, beams, lever, rows, index, valid, yaw_sigma):  # type: ignore[no-untyped-def]
     """See ``edges.edge_rows``."""
     n_lines, n_beams = ranges.shape
-    found, count = np.empty((2 * n_lines * (n_beams // MIN_BEAMS + 1), 8)), 0
     places, jumps = np.empty((n_beams, 3)), np.empty(n_beams, dtype=np.bool_)
     variance = np.mean(np.abs(yaws[1] - yaws[0])) ** 2 / 12 + yaw_sigma**2
     lows, highs = _carrying(index)
+    found, count = np.empty((2 * np.sum((highs - lows) // MIN_BEAMS), 8)), 0
     for side in (1, -1):
         for pair in range(n_lines - 1):
             near = pair if side > 0 else pair + 1

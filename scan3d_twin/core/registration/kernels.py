@@ -16,11 +16,11 @@ from scan3d_twin.core.registration import survey as surveys
 from scan3d_twin.core.registration.edge_kernels import edge_rows, edge_sums
 from scan3d_twin.core.registration.jit import as_written, jit
 from scan3d_twin.core.registration.pair_kernels import lookup, normal_equations, violations
-from scan3d_twin.core.registration.surfel_kernels import chosen, fit_surfels, line_residuals
+from scan3d_twin.core.registration.surfel_kernels import fit_surfels, line_residuals, sampled
 
 __all__ = (
-    "chosen", "descend", "edge_rows", "edge_sums", "fit_surfels", "line_residuals", "lookup",
-    "nearest", "normal_equations", "survey", "violations",
+    "descend", "edge_rows", "edge_sums", "fit_surfels", "line_residuals", "lookup",
+    "nearest", "normal_equations", "sampled", "survey", "violations",
 )  # fmt: skip
 
 for function in (

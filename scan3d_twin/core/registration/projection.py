@@ -66,20 +66,10 @@ class Projection(NamedTuple):
     def of(image: RangeImage, line_spacing: float) -> Projection:
         """Return the projection of a sweep with lines typically ``line_spacing`` [rad] apart."""
         middles = image.yaws[:, image.spec.n_beams // 2].copy()
-        R, t = image.T_base_lidar[:3, :3], image.T_base_lidar[:3, 3]
-        k = R[:, 1]
-        kappa = math.atan2(k[1], k[0]) - math.pi / 2
-        a = max(math.hypot(k[0], k[1]), 1e-9)
-        head = [math.cos(kappa), math.sin(kappa), a, float(k @ t), k[2]]
-        beams = _beams(np.ascontiguousarray(image.spec.elevations).tobytes())
-        return Projection(
-            (compiled("nearest") or nearest)(middles, line_spacing, _centres()),
-            beams,
-            read_only(image.yaws),
-            middles,
-            np.concatenate([head, t, R[:, 0], R[:, 2]]),
-            bool(np.any(beams[CELLS // 4 : 3 * CELLS // 4] >= 0)),
-        )
+        elevations = np.ascontiguousarray(image.spec.elevations).tobytes()
+        beams, mount, backwards = _of_lidar(elevations, image.T_base_lidar.tobytes())
+        lines = (compiled("nearest") or nearest)(middles, line_spacing, _centres())
+        return Projection(lines, beams, read_only(image.yaws), middles, mount, backwards)
 
     def lookup(self, points: FloatArray, seen: npt.NDArray[Any]) -> IntArray:
         """Return the flat index of the reading (m,) that sees each of ``points`` (m, 3), or -1.
@@ -172,10 +162,17 @@ def nearest(angles: FloatArray, spacing: float, centres: FloatArray) -> SmallInt
 
 
 @lru_cache(maxsize=16)
-def _beams(elevations: bytes) -> SmallIntArray:
-    """Return the table of the beams: a lidar's are the same in all its sweeps."""
-    angles = np.frombuffer(elevations)
-    return nearest(angles, median(np.abs(np.diff(angles))), _centres())
+def _of_lidar(elevations: bytes, T_base_lidar: bytes) -> tuple[SmallIntArray, FloatArray, bool]:
+    """Return ``beams``, ``mount`` and ``backwards``: a lidar's are the same in all its sweeps."""
+    angles, T = np.frombuffer(elevations), np.frombuffer(T_base_lidar).reshape(4, 4)
+    R, t = T[:3, :3], T[:3, 3]
+    k = R[:, 1]
+    kappa = math.atan2(k[1], k[0]) - math.pi / 2
+    a = max(math.hypot(k[0], k[1]), 1e-9)
+    head = [math.cos(kappa), math.sin(kappa), a, float(k @ t), k[2]]
+    beams = nearest(angles, median(np.abs(np.diff(angles))), _centres())
+    back = bool(np.any(beams[CELLS // 4 : 3 * CELLS // 4] >= 0))
+    return beams, np.concatenate([head, t, R[:, 0], R[:, 2]]), back
 
 
 @cache

@@ -70,12 +70,14 @@ class Sample(NamedTuple):
     stride: int
 
 
-def chosen(index: SmallIntArray, stride: int) -> tuple[SmallIntArray, SmallIntArray]:
-    """Return rows and lines (m,) of every ``stride``-th surfel along lines and beams.
-
-    For a stride of 1 the rows are all there are, and left out.
+def sampled(
+    rows: FloatArray, yaws: FloatArray, index: SmallIntArray, stride: int
+) -> tuple[FloatArray, FloatArray, SmallIntArray]:
+    """Return every ``stride``-th surfel along lines and beams: rows, yaws and lines.
 
     Args:
+        rows: All of them (m, 8).
+        yaws: At which each was measured (m,) [rad].
         index: Row of each reading (n_lines, n_beams), or -1.
         stride: The first is half of it from the corner.
     """
@@ -83,4 +85,7 @@ def chosen(index: SmallIntArray, stride: int) -> tuple[SmallIntArray, SmallIntAr
     part = index[first::stride, first::stride]
     line, beam = np.nonzero(part >= 0)
     lines = (line * stride + first).astype(np.int32)
-    return part[line, beam] if stride > 1 else np.empty(0, dtype=np.int32), lines
+    if stride == 1:
+        return rows, yaws, lines
+    chosen = part[line, beam]
+    return rows[chosen], yaws[chosen], lines

@@ -12,12 +12,11 @@ from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.compiled import compiled
 from scan3d_twin.core.registration.edges import Edges, find_edges
 from scan3d_twin.core.registration.projection import Projection
-from scan3d_twin.core.registration.scan_arrays import Beams, Sample, Target, chosen
+from scan3d_twin.core.registration.scan_arrays import Beams, Sample, Target, sampled
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
 from scan3d_twin.core.registration.surfels import knowledge
 from scan3d_twin.core.registration.survey import Swept, survey
 from scan3d_twin.core.types import (
-    VALID,
     BoolArray,
     FloatArray,
     RangeImage,
@@ -100,10 +99,9 @@ class SurfelGrid:
         return {}
 
     def _sample(self, stride: int) -> Sample:
-        rows, lines = (compiled("chosen") or chosen)(self.index, stride)
-        if stride == 1:
-            return Sample(self.rows, self.yaws, lines, stride)
-        return Sample(self.rows[rows], self.yaws[rows], lines, stride)
+        run = compiled("sampled") or sampled
+        rows, yaws, lines = run(self.rows, self.yaws, self.index, stride)
+        return Sample(rows, yaws, lines, stride)
 
     @property
     def count(self) -> int:
@@ -127,12 +125,13 @@ def prepare(
     """
     _check(image)
     mask = _mask(keep, image.codes.shape)
-    wanted = UNKNOWN if noise is None else noise.sigmas
+    sigmas = UNKNOWN if noise is None else noise.sigmas
     with np.errstate(invalid="ignore"):
-        found = (compiled("survey") or survey)(_swept(image), mask, wanted)
+        found = (compiled("survey") or survey)(_swept(image), mask, sigmas)
     if len(found.rows) < MIN_SURFELS:
+        wanted = found.valid & mask if mask.size > 0 else found.valid
         raise RegistrationError(
-            f"the scan shows too little surface: {np.count_nonzero(found.valid & mask)} readings "
+            f"the scan shows too little surface: {np.count_nonzero(wanted)} readings "
             f"of {image.ranges.size} gave {len(found.rows)} surfels, {MIN_SURFELS} are needed"
         )
     sigma, per_metre, yaw_sigma = found.noise.tolist()
@@ -144,12 +143,13 @@ def prepare(
 
 UNKNOWN = read_only([math.nan] * 3)
 """The noise is to be estimated."""
-ALL = read_only([[True]], np.bool_)
+ALL = read_only(np.zeros((0, 0)), np.bool_)
+"""All readings get a surfel."""
 
 
 def _swept(image: RangeImage) -> Swept:
-    ranges, yaws = read_only(image.ranges), read_only(image.yaws)
-    return Swept(ranges, yaws, image.codes == VALID, Beams.of(image))
+    codes = read_only(image.codes, np.int64)
+    return Swept(read_only(image.ranges), read_only(image.yaws), codes, Beams.of(image))
 
 
 def _check(image: RangeImage) -> None:

@@ -272,15 +272,18 @@ def _flat(rows, a, b):  # type: ignore[no-untyped-def]
 
 
 @jit
-def chosen(index, stride):  # type: ignore[no-untyped-def]
-    """See ``scan_arrays.chosen``."""
+def sampled(rows, yaws, index, stride):  # type: ignore[no-untyped-def]
+    """See ``scan_arrays.sampled``."""
     first, n = stride // 2, 0
-    most = (len(index) // stride + 1) * (index.shape[1] // stride + 1)
-    rows, lines = np.empty(most if stride > 1 else 0, np.int32), np.empty(most, np.int32)
+    most = min(len(rows), (len(index) // stride + 1) * (index.shape[1] // stride + 1))
+    lines, chosen = np.empty(most + 1, np.int32), np.empty(most + 1, np.int32)
     for i in range(first, len(index), stride):
         for j in range(first, index.shape[1], stride):
-            if stride > 1:
-                rows[n] = index[i, j]
-            lines[n] = i
+            lines[n], chosen[n] = i, index[i, j]
             n += index[i, j] >= 0
-    return rows[:n], lines[:n]
+    if stride == 1:
+        return rows, yaws, lines[:n]
+    some, of_some = np.empty((n, 8)), np.empty(n)
+    for m in range(n):
+        some[m], of_some[m] = rows[chosen[m]], yaws[chosen[m]]
+    return some, of_some, lines[:n]

@@ -17,7 +17,7 @@ from scan3d_twin.core.registration.scan_noise import (
     yaw_jitter,
 )
 from scan3d_twin.core.registration.surfels import fit_surfels
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray
+from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray, SmallIntArray
 
 WINDOWS = tuple(math.radians(angle) for angle in (2.1, 1.45, 0.85, 0.0))
 """Half sizes of the windows along lines and beams [rad]; at least one reading to each side ..."""
@@ -31,13 +31,13 @@ class Swept(NamedTuple):
     Attributes:
         ranges: (n_lines, n_beams) [m].
         yaws: Of the base at each beam (n_lines, n_beams) [rad].
-        measured: Readings that are distances by their code (n_lines, n_beams).
+        codes: ``VALID`` for distances (n_lines, n_beams).
         beams: Of the lidar.
     """
 
     ranges: FloatArray
     yaws: FloatArray
-    measured: BoolArray
+    codes: IntArray
     beams: Beams
 
 
@@ -68,14 +68,15 @@ def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
 
     Args:
         swept: The sweep.
-        keep: Readings (n_lines, n_beams) that get a surfel; (1, 1) for all or none.
+        keep: Readings (n_lines, n_beams) that get a surfel; (0, 0) for all.
         noise: As in ``Survey``, NaN where it is to be estimated (3,).
     """
-    valid = swept.measured & (swept.ranges > 0) & np.isfinite(swept.ranges)
+    valid = (swept.codes == VALID) & (swept.ranges > 0) & np.isfinite(swept.ranges)
     l0, l1 = extent(np.sum(valid, axis=1))
     b0, b1 = extent(np.sum(valid, axis=0))
     ranges, yaws = swept.ranges[l0:l1, b0:b1], swept.yaws[l0:l1, b0:b1]
-    part, wanted = valid[l0:l1, b0:b1], (valid & keep)[l0:l1, b0:b1]
+    part = valid[l0:l1, b0:b1]
+    wanted = part & keep[l0:l1, b0:b1] if keep.size > 0 else part.copy()
     beams, noise = swept.beams.directions[b0:b1], noise.copy()
     if np.isnan(noise[0]):
         noise[0], noise[1] = estimate_range_noise(ranges, part)
