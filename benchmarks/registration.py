@@ -270,7 +270,7 @@ def robustness(report: Report, runs: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--runs", type=int, default=24)
     arguments = parser.parse_args()
     for scene in SCENES:  # compile and warm up
         ours(pair(scene, Noise(0.010), 0), starts=2)

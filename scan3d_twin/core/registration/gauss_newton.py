@@ -249,7 +249,7 @@ class Problem:
     @cached_property
     def moments(self) -> Moments:
         """Moments of the source's surfels, of those of the first steps."""
-        return Moments.of(self.source.sample(2 * self.stride).rows[:, X])
+        return Moments.of(np.ascontiguousarray(self.source.sample(2 * self.stride).rows[:, X]))
 
     @property
     def reach(self) -> float:

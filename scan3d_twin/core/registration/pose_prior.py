@@ -147,7 +147,7 @@ class Moments(NamedTuple):
     @staticmethod
     def of(points: FloatArray) -> Moments:
         """Return the moments of ``points`` (n, 3)."""
-        return Moments(points.mean(axis=0), points.T @ points / len(points))
+        return Moments(points.sum(axis=0) / len(points), points.T @ points / len(points))
 
 
 def spread(points: FloatArray, covariance: FloatArray) -> float:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.registration.median import median
 from scan3d_twin.core.registration.projection import Projection
 from scan3d_twin.core.types import FloatArray, RangeImage, SmallIntArray, read_only
@@ -27,13 +28,19 @@ class Beams(NamedTuple):
 
     @staticmethod
     def of(image: RangeImage) -> Beams:
-        """Return the beams of a sweep; they are the same in all sweeps of a lidar."""
+        """Return the beams of a sweep; they are the same in all sweeps of a lidar.
+
+        Raises:
+            ConfigError: Elevations or mount are not finite.
+        """
         return _beams(read_only(image.spec.elevations).tobytes(), image.T_base_lidar.tobytes())
 
 
 @lru_cache(maxsize=16)
 def _beams(elevations: bytes, T_base_lidar: bytes) -> Beams:
     e, T = np.frombuffer(elevations), np.frombuffer(T_base_lidar).reshape(4, 4)
+    if not (np.all(np.isfinite(e)) and np.all(np.isfinite(T))):
+        raise ConfigError("range image: elevations and T_base_lidar must be finite")
     directions = np.cos(e)[:, None] * T[:3, 0] + np.sin(e)[:, None] * T[:3, 2]
     return Beams(read_only(directions), read_only(T[:3, 3]), median(np.abs(np.diff(e))))
 

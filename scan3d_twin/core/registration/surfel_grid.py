@@ -162,10 +162,8 @@ def _check(image: RangeImage) -> None:
             )
     if min(shape) < 5:
         raise RegistrationError(f"a scan of {shape[0]} lines and {shape[1]} beams is too small")
-    if not (math.isfinite(np.sum(image.yaws)) and math.isfinite(np.sum(image.T_base_lidar))):
-        raise ConfigError("range image: yaws and T_base_lidar must be finite")
-    if not math.isfinite(np.sum(image.spec.elevations)):
-        raise ConfigError("range image: elevations must be finite")
+    if not math.isfinite(np.sum(image.yaws)):
+        raise ConfigError("range image: yaws must be finite")
 
 
 def _mask(keep: BoolArray | Scan3D | None, shape: tuple[int, ...]) -> BoolArray:
