@@ -71,7 +71,7 @@ def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
         keep: Readings (n_lines, n_beams) that get a surfel; (0, 0) for all.
         noise: As in ``Survey``, NaN where it is to be estimated (3,).
     """
-    valid = (swept.codes == VALID) & (swept.ranges > 0) & np.isfinite(swept.ranges)
+    valid = (swept.codes == VALID) & (swept.ranges > 0) & (swept.ranges < np.inf)
     l0, l1 = extent(np.sum(valid, axis=1))
     b0, b1 = extent(np.sum(valid, axis=0))
     ranges, yaws = swept.ranges[l0:l1, b0:b1], swept.yaws[l0:l1, b0:b1]
