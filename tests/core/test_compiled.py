@@ -18,3 +18,11 @@ def test_indices_older_than_any_module_are_dropped(tmp_path: Path) -> None:
     drop_stale(tmp_path)
     assert not old.exists()
     assert new.exists()
+
+
+def test_an_index_that_another_process_has_just_dropped_is_no_error(tmp_path: Path) -> None:
+    cache = tmp_path / "__pycache__"
+    cache.mkdir()
+    (tmp_path / "a.py").touch()
+    (cache / "gone.nbi").symlink_to(tmp_path / "nowhere")
+    drop_stale(tmp_path)

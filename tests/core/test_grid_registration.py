@@ -15,7 +15,13 @@ from hypothesis import strategies as st
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import compiled as compiled_module
 from scan3d_twin.core.registration.algebra import determined
-from scan3d_twin.core.registration.gauss_newton import Problem, State, align, solve, weighed
+from scan3d_twin.core.registration.gauss_newton import (
+    Problem,
+    State,
+    align,
+    prior_information,
+    solve,
+)
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import (
@@ -267,7 +273,8 @@ def test_a_step_at_the_solution_is_nothing() -> None:
     outcome = align(problem, MOVE.matrix())
     assert outcome.settled
     scans, here = problem.scans(), State(outcome.state.T, 0.0)
-    step = solve(scans, weighed(problem.beforehand), here, scans.fine, Gate(0.03, 1.5)).step
+    information = prior_information(problem.beforehand)
+    step = solve(scans, problem.beforehand, information, here, scans.fine, Gate(0.03, 1.5)).step
     assert np.abs(step[list(PLANAR)]).max() < 1e-4
 
 

@@ -111,7 +111,7 @@ class Scans(NamedTuple):
     moments: Moments
 
 
-class Expected(NamedTuple):
+class Prior(NamedTuple):
     """What is known beforehand.
 
     Attributes:
@@ -123,22 +123,6 @@ class Expected(NamedTuple):
 
     mean: FloatArray
     covariance: FloatArray
-    rows: tuple[int, ...]
-    yaw_scale: float
-
-
-class Prior(NamedTuple):
-    """The same as information on the estimated entries.
-
-    Attributes:
-        mean: Of ``T_target_source`` (4, 4).
-        information: On the estimated entries of x y z rx ry rz (k, k); 0 when nothing is known.
-        rows: These entries, k of them.
-        yaw_scale: Information of the common relative error of the yaws; infinite when exact.
-    """
-
-    mean: FloatArray
-    information: FloatArray
     rows: tuple[int, ...]
     yaw_scale: float
 
@@ -228,13 +212,13 @@ class Problem:
         return PLANAR if self.dof == "planar" else (0, 1, 2, 3, 4, 5)
 
     @cached_property
-    def beforehand(self) -> Expected:
+    def beforehand(self) -> Prior:
         """The prior, and that of the yaw scale."""
         sigma = max(self.target.noise.yaw_scale_sigma, self.source.noise.yaw_scale_sigma)
         yaw_scale = 1.0 / sigma**2 if sigma > 0 else math.inf
         if self.prior is None:
-            return Expected(read_only(np.eye(4)), NOTHING, self.dims, yaw_scale)
-        return Expected(self.prior.T, self.prior.covariance, self.dims, yaw_scale)
+            return Prior(read_only(np.eye(4)), NOTHING, self.dims, yaw_scale)
+        return Prior(self.prior.T, self.prior.covariance, self.dims, yaw_scale)
 
     @cached_property
     def stride(self) -> int:
@@ -296,20 +280,20 @@ def follow(
 
 
 def descend(
-    scans: Scans, expected: Expected, criteria: Criteria, starts: FloatArray
+    scans: Scans, prior: Prior, criteria: Criteria, starts: FloatArray
 ) -> tuple[FloatArray, Outcome]:
     """Return where the steps from ``starts`` (n, 4, 4) end (m, 4, 4), and how the last did.
 
     Ends that met are one, those without overlap left out.
     """
-    prior, ends, n = weighed(expected), np.empty_like(starts), 0
+    beforehand, ends, n = prior_information(prior), np.empty_like(starts), 0
     for start in range(len(starts)):
         state, settled = State(starts[start].copy(), 0.0), False
         for iteration in range(criteria.max_iterations):
             gate = tightened(iteration, criteria.max_correspondence_distance)
             final = gate.distance <= LAST_GATE and gate.robust <= LAST_ROBUST
             sample = scans.every if settled else (scans.fine if final else scans.coarse)
-            solution = solve(scans, prior, state, sample, gate)
+            solution = solve(scans, prior, beforehand, state, sample, gate)
             state = State(displaced(state.T, solution.step), state.scale + solution.scale_step)
             overlap = solution.equations.pairs >= MIN_PAIRS
             if settled or not overlap:
@@ -320,18 +304,18 @@ def descend(
         if overlap and new_basin(state.T, ends[:n], reach(scans.moments)):
             ends[n] = state.T
             n += 1
-    known = knowledge(scans, prior, state, solution)
+    known = knowledge(scans, prior, beforehand, state, solution)
     last = Outcome(state, solution, known, len(sample.rows), iteration + 1, settled, overlap)
     return ends[:n].copy(), last
 
 
-def weighed(expected: Expected) -> Prior:
-    """Return the prior as information on the estimated entries."""
-    mean, covariance, rows, yaw_scale = expected
-    information = np.zeros((len(rows), len(rows)))
-    if covariance[0, 0] > 0.0:
-        information[:] = np.linalg.inv(block(covariance, rows))
-    return Prior(mean, information, rows, yaw_scale)
+def prior_information(prior: Prior) -> FloatArray:
+    """Return L0, the information of the prior on the estimated entries (k, k)."""
+    k = len(prior.rows)
+    information = np.zeros((k, k))
+    if prior.covariance[0, 0] > 0.0:
+        information[:] = np.linalg.inv(block(prior.covariance, prior.rows))
+    return information
 
 
 def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:
@@ -369,9 +353,14 @@ def tightened(iteration: int, widest: float) -> Gate:
     return Gate(max(min(LAST_GATE, widest), tight * widest), max(LAST_ROBUST, FIRST_ROBUST * tight))
 
 
-def solve(scans: Scans, prior: Prior, state: State, sample: Sample, gate: Gate) -> Solution:
-    """Return the Gauss-Newton step at ``state``; the equation is at the module's head."""
-    rows, beforehand = prior.rows, prior.information
+def solve(
+    scans: Scans, prior: Prior, beforehand: FloatArray, state: State, sample: Sample, gate: Gate
+) -> Solution:
+    """Return the Gauss-Newton step at ``state``; the equation is at the module's head.
+
+    ``beforehand`` is its L0, see ``prior_information``.
+    """
+    rows = prior.rows
     equations = normal_equations(scans.target, sample, state.T, state.scale, gate, scans.both, rows)
     H, g, per_step = without_scale(equations, prior.yaw_scale, state.scale)
     k = len(rows)
@@ -394,9 +383,11 @@ def solve(scans: Scans, prior: Prior, state: State, sample: Sample, gate: Gate) 
     return Solution(step, scale_step, information, dropped, H_edges, equations)
 
 
-def knowledge(scans: Scans, prior: Prior, state: State, solution: Solution) -> Knowledge:
-    """Return what is known of ``state``, the last but one to be solved for."""
-    small = inverse(solution.information, prior.information)
+def knowledge(
+    scans: Scans, prior: Prior, beforehand: FloatArray, state: State, solution: Solution
+) -> Knowledge:
+    """Return what is known of ``state`` by the ``solution`` whose step led to it."""
+    small = inverse(solution.information, beforehand)
     covariance, information = np.zeros((6, 6)), np.zeros((6, 6))
     for i in range(len(prior.rows)):
         for j in range(len(prior.rows)):
@@ -405,7 +396,7 @@ def knowledge(scans: Scans, prior: Prior, state: State, solution: Solution) -> K
     degenerate, n = np.zeros((len(solution.dropped), 6)), 0
     for m in range(len(degenerate)):
         v = solution.dropped[m]
-        if quadratic(solution.edges, v) <= quadratic(prior.information, v):
+        if quadratic(solution.edges, v) <= quadratic(beforehand, v):
             for i in range(len(v)):
                 degenerate[n, prior.rows[i]] = v[i]
             n += 1

@@ -26,8 +26,8 @@ __all__ = (
 for function in (
     algebra.block, algebra.determined, algebra.inverse, algebra.picked, algebra.projected,
     algebra.quadratic, algebra.without_scale, gauss_newton.apart, gauss_newton.knowledge,
-    gauss_newton.length, gauss_newton.new_basin, gauss_newton.reach, gauss_newton.solve,
-    gauss_newton.tightened, gauss_newton.weighed, pose_prior.about_target, pose_prior.deviation,
+    gauss_newton.length, gauss_newton.new_basin, gauss_newton.prior_information, gauss_newton.reach,
+    gauss_newton.solve, gauss_newton.tightened, pose_prior.about_target, pose_prior.deviation,
     pose_prior.displaced, pose_prior.displacement, pose_prior.exp_so3, pose_prior.log_so3,
     scan_noise.estimate_range_noise, scan_noise.quarters, scan_noise.yaw_jitter, surveys.extent,
     surveys.half_sizes,

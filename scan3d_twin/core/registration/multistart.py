@@ -26,8 +26,8 @@ from scan3d_twin.core.registration.gauss_newton import (
     align,
     apart,
     follow,
+    prior_information,
     report,
-    weighed,
 )
 from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displaced
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
@@ -172,6 +172,6 @@ def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
 
 def _unlikelihood(problem: Problem, pose: FloatArray) -> float:
     """Return the squared Mahalanobis distance of a pose from the prior's mean."""
-    prior = weighed(problem.beforehand)
+    prior = problem.beforehand
     off = picked(deviation(pose, prior.mean), prior.rows)
-    return float(off @ prior.information @ off)
+    return float(off @ prior_information(prior) @ off)
