@@ -5,7 +5,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SETUP := .venv/.set-up
-SOURCES := $(wildcard scan3d_twin tests examples benchmarks)
+SOURCES := $(wildcard scan3d_twin tests examples benchmarks hatch_build.py)
+ENGINE := hatch_build.py $(wildcard scan3d_twin/core/registration/native/*.[ch])
 # One thread per worker: the arrays are small, and more threads only get into each other's way.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
@@ -13,7 +14,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
 
-$(SETUP): pyproject.toml uv.lock tools/setup.sh
+$(SETUP): pyproject.toml uv.lock tools/setup.sh $(ENGINE)
 	@PYTHON=$(PYTHON) sh tools/setup.sh
 	@touch $@
 

@@ -1,7 +1,7 @@
 """Steps per second of the environments, by fidelity, and batched against one after the other.
 
 A step is a move of about half a metre, a sweep of 60 deg at 5 deg/s, registration and evaluation,
-in ``three_boxes`` with the grid engine on whole sweeps (compiled where numba is installed).
+in ``three_boxes`` with the grid engine on whole sweeps.
 
 Per fidelity: the median over steps of 1 / CPU time, on one core, resets not counted. The vector
 environments run ``kinematic`` on 16 random scenes and are timed by the wall, in turns, resets

@@ -15,8 +15,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +26,6 @@ import numpy as np
 from registration_data import SCENES, Noise, Pair, pair, point_error
 from registration_peers import PEERS
 
-from scan3d_twin.core.registration import compiled as compiled_module
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, spread
@@ -195,27 +193,12 @@ def speed(report: Report, times: dict[tuple[str, str], list[Timed]], runs: int) 
         "open3d GICP, all threads, wall",
         runs,
     )
-    values, slow = [], []
+    values = []
     for scene in SPEED_SCENES:
         drawn = [pair(scene, Noise(0.010), seed) for seed in range(runs)]
         one = median([timed(lambda d=d: ours(d)).cpu for d in drawn])
         values.append(median([timed(lambda d=d: ours(d, starts=32)).cpu for d in drawn]) / one)
-        with arrays_only():
-            own = median([timed(lambda d=d: ours(d)).wall for d in drawn])
-        slow.append(own / median([t.wall for t in times[scene, "open3d GICP"]]))
     report.add("starts_32_vs_1", max(values), "ratio", "one start", runs)
-    report.add("numpy_vs_open3d_gicp", max(slow), "ratio", "open3d GICP, all threads, wall", runs)
-
-
-@contextmanager
-def arrays_only() -> Iterator[None]:
-    """Run without the compiled inner loops."""
-    kept = compiled_module.load_kernels
-    compiled_module.load_kernels = lambda: None  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        compiled_module.load_kernels = kept
 
 
 def cramer_rao(scene: str, sigma: float) -> float:
@@ -276,7 +259,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--runs", type=int, default=24)
     arguments = parser.parse_args()
-    for scene in SCENES:  # compile and warm up
+    for scene in SCENES:  # warm up
         ours(pair(scene, Noise(0.010), 0), starts=2)
     report = Report()
     robustness(report, arguments.runs)

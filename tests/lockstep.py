@@ -11,14 +11,8 @@ import subprocess
 import sys
 import tomllib
 from contextlib import closing, contextmanager
-from importlib import util
 from multiprocessing.connection import Connection
 from pathlib import Path
-
-if __name__ == "__main__":
-    # As it is without the extra `fast`.
-    find_spec = util.find_spec
-    util.find_spec = lambda name, *rest: None if name == "numba" else find_spec(name, *rest)
 
 from scan3d_twin.cli.memory import give_back_memory
 from scan3d_twin.cli.real import SMALL_COMPUTER

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from scan3d_twin import __version__
 
 LIBRARIES = (
-    "numpy", "scipy", "mujoco-core", "embreex", "numba", "trimesh", "mcap", "rosbags", "viser",
+    "numpy", "scipy", "mujoco-core", "embreex", "trimesh", "mcap", "rosbags", "viser",
     "cyclopts",
 )  # fmt: skip
 """Distributions whose versions can change a result, a file or the command line."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-
 import numpy as np
 import pytest
 import synthetic
@@ -71,17 +69,6 @@ def test_without_a_prior_an_init_will_do(boxes):
     planar = result.covariance[np.ix_(PLANAR, PLANAR)]
     assert np.all(np.linalg.eigvalsh(planar) > 0)
     assert spread(source, result.covariance) < 0.01
-
-
-def test_scipy_and_small_gicp_find_the_same(boxes, monkeypatch):
-    if importlib.util.find_spec("small_gicp") is None:
-        pytest.skip("small_gicp is not installed: pip install 'scan3d-twin[fast]'")
-    fast = register(*boxes, init_T_target_source=MOVE @ OFF)
-    with monkeypatch.context() as patch:
-        patch.setattr(importlib.util, "find_spec", lambda name: None)
-        slow = register(*boxes, init_T_target_source=MOVE @ OFF)
-    assert slow.T_target_source == pytest.approx(fast.T_target_source, abs=1e-6)
-    assert slow.covariance == pytest.approx(fast.covariance, rel=1e-3, abs=1e-9)
 
 
 def test_bad_clouds_are_refused(boxes):

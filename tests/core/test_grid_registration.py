@@ -13,23 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration import compiled as compiled_module
-from scan3d_twin.core.registration.algebra import determined
-from scan3d_twin.core.registration.gauss_newton import (
-    Problem,
-    State,
-    align,
-    prior_information,
-    solve,
-)
+from scan3d_twin.core.registration.algebra import find_determined
+from scan3d_twin.core.registration.gauss_newton import Problem, align
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import (
-    PLANAR,
     PosePrior,
     displaced,
-    exp_so3,
-    log_so3,
     spread,
 )
 from scan3d_twin.core.registration.scan_noise import ScanNoise
@@ -126,7 +116,7 @@ def test_the_gradient_is_the_derivative_of_the_cost() -> None:
 def _frozen_cost(target: SurfelGrid, source: SurfelGrid, T: FloatArray, at: FloatArray) -> float:
     rows, table = source.sample(4).rows, target.at(np.s_[:, :]).reshape(-1, 8)
     frozen = rows[:, :3] @ at[:3, :3].T + at[:3, 3]
-    index = target.projection.lookup(frozen, table[:, 6])
+    index = target.projection.lookup(frozen, table[:, 6] > 0)
     q, n_t = table[index, :3], table[index, 3:6]
     n_s = rows[:, 3:6] @ at[:3, :3].T
     n = n_s + n_t
@@ -163,32 +153,13 @@ def test_six_degrees_of_freedom_with_a_prior() -> None:
 
 def test_a_direction_without_any_information_is_not_determined() -> None:
     H = np.diag([4.0, 0.0, 1.0])
-    kept, honest, dropped = determined(H, np.zeros((3, 3)), 1.0)
+    kept, honest, dropped = find_determined(H, np.zeros((3, 3)), 1.0)
     assert kept == pytest.approx(np.diag([1.0, 0.0, 1.0]))
     assert honest == pytest.approx(kept)
     assert np.abs(dropped) == pytest.approx(np.array([[0.0, 1.0, 0.0]]))
-    nothing = determined(np.zeros((3, 3)), np.zeros((3, 3)), 1.0)
+    nothing = find_determined(np.zeros((3, 3)), np.zeros((3, 3)), 1.0)
     assert not nothing[0].any()
     assert len(nothing[2]) == 3
-
-
-def test_arrays_and_compiled_loops_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba")
-    target, source = (
-        replace(grid, noise=replace(grid.noise, yaw_sigma=0.001, yaw_scale_sigma=0.01))
-        for grid in featureful()
-    )
-    T = displaced(MOVE.matrix(), np.array([0.004, -0.003, 0.0, 0.0, 0.0, 0.01]))
-    fast = linearise(target, source, 2, T, 0.003, Gate(0.05, 2.0))
-    best = register_grids(target, source, prior=prior_at(MOVE), starts=4)
-    monkeypatch.setattr(compiled_module, "load_kernels", lambda: None)
-    slow = linearise(target, source, 2, T, 0.003, Gate(0.05, 2.0))
-    for name in ("information", "lost", "gradient", "faked", "pairs", "square"):
-        a, b = np.asarray(getattr(fast, name)), np.asarray(getattr(slow, name))
-        assert a == pytest.approx(b, rel=1e-6, abs=1e-6 * np.abs(b).max()), name
-    again = register_grids(target, source, prior=prior_at(MOVE), starts=4)
-    assert again.T_target_source == pytest.approx(best.T_target_source, abs=1e-6)
-    assert again.ambiguity_gap == pytest.approx(best.ambiguity_gap, abs=1e-6)
 
 
 def test_a_wrong_wheel_base_is_found_from_two_sweeps() -> None:
@@ -204,8 +175,7 @@ def test_a_wrong_wheel_base_is_found_from_two_sweeps() -> None:
         noise = ScanNoise(SIGMA, yaw_scale_sigma=0.02)
         grids.append(prepare(bent, keep=keep, noise=noise))
     problem = Problem(grids[0], grids[1], prior_at(MOVE))
-    state = align(problem, MOVE.matrix()).state
-    assert state.scale == pytest.approx(-wrong, abs=0.006)
+    assert align(problem, MOVE.matrix()).yaw_scale == pytest.approx(-wrong, abs=0.006)
 
 
 def test_yaw_jitter_widens_the_covariance() -> None:
@@ -251,12 +221,6 @@ def test_without_prior_the_unknown_direction_keeps_the_guess() -> None:
     assert len(result.degenerate_directions) == 1
 
 
-def test_rotation_vectors_go_there_and_back() -> None:
-    for vector in np.random.default_rng(0).normal(size=(20, 3)) * 0.5:
-        assert log_so3(exp_so3(vector)) == pytest.approx(vector, abs=1e-9)
-    assert log_so3(np.eye(3)) == pytest.approx(np.zeros(3))
-
-
 def test_spread_is_the_mean_displacement() -> None:
     rng = np.random.default_rng(0)
     half = rng.normal(size=(6, 6)) * 0.01
@@ -272,10 +236,8 @@ def test_a_step_at_the_solution_is_nothing() -> None:
     problem = Problem(target, source, prior_at(MOVE))
     outcome = align(problem, MOVE.matrix())
     assert outcome.settled
-    scans, here = problem.scans(), State(outcome.state.T, 0.0)
-    information = prior_information(problem.beforehand)
-    step = solve(scans, problem.beforehand, information, here, scans.fine, Gate(0.03, 1.5)).step
-    assert np.abs(step[list(PLANAR)]).max() < 1e-4
+    again = align(problem, outcome.T)
+    assert np.abs(again.T - outcome.T).max() < 1e-4
 
 
 @pytest.mark.parametrize("shift", [0.02, 0.05, 0.15])

@@ -1,4 +1,4 @@
-"""Surfels against surfaces known in closed form; the compiled loops against the arrays."""
+"""Surfels against surfaces known in closed form."""
 
 from __future__ import annotations
 
@@ -9,18 +9,12 @@ import pytest
 import synthetic
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration import compiled as compiled_module
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
 from scan3d_twin.core.registration.surfel_grid import prepare
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N
 from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
 
 WALL = (synthetic.Box((1.0, -3.0, 0.0), (1.5, 3.0, 2.0)),)
-
-
-@pytest.fixture
-def arrays_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled_module, "load_kernels", lambda: None)
 
 
 def wall(sigma: float, seed: int = 0) -> RangeImage:
@@ -78,24 +72,6 @@ def test_yaw_jitter_is_estimated_where_surfaces_are_seen_flat_enough(jitter: flo
     assert found == pytest.approx(jitter, abs=0.0007)
 
 
-def test_arrays_and_compiled_loops_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba")
-    image = synthetic.observe(Pose2(), sigma=0.005, rng=np.random.default_rng(1)).image
-    fast = prepare(image)
-    monkeypatch.setattr(compiled_module, "load_kernels", lambda: None)
-    slow = prepare(image)
-    assert fast.noise.yaw_sigma == pytest.approx(slow.noise.yaw_sigma, abs=1e-9)
-    both = (fast.index >= 0) & (slow.index >= 0)
-    assert np.mean(both != ((fast.index >= 0) | (slow.index >= 0))) < 1e-4
-    differ = np.abs(fast.rows[fast.index[both]] - slow.rows[slow.index[both]])[:, :6].max(axis=1)
-    # A window that fits but for rounding makes another surfel of one in many thousands.
-    assert np.mean(differ > 1e-5) < 1e-4
-    yaws = fast.yaws[fast.index[both]] - slow.yaws[slow.index[both]]
-    assert np.abs(yaws).max() < 1e-12
-    assert fast.noise.range_sigma == pytest.approx(slow.noise.range_sigma, abs=1e-12)
-    assert fast.line_spacing == pytest.approx(slow.line_spacing, abs=1e-12)
-
-
 def test_points_project_back_to_the_reading_they_came_from() -> None:
     image = synthetic.observe(Pose2(), width=2.0).image
     tilted = np.array(image.T_base_lidar)
@@ -115,7 +91,7 @@ def test_points_project_back_to_the_reading_they_came_from() -> None:
         far = seen & (np.hypot(points[:, 0], points[:, 1]) > 0.3)
         ahead = np.abs(np.tile(mounted.spec.elevations, mounted.n_lines)) < 1.4
         index = np.flatnonzero(far & ahead)
-        found = grid.projection.lookup(points[index], np.ones(len(points)))
+        found = grid.projection.lookup(points[index], np.ones(len(points), dtype=bool))
         assert np.mean(found == index) > 0.99
 
 
@@ -149,7 +125,3 @@ def test_filled_gaps_are_no_readings() -> None:
     assert (grid.index[:, 300:340] < 0).all()
     assert not grid.at(np.s_[:, 300:340]).any()
     assert VALID not in codes[:, 300:340]
-
-
-def test_the_array_path_needs_no_compiler(arrays_only: None) -> None:
-    assert prepare(wall(0.004)).count > 1000

@@ -11,7 +11,7 @@ from scan3d_twin.emulator.urg import UrgEmulator
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import Unhindered
 
-HEAVY = ("mujoco", "trimesh", "open3d", "matplotlib", "viser", "numba")
+HEAVY = ("mujoco", "trimesh", "open3d", "matplotlib", "viser")
 QUICK = """
 sweep.yaw_rate = 0.5
 sweep.look_rate = 1.2

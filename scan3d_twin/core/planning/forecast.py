@@ -7,8 +7,8 @@ information of one pair each, times the density of the readings to come:
     E^2 = mean over the points of tr(G C G^T),  G = (I, -[a]x),
 
 with everything as in the real registration: the common bias and the yaw scale, the test for
-directions that noise of the normals fakes, edges, and the motion's prior L0 about O2. E times the
-calibration is what is compared with epsilon. No draws, no ICP; what it cannot see are wrong basins.
+spurious information, edges, and the motion's prior L0 about O2. E times the calibration is what is
+compared with epsilon. No draws, no ICP; what it cannot see are wrong basins.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from scan3d_twin.core.placing import motion_prior, odometry_scale, surfels_of
 from scan3d_twin.core.planning.situation import Situation, readings_of
 from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible_from
 from scan3d_twin.core.registration import SurfelGrid
-from scan3d_twin.core.registration.algebra import determined, without_scale
+from scan3d_twin.core.registration.algebra import find_determined, marginalise
 from scan3d_twin.core.registration.edges import edge_equations
-from scan3d_twin.core.registration.point_to_plane import Equations, faked_information
+from scan3d_twin.core.registration.point_to_plane import Equations, spurious_information
 from scan3d_twin.core.registration.pose_prior import PLANAR, spread
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, N, X
 from scan3d_twin.core.types import (
@@ -97,7 +97,7 @@ class Forecast:
 
     @cached_property
     def _stride(self) -> int:
-        return max(2, round(math.sqrt(self.grid.count / WANTED)))
+        return self.grid.sample(max(2, round(math.sqrt(self.grid.count / WANTED)))).stride
 
     @cached_property
     def _area(self) -> float:
@@ -128,8 +128,8 @@ class Forecast:
     ) -> Equations:
         """Return the normal equations that perfect pairs would give; their gradient is 0.
 
-        The normals of one scan fake F = sum w nu (B B^T - J J^T), the mean normals of a pair of
-        scans half of it: what pairs will show is H - F + F / 2.
+        Noise of the normals of one scan adds F = sum w nu (B B^T - J J^T), the mean normals of a
+        pair of scans half of it: what pairs will show is H - F + F / 2.
         """
         rows, here = self._rows[index], self.grid.sample(self._stride).yaws[index]
         swing = n[:, 1] * a[:, 0] - n[:, 0] * a[:, 1]
@@ -137,10 +137,10 @@ class Forecast:
         J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
         information = (J * w[:, None]).T @ J
         nu = rows[:, NORMAL_VARIANCE] + self.grid.noise.tilt_variance
-        faked = faked_information(w * nu, a, J[:, :6]) / 2
-        information[:6, :6] -= faked
+        spurious = spurious_information(w * nu, a, J[:, :6]) / 2
+        information[:6, :6] -= spurious
         return Equations(
-            information, self._lost(yaws, w, swing, J), np.zeros(7), faked, len(a), 0.0
+            information, self._lost(yaws, w, swing, J), np.zeros(7), spurious, len(a), 0.0
         )
 
     def _lost(
@@ -161,11 +161,11 @@ class Forecast:
         """Return the covariance (6, 6) about O2 of a planar registration."""
         noise = self.grid.noise
         prior = 1.0 / noise.yaw_scale_sigma**2 if noise.yaw_scale_sigma > 0 else math.inf
-        H = without_scale(equations, prior, 0.0)[0]
+        H = marginalise(equations.information - equations.lost, prior)
         block = np.ix_(PLANAR, PLANAR)
         reach = float(np.sqrt(np.mean(self._ranges**2)))
-        raw, faked = equations.information[:6, :6][block], equations.faked[block]
-        honest = determined(raw, MARGIN * faked, reach)[1]
+        raw, spurious = equations.information[:6, :6][block], equations.spurious[block]
+        honest = find_determined(raw, MARGIN * spurious, reach)[1]
         total = honest @ H[block] @ honest.T + self._edges(viewpoint)[block]
         total += motion_prior(viewpoint, self.config.planning, self.scale).information(PLANAR)
         covariance = np.zeros((6, 6))

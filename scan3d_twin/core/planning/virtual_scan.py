@@ -19,10 +19,17 @@ import numpy as np
 
 from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible_from
 from scan3d_twin.core.registration import SurfelGrid, prepare
-from scan3d_twin.core.registration.compiled import compiled
-from scan3d_twin.core.registration.scan_arrays import Beams
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
-from scan3d_twin.core.registration.surfels import EMPTY, SURFACE, N, X, fit_surfels
+from scan3d_twin.core.registration.surfels import (
+    EMPTY,
+    SURFACE,
+    UNKNOWN,
+    Beams,
+    N,
+    X,
+    fit_surfels,
+    sweep_of,
+)
 from scan3d_twin.core.types import (
     VALID,
     BoolArray,
@@ -212,14 +219,12 @@ class Surface:
     def _planes(self) -> tuple[FloatArray, BoolArray]:
         """Planes behind the readings (n, 8), whatever their scope, and which readings have one."""
         image, noise = self.grid.image, self.grid.noise
-        beams = Beams.of(image)
-        steps = np.array([self.grid.line_spacing, beams.spacing])
+        steps = np.array([self.grid.line_spacing, Beams.of(image).spacing])
         halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MOST_HALF)
-        valid, run = self.grid.valid, compiled("fit_surfels") or fit_surfels
-        rows, _, index = run(
-            np.array(image.ranges), np.array(image.yaws), beams.directions, beams.lever, valid,
-            valid, noise.sigmas, halves.astype(np.int64),
-        )  # fmt: skip
+        valid = self.grid.valid
+        rows, _, index = fit_surfels(
+            sweep_of(image), valid, valid, noise.sigmas, halves.astype(np.int64)
+        )
         return rows, np.asarray(index >= 0)
 
     @cached_property
@@ -251,7 +256,7 @@ class Surface:
         known, row_of = grid.known, grid.index.reshape(-1)
         for way in np.linspace(0.5, self.most, STEPS):
             places = viewpoint.apply(eyes + way * rays)
-            index = grid.projection.lookup(places, known)
+            index = grid.projection.lookup(places, known != UNKNOWN)
             rows = grid.rows[row_of[index]]
             before = np.sum(rows[:, N] * (places - rows[:, X]), axis=1) > FREE_MARGIN
             through = (known[index] == EMPTY) | ((known[index] == SURFACE) & before)

@@ -62,7 +62,7 @@ class NextSweep:
 
     def cells(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return reading (n,), -1 for none, and cell (n,) of ``points`` (n, 3) in its frame."""
-        index = self.projection.lookup(points, np.ones(self.image.ranges.size))
+        index = self.projection.lookup(points, np.ones(self.image.ranges.size, dtype=np.bool_))
         line, beam = np.divmod(index, self.image.spec.n_beams)
         wide = self.image.spec.n_beams // CELL[1] + 1
         return index, np.where(index >= 0, (line // CELL[0]) * wide + beam // CELL[1], 0)

@@ -1,124 +1,70 @@
 """Small algebra on normal equations: what they determine, and without what only gets in the way.
 
-``kernels`` compiles all of it as it stands here.
+``native/algebra.h`` computes it.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from scan3d_twin.core.registration.point_to_plane import Equations
-from scan3d_twin.core.types import FloatArray
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.types import FloatArray, read_only
 
-SIGNAL = 2.0
-"""A direction is determined when its information is this many times what noise fakes of it."""
+PLANAR_ENTRIES = read_only([0, 1, 5], np.int64)
+"""Entries of x y z rx ry rz that are estimated on a floor: x, y and rz."""
+ALL_ENTRIES = read_only(range(6), np.int64)
 UNKNOWN = 1e-9
 """Share of the largest information below which a direction is taken as unknown."""
 
 
-def picked(v: FloatArray, rows: tuple[int, ...]) -> FloatArray:
-    """Return these entries of a vector (k,)."""
-    result = np.empty(len(rows))
-    for i in range(len(rows)):
-        result[i] = v[rows[i]]
-    return result
+def invert_information(information: FloatArray, least: float = UNKNOWN) -> FloatArray:
+    """Return the inverse of an information (k, k); 0 on the directions that nothing determines.
 
-
-def block(M: FloatArray, rows: tuple[int, ...]) -> FloatArray:
-    """Return these rows and columns of a matrix (k, k)."""
-    result = np.empty((len(rows), len(rows)))
-    for i in range(len(rows)):
-        for j in range(len(rows)):
-            result[i, j] = M[rows[i], rows[j]]
-    return result
-
-
-def projected(K: FloatArray, H: FloatArray) -> FloatArray:
-    """Return K H K^T (k, k)."""
-    return K @ H @ K.T
-
-
-def inverse(information: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return the inverse (k, k); without a prior, 0 on the directions that nothing determines."""
-    values, vectors = np.linalg.eigh(information)
-    least = 0.0 if prior[0, 0] > 0.0 else UNKNOWN * values[-1]
-    result = np.zeros(information.shape)
-    for m in range(len(values)):
-        if values[m] > least:
-            for i in range(len(values)):
-                for j in range(len(values)):
-                    result[i, j] += vectors[i, m] * vectors[j, m] / values[m]
-    return result
-
-
-def without_scale(
-    equations: Equations, prior: float, scale: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eliminate the yaw scale by its Schur complement.
-
-    Returns:
-        Information (k, k) and gradient (k,) of the pose, and the scale's step as an affine function
-        of the pose's (k + 1,), the constant last; 0 when the scale is taken as exact.
+    Args:
+        information: Symmetric (k, k), k at most 8.
+        least: Share of the largest eigenvalue that a direction needs to be determined.
     """
-    k = len(equations.gradient) - 1
-    H, affine = equations.information - equations.lost, np.zeros(k + 1)
-    own = H[k, k] + prior
-    right = 0.0 if math.isinf(prior) else equations.gradient[k] + prior * scale
-    for i in range(k):
-        affine[i] = -H[i, k] / own
-    affine[k] = -right / own
-    reduced, g = np.empty((k, k)), np.empty(k)
-    for i in range(k):
-        for j in range(k):
-            reduced[i, j] = H[i, j] + affine[i] * H[j, k]
-        g[i] = equations.gradient[i] + affine[i] * right
-    return reduced, g, affine
+    inverse = np.empty(information.shape)
+    engine.inverse(np.ascontiguousarray(information), len(information), least, inverse)
+    return inverse
 
 
-def determined(
-    H: FloatArray, faked: FloatArray, reach: float
+def marginalise(information: FloatArray, known: float) -> FloatArray:
+    """Return the information (k, k) of the pose when the last entry is a free nuisance.
+
+    Args:
+        information: Of the pose and the nuisance (k + 1, k + 1).
+        known: Information of the nuisance beforehand; infinite where it is exact.
+    """
+    k = len(information) - 1
+    result = np.empty((k, k))
+    engine.marginal(np.ascontiguousarray(information), k + 1, k, np.array([known]), result)
+    return result
+
+
+def find_determined(
+    H: FloatArray, spurious: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Tell which directions the scans determine.
+    """Return which directions the scans determine.
+
+    With u the eigenvectors of H, turns scaled by ``reach``, those count whose information is at
+    least twice what noise of the normals alone gives (Hatleskog and Alexis, arXiv 2410.10784).
 
     Args:
         H: Information of the scans (k, k), on x, y, theta or all six.
-        faked: What noise of the normals fakes of it (k, k).
+        spurious: What noise of the normals adds to it (k, k).
         reach: Length that makes turns comparable with shifts [m].
 
     Returns:
         The projector K (k, k) such that K H K^T and K g keep the determined directions, the same
-        with each shortened by the root of the share that is not faked (k, k), and the others as
-        unit rows (j, k).
+        with each shortened by the root of the share that is real (k, k), and the others as unit
+        rows (j, k).
     """
     k = len(H)
-    unit = np.ones(k)
-    unit[2 if k == 3 else 3 :] = 1.0 / reach
-    scaled = np.empty((k, k))
-    for i in range(k):
-        scaled[i] = H[i] * unit[i] * unit
-    values, vectors = np.linalg.eigh(scaled)
-    kept, honest, dropped, n = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), 0
-    for m in range(k):
-        direction = vectors[:, m] * unit
-        noise = quadratic(faked, direction)
-        if values[m] > 0 and values[m] >= SIGNAL * max(noise, 1e-12 * values[-1]):
-            share = math.sqrt(1.0 - noise / values[m])
-            for i in range(k):
-                onto = vectors[i, m] / unit[i] * direction
-                kept[i] += onto
-                honest[i] += share * onto
-        else:
-            dropped[n] = direction / math.sqrt(np.sum(direction * direction))
-            n += 1
-    return kept, honest, dropped[:n].copy()
-
-
-def quadratic(M: FloatArray, v: FloatArray) -> float:
-    """Return v . M v."""
-    result = 0.0
-    for i in range(len(v)):
-        for j in range(len(v)):
-            result += v[i] * M[i, j] * v[j]
-    return result
+    entries = PLANAR_ENTRIES if k == 3 else ALL_ENTRIES
+    kept, honest, dropped = (np.empty((k, k)) for _ in range(3))
+    n = engine.determined(
+        np.ascontiguousarray(H), np.ascontiguousarray(spurious), entries, k, reach,
+        kept, honest, dropped,
+    )  # fmt: skip
+    return kept, honest, dropped[:n]

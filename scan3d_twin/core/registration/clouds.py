@@ -9,27 +9,24 @@ points (centroid c, unit normal n), maximum a posteriori as in ``gauss_newton``:
 with s the robust spread of the residuals (1.4826 MAD), which a cloud cannot tell beforehand; twice,
 because each target point errs as much and is in the planes of as many pairs as it has neighbours.
 The normal of a plane fit errs by s^2 / (k l) with l its spread along the tangents, and the
-information which that fakes is left out as there. That such normals lean towards the ray is not
+information which that adds is left out as there. That such normals lean towards the ray is not
 known here, so the covariance is a lower bound; sweeps do better on their grid.
 
-Neighbours come from small_gicp where it is installed (extra ``fast``), from scipy elsewhere: the
-same neighbours, the same result.
+``native/clouds.h`` finds the neighbours and fits their planes.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.algebra import determined
+from scan3d_twin.core.registration.algebra import find_determined, invert_information
 from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Criteria, Dof
-from scan3d_twin.core.registration.point_to_plane import MIN_NORMAL_COSINE, faked_information
+from scan3d_twin.core.registration.native import ByteArray, engine
+from scan3d_twin.core.registration.point_to_plane import MIN_NORMAL_COSINE, spurious_information
 from scan3d_twin.core.registration.pose_prior import (
     PLANAR,
     PosePrior,
@@ -37,7 +34,7 @@ from scan3d_twin.core.registration.pose_prior import (
     displaced,
     spread,
 )
-from scan3d_twin.core.types import FloatArray, IntArray, RegistrationResult, read_only
+from scan3d_twin.core.types import FloatArray, RegistrationResult, SmallIntArray, read_only
 
 NEIGHBOURS = 20
 """Points a plane is fitted to; the default of small_gicp and of PCL's tutorials."""
@@ -52,8 +49,40 @@ SHRINK = 0.7
 LAST_GATE = 6.0
 """... down to this many s."""
 
-Search = Callable[[FloatArray, int], tuple[FloatArray, IntArray]]
-"""Returns squared distances and indices (n, k) of the k nearest neighbours of points (n, 3)."""
+
+@dataclass(frozen=True)
+class Tree:
+    """A k-d tree of points.
+
+    Attributes:
+        points: In the order of the tree (n, 3) [m].
+        order: Index of each of them among the points it was made of (n,).
+        axes: Axis along which each splits those of its part (n,); only inner points do.
+    """
+
+    points: FloatArray
+    order: SmallIntArray
+    axes: ByteArray
+
+    @staticmethod
+    def of(points: FloatArray) -> Tree:
+        """Return the tree of ``points`` (n, 3), all finite."""
+        n = len(points)
+        tree = Tree(np.empty((n, 3)), np.empty(n, np.int32), np.zeros(n, np.uint8))
+        engine.tree(points, n, tree.points, tree.order, tree.axes)
+        return tree
+
+    def nearest(self, points: FloatArray, k: int) -> tuple[FloatArray, SmallIntArray]:
+        """Return squared distances [m2] and indices (m, k) of the k nearest of each point (m, 3).
+
+        Nearest first; infinity and -1 where there are fewer. k is at most 64.
+        """
+        squares, indices = np.empty((len(points), k)), np.empty((len(points), k), np.int32)
+        engine.nearest(
+            self.points, self.order, self.axes, len(self.points), np.ascontiguousarray(points),
+            len(points), k, squares, indices,
+        )  # fmt: skip
+        return squares, indices
 
 
 @dataclass(frozen=True)
@@ -65,17 +94,17 @@ class Cloud:
         centroids: Of each point's neighbours (n, 3) [m].
         normals: Unit normals, towards the origin, the viewpoint (n, 3).
         tilt: Variance of each normal per variance of the range noise (n,) [rad2/m2].
-        search: Finds neighbours among ``points``.
+        tree: Finds neighbours among ``points``.
     """
 
     points: FloatArray
     centroids: FloatArray
     normals: FloatArray
     tilt: FloatArray
-    search: Search
+    tree: Tree
 
 
-def prepare_cloud(points: FloatArray, *, num_threads: int = 1) -> Cloud:
+def prepare_cloud(points: FloatArray) -> Cloud:
     """Return the planes of a cloud (n, 3) [m] seen from its origin; NaN rows are left out.
 
     Raises:
@@ -90,38 +119,14 @@ def prepare_cloud(points: FloatArray, *, num_threads: int = 1) -> Cloud:
         raise RegistrationError(
             f"the cloud has {len(points)} finite points, {MIN_POINTS} are needed"
         )
-    search = _search(points, num_threads)
-    around = points[search(points, NEIGHBOURS)[1]]
-    centroids = around.mean(axis=1)
-    around -= centroids[:, None]
-    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / NEIGHBOURS)
-    normals = vectors[..., 0]
+    tree, n = Tree.of(points), len(points)
+    centroids, normals, variances = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 2))
+    engine.neighbourhoods(
+        tree.points, tree.order, tree.axes, n, NEIGHBOURS, centroids, normals, variances
+    )
     normals *= np.where(np.sum(normals * points, axis=1) > 0, -1.0, 1.0)[:, None]
-    tilt = 1.0 / (NEIGHBOURS * np.maximum(values[:, 1] - values[:, 0], 1e-9))
-    return Cloud(points, centroids, normals, tilt, search)
-
-
-def _search(points: FloatArray, num_threads: int) -> Search:
-    if importlib.util.find_spec("small_gicp") is None:
-        tree = cKDTree(points)
-        return lambda wanted, k: _by_scipy(tree, wanted, k, num_threads)
-    import small_gicp
-
-    cloud = small_gicp.PointCloud(points)
-    fast = small_gicp.KdTree(cloud, num_threads=num_threads)
-
-    def neighbours(wanted: FloatArray, k: int) -> tuple[FloatArray, IntArray]:
-        index, square = fast.batch_knn_search(wanted, k, num_threads=num_threads)
-        return np.reshape(square, (-1, k)), np.reshape(index, (-1, k)).astype(np.int64)
-
-    return neighbours
-
-
-def _by_scipy(
-    tree: cKDTree, wanted: FloatArray, k: int, num_threads: int
-) -> tuple[FloatArray, IntArray]:
-    distance, index = tree.query(wanted, k, workers=num_threads)
-    return np.reshape(distance, (-1, k)) ** 2, np.reshape(index, (-1, k))
+    tilt = 1.0 / (NEIGHBOURS * np.maximum(variances[:, 1] - variances[:, 0], 1e-9))
+    return Cloud(points, centroids, normals, tilt, tree)
 
 
 def register_clouds(
@@ -187,7 +192,7 @@ class _Step:
 
     Attributes:
         motion: Of x y z rx ry rz about the viewpoint (6,).
-        information: Less what is faked (6, 6).
+        information: Less what is spurious (6, 6).
         degenerate: Directions that the clouds do not determine (k, 6).
         pairs: Number of pairs.
         spread: Of their residuals, robust [m].
@@ -218,12 +223,12 @@ class _Pair:
         dims = PLANAR if self.dof == "planar" else tuple(range(6))
         rows, block = list(dims), np.ix_(dims, dims)
         H, g = ((J * w[:, None]).T @ J)[block], (J.T @ (w * e))[rows]
-        faked = faked_information(w * tilt * scale**2, a, J)[block]
+        spurious = spurious_information(w * tilt * scale**2, a, J)[block]
         reach = math.sqrt(float(np.mean(np.sum(a * a, axis=1))))
-        kept, honest, dropped = determined(H, faked, reach)
+        kept, honest, dropped = find_determined(H, spurious, reach)
         prior, pull = self._prior(T, dims)
         motion, information = np.zeros(6), np.zeros((6, 6))
-        motion[rows] = -_inverse(kept @ H @ kept.T + prior) @ (kept @ g + pull)
+        motion[rows] = -invert_information(kept @ H @ kept.T + prior) @ (kept @ g + pull)
         information[block] = honest @ H @ honest.T + prior
         degenerate = np.zeros((len(dropped), 6))
         degenerate[:, rows] = dropped
@@ -240,7 +245,7 @@ class _Pair:
         """Return lever arms, normals, residuals and normal variances of the pairs."""
         a = self.source.points @ T[:3, :3].T
         moved = a + T[:3, 3]
-        square, index = (column[:, 0] for column in self.target.search(moved, 1))
+        square, index = (column[:, 0] for column in self.target.tree.nearest(moved, 1))
         n = self.target.normals[index]
         alike = np.sum(n * (self.source.normals @ T[:3, :3].T), axis=1) > MIN_NORMAL_COSINE
         paired = alike & (square < gate * gate)
@@ -259,7 +264,7 @@ class _Pair:
         """Return the result at ``T``, with covariances about the target's origin."""
         shift = about_target(T)
         back = np.linalg.inv(shift)
-        covariance = _inverse(step.information)
+        covariance = invert_information(step.information)
         return RegistrationResult(
             T_target_source=read_only(T),
             covariance=read_only(shift @ covariance @ shift.T),
@@ -273,9 +278,3 @@ class _Pair:
             degenerate_directions=read_only(step.degenerate @ shift.T),
             ambiguity_gap=1.0,
         )
-
-
-def _inverse(information: FloatArray) -> FloatArray:
-    """Return the inverse; 0 on the directions that nothing determines."""
-    inverse = np.linalg.pinv(information, rcond=1e-9, hermitian=True)
-    return np.asarray(inverse, dtype=np.float64)

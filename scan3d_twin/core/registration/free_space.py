@@ -3,50 +3,36 @@
 Each surfel of one scan is looked up in the other. In front of what is measured there, or where
 nothing returned, it is a violation; on it, it counts by its squared distance; behind it is hidden
 and says nothing. Counted both ways, a wrong period of a regular surface fits on the surface itself
-but sticks out at its ends.
+but sticks out at its ends. ``native/free_space.h`` computes it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.registration.compiled import compiled
-from scan3d_twin.core.registration.scan_arrays import Target
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid
-from scan3d_twin.core.registration.surfels import EMPTY, SURFACE, UNKNOWN, VARIANCE, N, X
-from scan3d_twin.core.types import FloatArray, SmallIntArray
-
-MARGIN = 0.02
-"""In front by this much is a full violation [m], or by ..."""
-SIGMAS = 3.0
-"""... this many standard deviations, whichever is more."""
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.registration.surfel_grid import Sample, SurfelGrid
+from scan3d_twin.core.types import FloatArray
 
 
 def contradiction(target: SurfelGrid, source: SurfelGrid, T: FloatArray, stride: int) -> float:
-    """Return the mean violation, 0..1, of the surfels that each scan sees of the other at ``T``."""
-    run = compiled("violations") or violations
-    cost, seen = run(target.target, target.known, source.sample(stride).rows, np.array(T))
-    back = np.asarray(np.linalg.inv(T), dtype=np.float64)
-    cost_back, seen_back = run(source.target, source.known, target.sample(stride).rows, back)
-    return float(cost + cost_back) / max(1, seen + seen_back)
-
-
-def violations(
-    target: Target, known: SmallIntArray, rows: FloatArray, T: FloatArray
-) -> tuple[float, int]:
-    """Return the sum of the violations, and how many surfels a reading says something of.
+    """Return the mean violation, 0..1, of the surfels that each scan sees of the other at ``T``.
 
     Args:
-        target: The scan that is asked.
-        known: What each of its readings says of its ray (n,).
-        rows: Surfels of the other scan (m, 8).
+        target: A sweep.
+        source: Another.
         T: ``T_target_source`` (4, 4).
+        stride: Of the surfels along lines and beams.
     """
-    points = rows[:, X] @ T[:3, :3].T + T[:3, 3]
-    at = target.projection.lookup(points, known)
-    state, met = np.where(at >= 0, known[at], UNKNOWN), target.rows[target.row_of[at]]
-    e = np.sum(met[:, N] * (points - met[:, X]), axis=1)
-    margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + met[:, VARIANCE]))
-    hit = np.where(e < -margin, 0.0, np.minimum(1.0, (e / margin) ** 2))
-    cost = np.where(state == SURFACE, hit, np.where(state == EMPTY, 1.0, 0.0))
-    return float(cost.sum()), int(np.count_nonzero(state != UNKNOWN))
+    back = np.asarray(np.linalg.inv(T), dtype=np.float64)
+    cost, seen = _violations(target, source.sample(stride), T)
+    cost_back, seen_back = _violations(source, target.sample(stride), back)
+    return (cost + cost_back) / max(1, seen + seen_back)
+
+
+def _violations(grid: SurfelGrid, sample: Sample, T: FloatArray) -> tuple[float, int]:
+    """Return the sum of the violations, and how many surfels a reading knows something of."""
+    seen = np.zeros(1, dtype=np.int64)
+    T = np.ascontiguousarray(T)
+    cost = engine.violations(grid.target, grid.known, sample.value, T, seen)
+    return float(cost), int(seen[0])

@@ -6,12 +6,14 @@ tightened from step to step, the odometry as prior about the viewpoint and verti
     (H_kept + H_edges + L0) step = -(g_kept + g_edges + L0 (x - x0)).
 
 H_kept holds those eigenvectors v of the scans' information H whose information exceeds twice what
-noise of the normals fakes, v^T H v >= 2 v^T H_faked v (Hatleskog and Alexis, arXiv 2410.10784): on
-a wall the rest would be a slide that looks like knowledge, so it is left to prior and edges. Twice
-means: as much signal as noise. The covariance is the inverse of the left side, less what is faked
-and what yaw jitter hides; for point to plane that is sound (Bonnabel et al., arXiv 1410.7632).
+noise of the normals adds, v^T H v >= 2 v^T H_spurious v (Hatleskog and Alexis, arXiv 2410.10784):
+on a wall the rest would be a slide that looks like knowledge, so it is left to prior and edges.
+Twice means: as much signal as noise. The covariance is the inverse of the left side, less what is
+spurious and what yaw jitter hides; for point to plane that is sound (Bonnabel et al., arXiv
+1410.7632).
 
-``kernels`` compiles ``descend`` and what it calls as they stand here.
+The yaw scale is a nuisance, eliminated by its Schur complement. ``native/descend.h`` computes all
+of it.
 """
 
 from __future__ import annotations
@@ -24,34 +26,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.algebra import (
-    block,
-    determined,
-    inverse,
-    picked,
-    projected,
-    quadratic,
-    without_scale,
-)
-from scan3d_twin.core.registration.compiled import compiled
-from scan3d_twin.core.registration.edges import edge_sums
-from scan3d_twin.core.registration.point_to_plane import (
-    Equations,
-    Gate,
-    Weighting,
-    normal_equations,
-    weighting,
-)
-from scan3d_twin.core.registration.pose_prior import (
-    PLANAR,
-    Moments,
-    PosePrior,
-    about_target,
-    deviation,
-    displaced,
-    displacement,
-)
-from scan3d_twin.core.registration.scan_arrays import Sample, Target
+from scan3d_twin.core.registration import native
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.registration.point_to_plane import pair_noise
+from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, PosePrior
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
@@ -62,20 +40,8 @@ MIN_PAIRS = 12
 WANTED, WANTED_LAST = 3000, 12000
 """Surfels used of a source, and in the very last step: fewer lose accuracy where the surface bends,
 as windows are small and overlap little there."""
-TIGHTEN = 0.7
-"""Factor of the gate from one step to the next ..."""
-LAST_GATE, LAST_ROBUST = 0.03, 1.5
-"""... down to these: a few times the range noise, and a robust kernel of 1.5 sigma."""
-FIRST_ROBUST = 4.0
-"""The kernel of the first step [sigma]."""
 SAME_BASIN = 0.010
 """Poses that displace the source by less than this from each other are one basin [m]."""
-EDGE_ROBUST = 2.0
-"""The kernel of edges, in kernels of surfels: their errors are uniform, not normal."""
-
-
-NOTHING = read_only(np.zeros((6, 6)))
-"""Covariance that stands for no knowledge."""
 
 
 class Criteria(NamedTuple):
@@ -87,109 +53,55 @@ class Criteria(NamedTuple):
     max_correspondence_distance: float = 0.10
 
 
-class Scans(NamedTuple):
-    """What the iteration needs of two grids.
-
-    Attributes:
-        target: What the source is laid on.
-        coarse: Surfels of the source for the first steps.
-        fine: For the steps at the last gate.
-        every: For the one step after these have settled.
-        target_edges: As rows (m, 8), see ``edges``.
-        source_edges: As rows (n, 8).
-        both: What the sweeps err by.
-        moments: Of the source's surfels.
-    """
-
-    target: Target
-    coarse: Sample
-    fine: Sample
-    every: Sample
-    target_edges: FloatArray
-    source_edges: FloatArray
-    both: Weighting
-    moments: Moments
-
-
-class Prior(NamedTuple):
-    """What is known beforehand.
-
-    Attributes:
-        mean: Of ``T_target_source`` (4, 4).
-        covariance: Of x y z rx ry rz (6, 6); 0 when nothing is known.
-        rows: The estimated entries of these, k of them.
-        yaw_scale: Information of the common relative error of the yaws; infinite when exact.
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
-    rows: tuple[int, ...]
-    yaw_scale: float
-
-
-class State(NamedTuple):
-    """Where the iteration stands: ``T_target_source`` (4, 4) and the yaw scale error."""
-
-    T: FloatArray
-    scale: float
-
-
-class Solution(NamedTuple):
-    """One Gauss-Newton step and what is known there.
-
-    Attributes:
-        step: Of x y z rx ry rz about the viewpoint (6,).
-        scale_step: Of the yaw scale error.
-        information: Left side of the equation, less what is faked (k, k).
-        dropped: Directions (j, k) that the surfels do not determine.
-        edges: Information of the edges (k, k).
-        equations: Of the surfels.
-    """
-
-    step: FloatArray
-    scale_step: float
-    information: FloatArray
-    dropped: FloatArray
-    edges: FloatArray
-    equations: Equations
-
-
-class Knowledge(NamedTuple):
-    """What is known of ``T_target_source`` at the end, about the target's origin.
-
-    Attributes:
-        covariance: Of x y z rx ry rz (6, 6).
-        information: Its inverse on the estimated entries (6, 6).
-        degenerate: Directions (j, 6) that neither surfels nor edges determine.
-        predicted_rmse: RMS displacement of the source's surfels to be expected [m].
-    """
-
-    covariance: FloatArray
-    information: FloatArray
-    degenerate: FloatArray
-    predicted_rmse: float
-
-
-class Outcome(NamedTuple):
+@dataclass(frozen=True)
+class Outcome:
     """Where the iteration ended.
 
     Attributes:
-        state: After the last step.
-        solution: Of the last step.
-        knowledge: What it leaves unknown.
+        T: ``T_target_source`` (4, 4).
+        yaw_scale: Relative error of the yaws of both sweeps.
+        covariance: Of x y z rx ry rz about the target's origin (6, 6).
+        information: Its inverse on the estimated entries (6, 6).
+        degenerate: Directions (j, 6) that neither surfels nor edges determine.
+        predicted_rmse: RMS displacement of the source's surfels to be expected [m].
+        pairs: That took part in the last step.
+        square: Sum of their squared residuals [m2].
         surfels: Of the source that took part in it.
         iterations: Steps in all.
         settled: Whether they became small enough.
         overlap: Whether enough surfels found a partner.
     """
 
-    state: State
-    solution: Solution
-    knowledge: Knowledge
+    T: FloatArray
+    yaw_scale: float
+    covariance: FloatArray
+    information: FloatArray
+    degenerate: FloatArray
+    predicted_rmse: float
+    pairs: int
+    square: float
     surfels: int
     iterations: int
     settled: bool
     overlap: bool
+
+    @staticmethod
+    def of(value: native.Outcome) -> Outcome:
+        """Return the outcome that the engine wrote."""
+        return Outcome(
+            value.numbers("T", 4, 4),
+            value.nuisances[0],
+            value.numbers("covariance", 6, 6),
+            value.numbers("information", 6, 6),
+            value.numbers("degenerate", value.n_degenerate, 6),
+            value.predicted_rmse,
+            value.pairs,
+            value.square,
+            value.surfels,
+            value.iterations,
+            bool(value.settled),
+            bool(value.overlap),
+        )
 
 
 @dataclass(frozen=True)
@@ -212,13 +124,17 @@ class Problem:
         return PLANAR if self.dof == "planar" else (0, 1, 2, 3, 4, 5)
 
     @cached_property
-    def beforehand(self) -> Prior:
-        """The prior, and that of the yaw scale."""
+    def beforehand(self) -> native.Prior:
+        """The prior, and that of the yaw scale: its information is infinite where it is exact."""
         sigma = max(self.target.noise.yaw_scale_sigma, self.source.noise.yaw_scale_sigma)
-        yaw_scale = 1.0 / sigma**2 if sigma > 0 else math.inf
-        if self.prior is None:
-            return Prior(read_only(np.eye(4)), NOTHING, self.dims, yaw_scale)
-        return Prior(self.prior.T, self.prior.covariance, self.dims, yaw_scale)
+        return native.Prior(
+            mean=self.prior.T if self.prior else np.eye(4),
+            covariance=self.prior.covariance if self.prior else np.zeros((6, 6)),
+            n_entries=len(self.dims),
+            entries=self.dims,
+            n_nuisances=1,
+            nuisance_information=[1.0 / sigma**2 if sigma > 0 else math.inf],
+        )
 
     @cached_property
     def stride(self) -> int:
@@ -237,21 +153,20 @@ class Problem:
 
     @property
     def reach(self) -> float:
-        """See ``reach``."""
-        return reach(self.moments)
+        """RMS distance of the source's points [m]: it makes turns comparable with shifts."""
+        return math.sqrt(np.trace(self.moments.second))
 
-    def scans(self, thinning: int = 1) -> Scans:
-        """Return the arrays for the iteration, of every ``thinning``-th line and beam taken."""
+    def laid(self, thinning: int = 1) -> native.Source:
+        """Return what is laid on the target, of every ``thinning``-th line and beam taken."""
         fine = self.stride * thinning
-        return Scans(
-            target=self.target.target,
-            coarse=self.source.sample(2 * fine),
-            fine=self.source.sample(fine),
-            every=self.source.sample(self.last_stride),
-            target_edges=self.target.edge_rows,
-            source_edges=self.source.edge_rows,
-            both=weighting(self.target, self.source),
-            moments=self.moments,
+        return native.Source(
+            coarse=self.source.sample(2 * fine).value,
+            fine=self.source.sample(fine).value,
+            every=self.source.sample(self.last_stride).value,
+            edges=self.source.edge_rows,
+            n_edges=len(self.source.edge_rows),
+            first=self.moments.first,
+            second=self.moments.second,
         )
 
 
@@ -261,170 +176,51 @@ def align(problem: Problem, init: FloatArray) -> Outcome:
     Raises:
         RegistrationError: The scans do not overlap at ``init``, or lost each other on the way.
     """
-    outcome = follow(problem, problem.scans(), problem.criteria, init[None])[1]
+    _, outcome = follow_starts(problem, problem.laid(), problem.criteria, init[None])
     if not outcome.overlap:
         raise RegistrationError(
-            f"no overlap: only {outcome.solution.equations.pairs} pairs of surfels in reach, "
+            f"no overlap: only {outcome.pairs} pairs of surfels in reach, "
             f"{MIN_PAIRS} are needed; give a better init_T_target_source"
         )
     return outcome
 
 
-def follow(
-    problem: Problem, scans: Scans, criteria: Criteria, starts: FloatArray
-) -> tuple[FloatArray, Outcome]:
-    """Return what ``descend`` does."""
-    run = compiled("descend") or descend
-    ends, outcome = run(scans, problem.beforehand, criteria, np.array(starts))
-    return ends, outcome
-
-
-def descend(
-    scans: Scans, prior: Prior, criteria: Criteria, starts: FloatArray
+def follow_starts(
+    problem: Problem, source: native.Source, criteria: Criteria, starts: FloatArray
 ) -> tuple[FloatArray, Outcome]:
     """Return where the steps from ``starts`` (n, 4, 4) end (m, 4, 4), and how the last did.
 
     Ends that met are one, those without overlap left out.
     """
-    beforehand, ends, n = prior_information(prior), np.empty_like(starts), 0
-    for start in range(len(starts)):
-        state, settled = State(starts[start].copy(), 0.0), False
-        for iteration in range(criteria.max_iterations):
-            gate = tightened(iteration, criteria.max_correspondence_distance)
-            final = gate.distance <= LAST_GATE and gate.robust <= LAST_ROBUST
-            sample = scans.every if settled else (scans.fine if final else scans.coarse)
-            solution = solve(scans, prior, beforehand, state, sample, gate)
-            state = State(displaced(state.T, solution.step), state.scale + solution.scale_step)
-            overlap = solution.equations.pairs >= MIN_PAIRS
-            if settled or not overlap:
-                break
-            shift, turn = length(solution.step[:3]), length(solution.step[3:])
-            small = shift < criteria.translation_epsilon and turn < criteria.rotation_epsilon
-            settled = final and small
-        if overlap and new_basin(state.T, ends[:n], reach(scans.moments)):
-            ends[n] = state.T
-            n += 1
-    known = knowledge(scans, prior, beforehand, state, solution)
-    last = Outcome(state, solution, known, len(sample.rows), iteration + 1, settled, overlap)
-    return ends[:n].copy(), last
+    starts = np.ascontiguousarray(starts)
+    ends, last = np.empty_like(starts), native.Outcome()
+    n = engine.follow(
+        problem.target.target, source, pair_noise(problem.target, problem.source),
+        problem.beforehand, native.Criteria(**criteria._asdict()), starts, len(starts), ends, last,
+    )  # fmt: skip
+    if n < 0:
+        raise MemoryError
+    return ends[:n], Outcome.of(last)
 
 
-def prior_information(prior: Prior) -> FloatArray:
-    """Return L0, the information of the prior on the estimated entries (k, k)."""
-    k = len(prior.rows)
-    information = np.zeros((k, k))
-    if prior.covariance[0, 0] > 0.0:
-        information[:] = np.linalg.inv(block(prior.covariance, prior.rows))
-    return information
-
-
-def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:
-    """Tell whether ``T`` (4, 4) lies in none of the basins of ``others`` (n, 4, 4)."""
-    for k in range(len(others)):  # noqa: SIM110
-        if apart(T, others[k], reach) <= SAME_BASIN:
-            return False
-    return True
-
-
-def reach(moments: Moments) -> float:
-    """Return the root mean square distance of points [m]: it makes turns comparable with shifts."""
-    second = moments.second
-    return math.sqrt(second[0, 0] + second[1, 1] + second[2, 2])
-
-
-def apart(a: FloatArray, b: FloatArray, reach: float) -> float:
+def distance_between(a: FloatArray, b: FloatArray, reach: float) -> float:
     """Return by how much two poses (4, 4) displace points at a distance ``reach`` [m]."""
-    square = 0.0
-    for i in range(3):
-        square += (a[i, 3] - b[i, 3]) ** 2
-        for j in range(3):
-            square += (reach * (a[i, j] - b[i, j])) ** 2 / 2.0
-    return math.sqrt(square)
-
-
-def length(v: FloatArray) -> float:
-    """Return the length of a vector (3,)."""
-    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-
-
-def tightened(iteration: int, widest: float) -> Gate:
-    """Return the gate of a step."""
-    tight = TIGHTEN**iteration
-    return Gate(max(min(LAST_GATE, widest), tight * widest), max(LAST_ROBUST, FIRST_ROBUST * tight))
-
-
-def solve(
-    scans: Scans, prior: Prior, beforehand: FloatArray, state: State, sample: Sample, gate: Gate
-) -> Solution:
-    """Return the Gauss-Newton step at ``state``; the equation is at the module's head.
-
-    ``beforehand`` is its L0, see ``prior_information``.
-    """
-    rows = prior.rows
-    equations = normal_equations(scans.target, sample, state.T, state.scale, gate, scans.both, rows)
-    H, g, per_step = without_scale(equations, prior.yaw_scale, state.scale)
-    k = len(rows)
-    kept, honest, dropped = determined(
-        equations.information[:k, :k], equations.faked, reach(scans.moments)
-    )
-    H_edges, g_edges = edge_sums(
-        scans.target_edges, scans.source_edges, state.T, gate.distance, EDGE_ROBUST * gate.robust
-    )
-    H_edges = block(H_edges, rows)
-    off = picked(deviation(state.T, prior.mean), rows)
-    right = kept @ g + picked(g_edges, rows) + beforehand @ off
-    left = projected(kept, H) + H_edges + beforehand
-    small = -(inverse(left, beforehand) @ right)
-    step, scale_step = np.zeros(6), per_step[k]
-    for i in range(k):
-        step[rows[i]] = small[i]
-        scale_step += per_step[i] * small[i]
-    information = projected(honest, H) + H_edges + beforehand
-    return Solution(step, scale_step, information, dropped, H_edges, equations)
-
-
-def knowledge(
-    scans: Scans, prior: Prior, beforehand: FloatArray, state: State, solution: Solution
-) -> Knowledge:
-    """Return what is known of ``state`` by the ``solution`` whose step led to it."""
-    small = inverse(solution.information, beforehand)
-    covariance, information = np.zeros((6, 6)), np.zeros((6, 6))
-    for i in range(len(prior.rows)):
-        for j in range(len(prior.rows)):
-            covariance[prior.rows[i], prior.rows[j]] = small[i, j]
-            information[prior.rows[i], prior.rows[j]] = solution.information[i, j]
-    degenerate, n = np.zeros((len(solution.dropped), 6)), 0
-    for m in range(len(degenerate)):
-        v = solution.dropped[m]
-        if quadratic(solution.edges, v) <= quadratic(beforehand, v):
-            for i in range(len(v)):
-                degenerate[n, prior.rows[i]] = v[i]
-            n += 1
-    R = state.T[:3, :3].copy()
-    turned = Moments(R @ scans.moments.first, projected(R, scans.moments.second))
-    shift = about_target(state.T)
-    back = 2.0 * np.eye(6) - shift
-    return Knowledge(
-        projected(shift, covariance),
-        projected(back.T.copy(), information),
-        degenerate[:n] @ shift.T.copy(),
-        displacement(turned, covariance),
-    )
+    shift, turn = a[:3, 3] - b[:3, 3], reach * (a[:3, :3] - b[:3, :3])
+    return math.sqrt(np.sum(shift * shift) + np.sum(turn * turn) / 2.0)
 
 
 def report(outcome: Outcome, ambiguity_gap: float) -> RegistrationResult:
     """Return the result for the last state."""
-    known, equations = outcome.knowledge, outcome.solution.equations
     return RegistrationResult(
-        T_target_source=read_only(outcome.state.T),
-        covariance=read_only(known.covariance),
-        information=read_only(known.information),
-        fitness=equations.pairs / outcome.surfels,
-        inlier_rmse=math.sqrt(equations.square / equations.pairs),
-        predicted_rmse=known.predicted_rmse,
-        num_inliers=equations.pairs,
+        T_target_source=read_only(outcome.T),
+        covariance=read_only(outcome.covariance),
+        information=read_only(outcome.information),
+        fitness=outcome.pairs / outcome.surfels,
+        inlier_rmse=math.sqrt(outcome.square / outcome.pairs),
+        predicted_rmse=outcome.predicted_rmse,
+        num_inliers=outcome.pairs,
         iterations=outcome.iterations,
         converged=outcome.settled,
-        degenerate_directions=read_only(known.degenerate),
+        degenerate_directions=read_only(outcome.degenerate),
         ambiguity_gap=ambiguity_gap,
     )

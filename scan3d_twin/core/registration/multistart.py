@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import ndtri
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.algebra import picked
 from scan3d_twin.core.registration.free_space import contradiction
 from scan3d_twin.core.registration.gauss_newton import (
     SAME_BASIN,
@@ -24,12 +23,11 @@ from scan3d_twin.core.registration.gauss_newton import (
     Outcome,
     Problem,
     align,
-    apart,
-    follow,
-    prior_information,
+    distance_between,
+    follow_starts,
     report,
 )
-from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displaced
+from scan3d_twin.core.registration.pose_prior import PosePrior, displaced
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
@@ -54,7 +52,7 @@ class Basin:
     @property
     def T(self) -> FloatArray:
         """The pose ``T_target_source`` (4, 4)."""
-        return self.outcome.state.T
+        return self.outcome.T
 
 
 def register_grids(
@@ -107,10 +105,10 @@ def search(problem: Problem, init: FloatArray, starts: int) -> tuple[Basin, floa
         raise ConfigError(f"starts must be >= 1, got {starts}")
     if starts == 1:
         return Basin(align(problem, init), 0.0), 1.0
-    poses, scans = spread_starts(problem, init, starts), problem.scans(THINNING)
+    poses, source = spread_starts(problem, init, starts), problem.laid(THINNING)
     for iterations in ROUGH_ITERATIONS:
         criteria = problem.criteria._replace(max_iterations=iterations)
-        poses = follow(problem, scans, criteria, poses)[0]
+        poses = follow_starts(problem, source, criteria, poses)[0]
         if len(poses) == 0:
             raise RegistrationError(NO_OVERLAP.format(starts))
     ranked = sorted(poses, key=lambda pose: _contradiction(problem, pose))[:MOST_BASINS]
@@ -118,7 +116,7 @@ def search(problem: Problem, init: FloatArray, starts: int) -> tuple[Basin, floa
     for pose in ranked:
         with suppress(RegistrationError):
             outcome = align(problem, pose)
-            basins.append(Basin(outcome, _contradiction(problem, outcome.state.T)))
+            basins.append(Basin(outcome, _contradiction(problem, outcome.T)))
     if not basins:
         raise RegistrationError(NO_OVERLAP.format(starts))
     return _choose(problem, basins)
@@ -161,7 +159,7 @@ def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
     """Return the least contradictory basin; among equals the one nearest to the prior."""
     distinct: list[Basin] = []
     for basin in sorted(basins, key=lambda basin: basin.contradiction):
-        if all(apart(basin.T, b.T, problem.reach) > SAME_BASIN for b in distinct):
+        if all(distance_between(basin.T, b.T, problem.reach) > SAME_BASIN for b in distinct):
             distinct.append(basin)
     if len(distinct) == 1:
         return distinct[0], 1.0
@@ -171,7 +169,8 @@ def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
 
 
 def _unlikelihood(problem: Problem, pose: FloatArray) -> float:
-    """Return the squared Mahalanobis distance of a pose from the prior's mean."""
-    prior = problem.beforehand
-    off = picked(deviation(pose, prior.mean), prior.rows)
-    return float(off @ prior_information(prior) @ off)
+    """Return the squared Mahalanobis distance of a pose from the prior's mean; 0 without one."""
+    if problem.prior is None:
+        return 0.0
+    off = problem.prior.deviation(pose)[list(problem.dims)]
+    return float(off @ problem.prior.information(problem.dims) @ off)

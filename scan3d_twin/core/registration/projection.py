@@ -12,19 +12,19 @@ follows from the point relative to the lidar. Tables then give the nearest line 
 
 No angle is computed: a direction (c, s) is looked up by how far round the square |c| + |s| = 1 it
 lies, which grows with its angle, by (c^2 + s^2) / (|c| + |s|)^2 per radian.
+``native/projection.h`` computes it.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache, lru_cache
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from scan3d_twin.core.registration.compiled import compiled
-from scan3d_twin.core.registration.median import median
+from scan3d_twin.core.registration import native
+from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -36,12 +36,10 @@ from scan3d_twin.core.types import (
 
 CELLS = 16384
 """Entries of the tables over a full turn: 0.016 to 0.031 deg each."""
-QUARTER = CELLS / 4
-REACH = 0.75
-"""A direction belongs to the nearest line or beam within this many spacings."""
 
 
-class Projection(NamedTuple):
+@dataclass(frozen=True)
+class Projection:
     """Tables and mount of one sweep.
 
     Attributes:
@@ -68,96 +66,50 @@ class Projection(NamedTuple):
         middles = image.yaws[:, image.spec.n_beams // 2].copy()
         elevations = np.ascontiguousarray(image.spec.elevations).tobytes()
         beams, mount, backwards = _of_lidar(elevations, image.T_base_lidar.tobytes())
-        lines = (compiled("nearest") or nearest)(middles, line_spacing, _centres())
+        lines = tabulate_nearest(middles, line_spacing)
         return Projection(lines, beams, read_only(image.yaws), middles, mount, backwards)
 
-    def lookup(self, points: FloatArray, seen: npt.NDArray[Any]) -> IntArray:
+    @cached_property
+    def value(self) -> native.Projection:
+        """The projection as the engine takes it."""
+        n_lines, n_beams = self.yaws.shape
+        return native.Projection(
+            n_lines=n_lines,
+            n_beams=n_beams,
+            lines=self.lines,
+            beams=self.beams,
+            beam_stride=0,
+            yaws=self.yaws,
+            middles=self.middles,
+            mount=self.mount,
+            backwards=self.backwards,
+        )
+
+    def lookup(self, points: FloatArray, seen: BoolArray) -> IntArray:
         """Return the flat index of the reading (m,) that sees each of ``points`` (m, 3), or -1.
 
-        Of two readings the one ahead of the axis counts, unless ``seen`` is 0 there.
+        Of two readings the one ahead of the axis counts, unless ``seen`` is False there.
 
         Args:
             points: In ``scan`` [m].
-            seen: (n_lines * n_beams,).
+            seen: Readings that count (n_lines * n_beams,).
         """
-        run = compiled("lookup") or lookup
-        found: IntArray = run(self, np.array(points), np.asarray(seen != 0))
+        found = np.empty(len(points), dtype=np.int64)
+        engine.lookup(self.value, np.ascontiguousarray(points), len(points), seen, found)
         return found
 
 
-def lookup(projection: Projection, points: FloatArray, seen: BoolArray) -> IntArray:
-    """Return what ``Projection.lookup`` does."""
-    found = _branch(projection, points, ahead=True)
-    if not projection.backwards:
-        return found
-    missing = np.flatnonzero((found < 0) | ~seen[found])
-    behind = _branch(projection, points[missing], ahead=False)
-    better = (behind >= 0) & seen[behind]
-    found[missing[better]] = behind[better]
-    return found
-
-
-def _branch(projection: Projection, points: FloatArray, *, ahead: bool) -> IntArray:
-    lines, beams, yaws, middles, mount, _ = projection
-    cos_kappa, sin_kappa, a, k_t, k_z = mount[:5]
-    t, x_axis, z_axis = mount[5:8], mount[8:11], mount[11:14]
-    x, y, z = points[:, 0], points[:, 1], points[:, 2]
-    rho = np.maximum(np.sqrt(x * x + y * y), 1e-9)
-    sine = np.clip((k_t - k_z * z) / (a * rho), -1.0, 1.0)
-    cosine = np.sqrt(1.0 - sine * sine)
-    if not ahead:
-        cosine = -cosine
-    c, s = cos_kappa * cosine - sin_kappa * sine, sin_kappa * cosine + cos_kappa * sine
-    forward, left, up = rho * c - t[0], rho * s - t[1], z - t[2]
-    elevation, _ = around(
-        forward * x_axis[0] + left * x_axis[1] + up * x_axis[2],
-        forward * z_axis[0] + left * z_axis[1] + up * z_axis[2],
-    )
-    beam = beams[_cells(elevation)]
-    yaw, rate = around(x * c + y * s, y * c - x * s)
-    line = lines[_cells(yaw)]
-    line = lines[_cells(yaw - (yaws[line, beam] - middles[line]) * rate)]
-    found = line * yaws.shape[1] + beam
-    return np.where((line >= 0) & (beam >= 0), found, -1)
-
-
-def around(c: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far round directions along (c, s) lie, and how much of it a radian is.
-
-    Both in entries of the tables; 0 to CELLS around.
-    """
-    shrunk = 1.0 / (np.abs(c) + np.abs(s) + 1e-9)
-    way = s * shrunk  # -1 to 1 within a half turn
-    way = np.where(c < 0, 2.0 - way, np.where(s < 0, 4.0 + way, way))
-    return QUARTER * way, QUARTER * (c * c + s * s) * shrunk * shrunk
-
-
-def _cells(way: FloatArray) -> IntArray:
-    return (way + CELLS).astype(np.int64) % CELLS
-
-
-def nearest(angles: FloatArray, spacing: float, centres: FloatArray) -> SmallIntArray:
+def tabulate_nearest(angles: FloatArray, spacing: float) -> SmallIntArray:
     """Return the index of the nearest of ``angles`` (n,) [rad] for each cell, -1 beyond reach.
 
     Args:
-        angles: They may lie anywhere around the turn.
+        angles: They rise or fall, and may lie anywhere around the turn.
         spacing: Of two of them, typically [rad].
-        centres: Angles in the middle of the cells, ascending (CELLS,) [rad].
     """
-    n, folded = len(angles), np.mod(angles, math.tau)
-    index, around = np.empty(n + 2, dtype=np.int64), np.empty(n + 2)
-    index[1:-1] = np.argsort(folded, kind="mergesort")
-    index[0], index[n + 1] = index[n], index[1]
-    around[1:-1] = folded[index[1:-1]]
-    around[0], around[n + 1] = around[n] - math.tau, around[1] + math.tau
-    middles = (around[1:] + around[:-1]) / 2
-    reach = max(REACH * spacing, math.tau / CELLS)
-    low, high = around - reach, around + reach
-    low[1:], high[:-1] = np.maximum(low[1:], middles), np.minimum(high[:-1], middles)
-    first, end = np.searchsorted(centres, low), np.searchsorted(centres, high)
-    table = np.full(CELLS, -1, dtype=np.int32)
-    for k in range(n + 2):
-        table[first[k] : end[k]] = index[k]
+    table = np.empty(CELLS, dtype=np.int32)
+    angles = np.ascontiguousarray(angles)
+    if engine.table(angles, len(angles), spacing, _cell_centres(), table) < 0:
+        raise MemoryError
     return table
 
 
@@ -170,14 +122,14 @@ def _of_lidar(elevations: bytes, T_base_lidar: bytes) -> tuple[SmallIntArray, Fl
     kappa = math.atan2(k[1], k[0]) - math.pi / 2
     a = max(math.hypot(k[0], k[1]), 1e-9)
     head = [math.cos(kappa), math.sin(kappa), a, float(k @ t), k[2]]
-    beams = nearest(angles, median(np.abs(np.diff(angles))), _centres())
+    beams = tabulate_nearest(angles, float(np.median(np.abs(np.diff(angles)))))
     back = bool(np.any(beams[CELLS // 4 : 3 * CELLS // 4] >= 0))
     return beams, np.concatenate([head, t, R[:, 0], R[:, 2]]), back
 
 
 @cache
-def _centres() -> FloatArray:
+def _cell_centres() -> FloatArray:
     """Return the angles in the middle of the tables' entries (CELLS,) [rad]."""
-    around = (np.arange(CELLS) + 0.5) * (4.0 / CELLS)
-    quarter, share = np.divmod(around, 1.0)
-    return read_only(quarter * (math.pi / 2) + np.arctan2(share, 1.0 - share))
+    centres = np.empty(CELLS)
+    engine.cell_centres(centres)
+    return read_only(centres)

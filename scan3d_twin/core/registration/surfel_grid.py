@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.compiled import compiled
+from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.edges import Edges, find_edges
+from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.projection import Projection
-from scan3d_twin.core.registration.scan_arrays import Beams, Sample, Target, sampled
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
-from scan3d_twin.core.registration.surfels import knowledge
-from scan3d_twin.core.registration.survey import Swept, survey
+from scan3d_twin.core.registration.surfels import Beams, known_rays, sweep_of
 from scan3d_twin.core.types import (
+    VALID,
     BoolArray,
     FloatArray,
     RangeImage,
@@ -27,6 +27,35 @@ from scan3d_twin.core.types import (
 
 MIN_SURFELS = 50
 """Fewer surfels than this determine nothing reliably."""
+LEAST_SAMPLE = 200
+"""Surfels that a thinned sample keeps at least, where there are as many."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Surfels taken from a sweep, sorted by line.
+
+    Attributes:
+        columns: (8, m), as in ``surfels``.
+        yaws: At which each was measured, from the middle of the sweep (m,) [rad].
+        lines: Line of each (m,), ascending.
+        stride: Each stands for ``stride`` squared readings.
+        value: The sample as the engine takes it.
+    """
+
+    columns: FloatArray
+    yaws: FloatArray
+    lines: SmallIntArray
+    stride: int
+    value: native.Sample
+
+    @property
+    def rows(self) -> FloatArray:
+        """The surfels (m, 8)."""
+        return self.columns.T
+
+    def __len__(self) -> int:
+        return len(self.yaws)
 
 
 @dataclass(frozen=True)
@@ -62,9 +91,16 @@ class SurfelGrid:
         return Projection.of(self.image, self.line_spacing)
 
     @cached_property
-    def target(self) -> Target:
-        """What other scans are laid on."""
-        return Target(self.rows, self.yaws, self.index.reshape(-1), self.projection)
+    def target(self) -> native.Target:
+        """What other scans are laid on, as the engine takes it."""
+        return native.Target(
+            rows=self.rows,
+            yaws=self.yaws,
+            index=self.index,
+            edges=self.edge_rows,
+            n_edges=len(self.edge_rows),
+            projection=self.projection.value,
+        )
 
     @cached_property
     def edges(self) -> Edges:
@@ -77,9 +113,9 @@ class SurfelGrid:
         return find_edges(self.image, self.rows, self.index, self.valid, self.noise.yaw_sigma)
 
     @cached_property
-    def known(self) -> SmallIntArray:
-        """What each reading says of its ray (n_lines * n_beams,): see ``free_space``."""
-        return knowledge(self.index, self.valid)
+    def known(self) -> native.ByteArray:
+        """What each reading knows of its ray (n_lines * n_beams,): see ``known_rays``."""
+        return known_rays(self.index, self.valid)
 
     @cached_property
     def inflation(self) -> float:
@@ -89,7 +125,13 @@ class SurfelGrid:
         )
 
     def sample(self, stride: int) -> Sample:
-        """Return every ``stride``-th surfel along lines and beams."""
+        """Return every ``stride``-th surfel along lines and beams.
+
+        The first is half a stride from the corner. Where it would leave fewer than
+        ``LEAST_SAMPLE``, the stride is as long as leaves about so many: a small target keeps
+        enough of its surfels.
+        """
+        stride = max(1, min(stride, math.isqrt(self.count // LEAST_SAMPLE)))
         if stride not in self._samples:
             self._samples[stride] = self._sample(stride)
         return self._samples[stride]
@@ -99,9 +141,16 @@ class SurfelGrid:
         return {}
 
     def _sample(self, stride: int) -> Sample:
-        run = compiled("sampled") or sampled
-        rows, yaws, lines = run(self.rows, self.yaws, self.index, stride)
-        return Sample(rows, yaws, lines, stride)
+        n_lines, n_beams = self.index.shape
+        room = min(self.count, (n_lines // stride + 1) * (n_beams // stride + 1))
+        columns, yaws, lines = np.empty((8, room)), np.empty(room), np.empty(room, np.int32)
+        n = engine.sample(
+            self.index, n_lines, n_beams, stride, self.rows, self.yaws, room, columns, yaws, lines
+        )
+        value = native.Sample(
+            count=n, stride=stride, room=room, columns=columns, yaws=yaws, lines=lines
+        )
+        return Sample(columns[:, :n], yaws[:n], lines[:n], stride, value)
 
     @property
     def count(self) -> int:
@@ -125,31 +174,32 @@ def prepare(
     """
     _check(image)
     mask = _mask(keep, image.codes.shape)
-    sigmas = UNKNOWN if noise is None else noise.sigmas
-    with np.errstate(invalid="ignore"):
-        found = (compiled("survey") or survey)(_swept(image), mask, sigmas)
-    if len(found.rows) < MIN_SURFELS:
-        wanted = found.valid & mask if mask.size > 0 else found.valid
+    grid = _survey(image, mask, noise)
+    if grid.count < MIN_SURFELS:
+        wanted = grid.valid if mask is None else grid.valid & mask
         raise RegistrationError(
             f"the scan shows too little surface: {np.count_nonzero(wanted)} readings "
-            f"of {image.ranges.size} gave {len(found.rows)} surfels, {MIN_SURFELS} are needed"
+            f"of {image.ranges.size} gave {grid.count} surfels, {MIN_SURFELS} are needed"
         )
-    sigma, per_metre, yaw_sigma = found.noise.tolist()
-    noise = noise or ScanNoise(sigma, per_metre, yaw_sigma)
-    return SurfelGrid(
-        image, noise, found.rows, found.yaws, found.row_of, found.valid, found.line_spacing
-    )
+    return grid
+
+
+def _survey(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None) -> SurfelGrid:
+    """Return what ``native/survey.h`` finds in a sweep."""
+    most = np.count_nonzero(image.codes == VALID if mask is None else mask)
+    rows, yaws = np.empty((most, 8)), np.empty(most)
+    index, valid = np.empty(image.ranges.shape, np.int32), np.empty(image.ranges.shape, np.bool_)
+    sigmas = UNKNOWN if noise is None else noise.sigmas
+    found = native.Survey(rows=rows, yaws=yaws, index=index, valid=valid, noise=sigmas)
+    if engine.survey(sweep_of(image), read_only(image.codes, np.int64), mask, found) < 0:
+        raise MemoryError
+    noise = noise or ScanNoise(*found.noise)
+    n = found.count
+    return SurfelGrid(image, noise, rows[:n], yaws[:n], index, valid, found.line_spacing)
 
 
 UNKNOWN = read_only([math.nan] * 3)
 """The noise is to be estimated."""
-ALL = read_only(np.zeros((0, 0)), np.bool_)
-"""All readings get a surfel."""
-
-
-def _swept(image: RangeImage) -> Swept:
-    codes = read_only(image.codes, np.int64)
-    return Swept(read_only(image.ranges), read_only(image.yaws), codes, Beams.of(image))
 
 
 def _check(image: RangeImage) -> None:
@@ -166,9 +216,9 @@ def _check(image: RangeImage) -> None:
         raise ConfigError("range image: yaws must be finite")
 
 
-def _mask(keep: BoolArray | Scan3D | None, shape: tuple[int, ...]) -> BoolArray:
+def _mask(keep: BoolArray | Scan3D | None, shape: tuple[int, ...]) -> BoolArray | None:
     if keep is None:
-        return ALL
+        return None
     if isinstance(keep, Scan3D):
         mask = np.zeros(shape, dtype=bool)
         mask[keep.lines, keep.beams] = True

@@ -19,38 +19,88 @@ of L lines move together along the normal, by l = n . (z x P) per radian, which 
 
 The noise of the normal is that of m: cov(n) = s^2 / |m|^2 (I - n n^T) A^-1
 (I - n n^T), of which the mean variance over the two tangents is kept.
+
+``native/surfels.h`` computes them.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray
+from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.registration import native
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    RangeImage,
+    SmallIntArray,
+    read_only,
+)
 
-FILLED = 0.6
-"""A window counts when this share of its readings is there."""
-TOLERANCE = 1.5
-"""A plane fits while its rss is within so many standard deviations of what noise alone gives."""
-MIN_COSINE = 0.05
-"""Flatter than this (87 deg from the normal) no plane is believed."""
 X, N, VARIANCE, NORMAL_VARIANCE = np.s_[0:3], np.s_[3:6], 6, 7
 """Columns of a surfel: its point on the central beam [m], its unit normal towards the lidar, the
 variance of one reading along the normal by range noise [m2], that of the normal [rad2]."""
-MOMENTS = 11
-"""Channels of the summed-area table: x x^T (6), x q (3), q^2, 1."""
-AT_ONCE = 12
-"""Lines that are fitted at once: some 8 MB, for robots with little memory."""
 UNKNOWN, EMPTY, SURFACE = 0, 1, 2
-"""What a reading says of its ray."""
-HOLE = 2
-"""Nothing returned there if nothing did within so many readings; single ones are dropouts."""
+"""What a reading knows of its ray."""
+
+
+class Beams(NamedTuple):
+    """The beams of a lidar on its mount.
+
+    Attributes:
+        directions: In ``base`` (n_beams, 3).
+        lever: Place of the lidar in ``base`` (3,) [m].
+        spacing: Typical angle between two beams [rad].
+    """
+
+    directions: FloatArray
+    lever: FloatArray
+    spacing: float
+
+    @staticmethod
+    def of(image: RangeImage) -> Beams:
+        """Return the beams of a sweep; they are the same in all sweeps of a lidar.
+
+        Raises:
+            ConfigError: Elevations or mount are not finite.
+        """
+        return _beams(read_only(image.spec.elevations).tobytes(), image.T_base_lidar.tobytes())
+
+
+@lru_cache(maxsize=16)
+def _beams(elevations: bytes, T_base_lidar: bytes) -> Beams:
+    e, T = np.frombuffer(elevations), np.frombuffer(T_base_lidar).reshape(4, 4)
+    if not (np.all(np.isfinite(e)) and np.all(np.isfinite(T))):
+        raise ConfigError("range image: elevations and T_base_lidar must be finite")
+    directions = np.cos(e)[:, None] * T[:3, 0] + np.sin(e)[:, None] * T[:3, 2]
+    spacing = float(np.median(np.abs(np.diff(e))))
+    return Beams(read_only(directions), read_only(T[:3, 3]), spacing)
+
+
+def sweep_of(image: RangeImage) -> native.Sweep:
+    """Return the readings of a sweep as the engine takes them."""
+    beams = Beams.of(image)
+    return native.Sweep(
+        n_lines=image.n_lines,
+        n_beams=image.spec.n_beams,
+        stride=image.spec.n_beams,
+        ranges=read_only(image.ranges),
+        yaws=read_only(image.yaws),
+        rays=beams.directions,
+        ray_stride=0,
+        lever=beams.lever,
+        sigmas=None,
+        beam_spacing=beams.spacing,
+    )
 
 
 def fit_surfels(
-    ranges: FloatArray,
-    yaws: FloatArray,
-    beams: FloatArray,
-    lever: FloatArray,
+    sweep: native.Sweep,
     valid: BoolArray,
     keep: BoolArray,
     noise: FloatArray,
@@ -59,10 +109,7 @@ def fit_surfels(
     """Return the surfels; the method is at the module's head.
 
     Args:
-        ranges: (n_lines, n_beams) [m].
-        yaws: Of the base at each beam (n_lines, n_beams) [rad].
-        beams: Directions in ``base`` (n_beams, 3).
-        lever: Place of the lidar in ``base`` (3,) [m].
+        sweep: Its readings.
         valid: Readings that count (n_lines, n_beams).
         keep: Readings that get a surfel (n_lines, n_beams).
         noise: Range sigma at 0 [m], its growth per metre and the sigma of a line's yaw [rad] (3,).
@@ -72,145 +119,21 @@ def fit_surfels(
         Rows (m, 8), columns as above, line by line; the yaw at which each was measured (m,) [rad];
         and the row of each reading (n_lines, n_beams), -1 where no plane fits.
     """
-    margin, n = int(windows[:, 0].max()), 0
-    index, found = np.full(ranges.shape, -1, dtype=np.int32), []
-    for first in range(0, len(ranges), AT_ONCE):
-        inner = slice(first, first + AT_ONCE)
-        outer = slice(max(0, first - margin), first + AT_ONCE + margin)
-        wanted = np.zeros_like(keep[outer])
-        wanted[first - outer.start :][:AT_ONCE] = keep[inner]
-        block = _fit_lines(
-            ranges[outer], yaws[outer], beams, lever, valid[outer], wanted, noise, windows
-        )[first - outer.start :][:AT_ONCE]
-        fits = block[..., VARIANCE] > 0
-        found.append(block[fits])
-        index[inner][fits] = n + np.arange(len(found[-1]))
-        n += len(found[-1])
-    return np.concatenate(found), yaws[index >= 0], index
+    rows = np.empty((np.count_nonzero(keep), 8))
+    yaws, index = np.empty(len(rows)), np.full(valid.shape, -1, dtype=np.int32)
+    n = engine.surfels(sweep, valid, keep, noise, windows, len(windows), rows, yaws, index)
+    if n < 0:
+        raise MemoryError
+    return rows[:n], yaws[:n], index
 
 
-def _fit_lines(
-    ranges: FloatArray,
-    yaws: FloatArray,
-    beams: FloatArray,
-    lever: FloatArray,
-    valid: BoolArray,
-    keep: BoolArray,
-    noise: FloatArray,
-    windows: IntArray,
-) -> FloatArray:
-    """Return the table of surfels of some lines, from those lines alone."""
-    o, d = _turned(lever, yaws), _turned(beams, yaws)
-    q = np.divide(1.0, ranges, out=np.zeros_like(ranges), where=valid)
-    sums = _summed_area(d + q[..., None] * o, q, valid)
-    table = np.zeros((*ranges.shape, 8))
-    line, beam = np.nonzero(keep)
-    for half in windows:
-        total, lines, area = _box_sums(sums, line, beam, half)
-        at = (o[line, beam], d[line, beam], q[line, beam])
-        rows, fits = _planes(total, lines, area, *at, noise)
-        table[line[fits], beam[fits]] = rows[fits]
-        line, beam = line[~fits], beam[~fits]
-    return table
+def known_rays(index: SmallIntArray, valid: BoolArray) -> native.ByteArray:
+    """Return what each reading knows of its ray (n_lines * n_beams,).
 
-
-def _turned(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
-    """Return ``vectors`` (..., 3) in ``base`` as they lie in ``scan`` (n_lines, n_beams, 3)."""
-    c, s = np.cos(yaws), np.sin(yaws)
-    x, y, z = (np.broadcast_to(vectors[..., i], yaws.shape) for i in range(3))
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
-
-
-def _summed_area(x: FloatArray, q: FloatArray, valid: BoolArray) -> FloatArray:
-    """Return the summed-area table (n_lines + 1, n_beams + 1, 11) of the moments."""
-    sums = np.zeros((x.shape[0] + 1, x.shape[1] + 1, MOMENTS))
-    x, inner = x * valid[..., None], sums[1:, 1:]
-    for channel, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
-        inner[..., channel] = x[..., i] * x[..., j]
-    inner[..., 6:9] = x * q[..., None]
-    inner[..., 9] = q * q
-    inner[..., 10] = valid
-    np.cumsum(inner, axis=0, out=inner)
-    np.cumsum(inner, axis=1, out=inner)
-    return sums
-
-
-def _box_sums(
-    sums: FloatArray, line: IntArray, beam: IntArray, half: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the moments (n, 11), lines (n,) and area (n,) of the windows around readings."""
-    low_line, high_line = (
-        np.maximum(line - half[0], 0),
-        np.minimum(line + half[0] + 1, len(sums) - 1),
-    )
-    low_beam = np.maximum(beam - half[1], 0)
-    high_beam = np.minimum(beam + half[1] + 1, sums.shape[1] - 1)
-    total = sums[high_line, high_beam] - sums[low_line, high_beam]
-    total -= sums[high_line, low_beam] - sums[low_line, low_beam]
-    lines = (high_line - low_line).astype(np.float64)
-    return total, lines, lines * (high_beam - low_beam)
-
-
-def _planes(
-    total: FloatArray,
-    lines: FloatArray,
-    area: FloatArray,
-    o: FloatArray,
-    d: FloatArray,
-    q: FloatArray,
-    noise: FloatArray,
-) -> tuple[FloatArray, BoolArray]:
-    """Return the surfels (n, 8) of windows with moments ``total`` (n, 11), and which fit."""
-    xx, xy, xz, yy, yz, zz, bx, by, bz, qq, n = total.T
-    cofactors = (
-        yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy,
-        xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy,
-    )  # fmt: skip
-    with np.errstate(divide="ignore", invalid="ignore"):
-        det = xx * cofactors[0] + xy * cofactors[1] + xz * cofactors[2]
-        i_xx, i_xy, i_xz, i_yy, i_yz, i_zz = (c / det for c in cofactors)
-        mx, my, mz = (
-            i_xx * bx + i_xy * by + i_xz * bz,
-            i_xy * bx + i_yy * by + i_yz * bz,
-            i_xz * bx + i_yz * by + i_zz * bz,
-        )
-        m = np.stack([mx, my, mz], axis=1)
-        square = np.sum(m * m, axis=1)
-        along = np.sum(m * d, axis=1)
-        r = (1.0 - np.sum(m * o, axis=1)) / along
-        points = o + r[:, None] * d
-        by_range = (along * (noise[0] + noise[1] / q)) ** 2
-        scatter = q * q * by_range
-        rss = qq - mx * bx - my * by - mz * bz
-        by_yaw = q * (my * points[:, 0] - mx * points[:, 1]) * noise[2]
-        most = n * by_yaw * by_yaw * (1 + TOLERANCE * np.sqrt(2 / lines))
-        most += scatter * (n - 3) * (1 + TOLERANCE * np.sqrt(2 / (n - 3)))
-        trace = i_xx + i_yy + i_zz
-        normal_part = mx * (i_xx * mx + 2 * (i_xy * my + i_xz * mz)) + my * (
-            i_yy * my + 2 * i_yz * mz
-        )
-        tangents = trace - (normal_part + i_zz * mz * mz) / square
-        fits = (n >= FILLED * area) & (n > 5) & (det > 1e-12 * _trace_cubed(xx, yy, zz))
-        fits &= (along * along > MIN_COSINE**2 * square) & (r > 0)
-        fits &= rss <= most
-        normals = -np.sign(along)[:, None] * m / np.sqrt(square)[:, None]
-        rest = np.stack([by_range / square, tangents * scatter / (2 * square)], axis=1)
-    return np.concatenate([points, normals, rest], axis=1), fits
-
-
-def _trace_cubed(xx: FloatArray, yy: FloatArray, zz: FloatArray) -> FloatArray:
-    """Return the scale of a determinant with this diagonal, to tell a singular one by."""
-    return (xx + yy + zz) ** 3
-
-
-def knowledge(index: SmallIntArray, valid: BoolArray) -> SmallIntArray:
-    """Return what each reading says of its ray (n_lines * n_beams,)."""
-    near = valid.copy()
-    for axis in (0, 1):
-        wide = near.copy()
-        for k in range(1, HOLE + 1):
-            wide |= np.roll(near, k, axis=axis) | np.roll(near, -k, axis=axis)
-        near = wide
-    known = np.where(near, UNKNOWN, EMPTY).astype(np.int32)
-    known[index >= 0] = SURFACE
-    return known.reshape(-1)
+    A surfel is a ``SURFACE``; a ray is ``EMPTY`` where nothing returned within two readings along
+    lines and beams, as single readings drop out; the rest is ``UNKNOWN``.
+    """
+    known = np.empty(index.size, dtype=np.uint8)
+    if engine.known(index, valid, *index.shape, known) < 0:
+        raise MemoryError
+    return known

@@ -1,4 +1,4 @@
-"""What the inner loops need of a sweep, as tuples of arrays, which compiled code can take too."""
+"""What the inner loops need of a sweep, as tuples of arrays."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from reference.projection import Projection
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.registration.median import median
-from scan3d_twin.core.registration.projection import Projection
 from scan3d_twin.core.types import FloatArray, RangeImage, SmallIntArray, read_only
 
 
@@ -42,7 +41,7 @@ def _beams(elevations: bytes, T_base_lidar: bytes) -> Beams:
     if not (np.all(np.isfinite(e)) and np.all(np.isfinite(T))):
         raise ConfigError("range image: elevations and T_base_lidar must be finite")
     directions = np.cos(e)[:, None] * T[:3, 0] + np.sin(e)[:, None] * T[:3, 2]
-    return Beams(read_only(directions), read_only(T[:3, 3]), median(np.abs(np.diff(e))))
+    return Beams(read_only(directions), read_only(T[:3, 3]), float(np.median(np.abs(np.diff(e)))))
 
 
 class Target(NamedTuple):

@@ -1,7 +1,4 @@
-"""What a sweep tells of itself: its readings, their noise and the surfels behind them.
-
-``kernels`` compiles all of it as it stands here, so that a sweep is made ready in one call.
-"""
+"""What a sweep tells of itself: its readings, their noise and the surfels behind them."""
 
 from __future__ import annotations
 
@@ -10,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scan3d_twin.core.registration.scan_arrays import Beams
-from scan3d_twin.core.registration.scan_noise import (
+from reference.scan_arrays import Beams
+from reference.scan_noise import (
     estimate_range_noise,
     line_residuals,
     yaw_jitter,
 )
-from scan3d_twin.core.registration.surfels import fit_surfels
+from reference.surfels import fit_surfels
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray, SmallIntArray
 
 WINDOWS = tuple(math.radians(angle) for angle in (2.1, 1.45, 0.85, 0.0))

@@ -1,0 +1,149 @@
+"""Compiles the engine of the registration: into the wheel, or beside its sources for a checkout.
+
+The compiler is ``$CC``, else ``cc``, ``gcc`` or ``clang``; where none works, the C compiler of the
+package ``ziglang`` is installed for the build alone. ``$SCAN3D_TWIN_TARGET`` builds for another
+platform by that one, for example ``aarch64-linux-gnu.2.28``: see docs/development.md.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+PACKAGE = "scan3d_twin/core/registration/native"
+ZIG = "ziglang==0.17.1"
+TARGET = "SCAN3D_TWIN_TARGET"
+FLAGS = (
+    "-std=gnu11", "-O3", "-fPIC", "-fvisibility=hidden", "-Wall", "-Wextra",
+    # The same bits on every processor: no fused operations.
+    "-ffp-contract=off",
+    # What lets loops run in wide registers, and changes no result.
+    "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi",
+)  # fmt: skip
+LEVELS = {
+    "x86_64": {
+        "v1": (),
+        "v3": ("-march=x86-64-v3",),
+        "v4": ("-march=x86-64-v4", "-mprefer-vector-width=512"),
+    },
+    "aarch64": {"v1": ()},
+}
+"""Flags by the level that the names of the functions end in; what a processor of the architecture
+need not have is asked at run time (levels.c)."""
+
+
+class EngineBuildHook(BuildHookInterface):  # type: ignore[type-arg]
+    """Build hook of hatchling, named in pyproject.toml."""
+
+    def dependencies(self) -> list[str]:
+        """Return what the build needs beside hatchling."""
+        return [] if _system_compiler() else [ZIG]
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile, and say where the library belongs."""
+        folder = Path(self.root) / PACKAGE
+        if version == "editable":
+            _compile(folder, folder / "engine.so")
+            return
+        self._built = tempfile.TemporaryDirectory()
+        library = Path(self._built.name) / "engine.so"
+        _compile(folder, library)
+        build_data["force_include"][str(library)] = f"{PACKAGE}/engine.so"
+        build_data["pure_python"] = False
+        build_data["tag"] = f"py3-none-{_platform_tag()}"
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Remove what was built for the wheel."""
+        if version != "editable":
+            self._built.cleanup()
+
+
+def _target() -> str:
+    return os.environ.get(TARGET, "")
+
+
+def _architecture() -> str:
+    machine = _target().partition("-")[0] or platform.machine()
+    return {"arm64": "aarch64", "AMD64": "x86_64"}.get(machine, machine)
+
+
+def _platform_tag() -> str:
+    """Return the tag of the wheel: what zig builds for a glibc needs no newer one."""
+    if not _target():
+        return sysconfig.get_platform().replace("-", "_").replace(".", "_")
+    major, _, minor = _target().rpartition("gnu.")[2].partition(".")
+    return f"manylinux_{major}_{minor}_{_architecture()}"
+
+
+def _levels() -> dict[str, tuple[str, ...]]:
+    return LEVELS.get(_architecture(), {"v1": ()})
+
+
+def _system_compiler() -> list[str] | None:
+    """Return the command of a compiler that can build all levels; None where there is none."""
+    if _target():
+        return None
+    for name in [os.environ.get("CC", ""), "cc", "gcc", "clang"]:
+        command = name.split()
+        if command and shutil.which(command[0]) and _builds(command):
+            return command
+    return None
+
+
+def _builds(compiler: list[str]) -> bool:
+    flags = [flag for level in _levels().values() for flag in level]
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "try.c"
+        source.write_text("#include <math.h>\ndouble f(double x) { return sqrt(x); }\n")
+        command = [*compiler, *FLAGS, *flags, "-shared", str(source), "-o", f"{folder}/try.so"]
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+def _compiler() -> list[str]:
+    system = _system_compiler()
+    if system:
+        return system
+    target = ["-target", _target()] if _target() else []
+    return [sys.executable, "-m", "ziglang", "cc", *target]
+
+
+def _compile(folder: Path, library: Path) -> None:
+    """Compile each level of the engine and link them to ``library``."""
+    sources = sorted([*folder.glob("*.c"), *folder.glob("*.h")])
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    compiler = _compiler()
+    with tempfile.TemporaryDirectory() as scratch:
+        commands = {
+            f"{scratch}/{level}.o": [*flags, f"-DLEVEL={level}", str(folder / "engine.c")]
+            for level, flags in _levels().items()
+        }
+        commands[f"{scratch}/levels.o"] = [f'-DDIGEST="{digest}"', str(folder / "levels.c")]
+        with ThreadPoolExecutor(max_workers=2) as pool:
+            jobs = [
+                pool.submit(_run, [*compiler, *FLAGS, *arguments, "-c", "-o", made])
+                for made, arguments in commands.items()
+            ]
+        for job in jobs:
+            job.result()
+        linked = f"{scratch}/engine.so"
+        _run([*compiler, "-shared", "-s", "-o", linked, *commands, "-lm"])
+        # In one step, so that a process that runs keeps the library it has loaded.
+        shutil.copy(linked, library.with_suffix(".part"))
+        library.with_suffix(".part").replace(library)
+
+
+def _run(command: list[str]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"error: {' '.join(command[:2])} failed: {done.stderr.strip()[-2000:]}")

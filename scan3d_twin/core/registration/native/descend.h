@@ -1,0 +1,215 @@
+/* The Gauss-Newton iteration: gauss_newton.py describes the method. */
+#pragma once
+
+#include "algebra.h"
+
+#define TIGHTEN 0.7         /* factor of the gate from one step to the next ... */
+#define LAST_GATE 0.03      /* ... down to this [m]: a few times the range noise, ... */
+#define LAST_ROBUST 1.5     /* ... with a robust kernel of so many sigma ... */
+#define FIRST_ROBUST 4.0    /* ... instead of those of the first step */
+#define SAME_BASIN 0.010    /* poses that displace the source by less are one basin [m] */
+#define EDGE_ROBUST 2.0     /* kernel of edges, in kernels of surfels: their errors are uniform */
+
+enum { MIN_PAIRS = 12 };    /* fewer correspondences determine nothing reliably */
+
+/* One Gauss-Newton step, and what is known where it starts. */
+typedef struct {
+    double step[POSE], nuisance_step[NUISANCES];
+    double information[STATE * STATE];  /* left side of the equation, less what is spurious */
+    double edges[STATE * STATE];        /* information of the edges */
+    Determined determined;
+    Equations equations;
+} Solution;
+
+/* Root mean square distance of the source's points: it makes turns comparable with shifts. */
+static double find_reach(const Source *source) {
+    return sqrt(source->second[0] + source->second[4] + source->second[8]);
+}
+
+/* By how much two poses displace points at a distance `reach`. */
+static double distance_between(const double *a, const double *b, double reach) {
+    double square = 0;
+    for (int i = 0; i < 3; i++) {
+        square += (a[4 * i + 3] - b[4 * i + 3]) * (a[4 * i + 3] - b[4 * i + 3]);
+        for (int j = 0; j < 3; j++) {
+            double turned = reach * (a[4 * i + j] - b[4 * i + j]);
+            square += turned * turned / 2;
+        }
+    }
+    return sqrt(square);
+}
+
+static Gate gate_of(int64_t iteration, double widest) {
+    double tight = 1, narrowest = LAST_GATE < widest ? LAST_GATE : widest;
+    for (int64_t k = 0; k < iteration; k++) tight *= TIGHTEN;
+    Gate gate = {tight * widest, FIRST_ROBUST * tight};
+    gate.distance = gate.distance > narrowest ? gate.distance : narrowest;
+    gate.robust = gate.robust > LAST_ROBUST ? gate.robust : LAST_ROBUST;
+    return gate;
+}
+
+/* Write L0, the information of the prior on the estimated entries. */
+static void find_prior_information(const Prior *prior, double *L0) {
+    int n = (int)prior->n_entries;
+    double covariance[STATE * STATE];
+    memset(L0, 0, sizeof *L0 * STATE * STATE);
+    if (prior->covariance[0] <= 0) return;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            covariance[STATE * i + j] = prior->covariance[POSE * prior->entries[i] + prior->entries[j]];
+    invert(covariance, n, 0, L0);
+}
+
+/* Least share of the largest information that counts: with a prior all is known. */
+static double least_share(const Prior *prior) {
+    return prior->covariance[0] > 0 ? 0 : UNKNOWN;
+}
+
+/* Write the step at T: gauss_newton.py has the equation, L0 is from `find_prior_information`. */
+static void solve(const Target *target, const Source *source, const PairNoise *noise,
+                  const Prior *prior, const double *L0, const double *T, const double *nuisances,
+                  const Sample *sample, Gate gate, Chunk *scratch, Solution *out) {
+    int n = (int)prior->n_entries;
+    const int64_t *entries = prior->entries;
+
+    /* sweeps, without nuisances and directions that they leave free */
+    Reduced reduced;
+    build_equations(target, sample, T, nuisances, gate, noise, prior, scratch, &out->equations);
+    eliminate_nuisances(&out->equations, prior, nuisances, &reduced);
+    find_determined(out->equations.information, out->equations.spurious, entries, n,
+                    find_reach(source), &out->determined);
+
+    /* edges and prior */
+    double H[POSE * POSE] = {0}, g[POSE] = {0}, off[POSE];
+    add_edges(target->edges, target->n_edges, source->edges, source->n_edges, T, gate.distance,
+              EDGE_ROBUST * gate.robust, H, g);
+    find_deviation(T, prior->mean, off);
+
+    /* the equation */
+    double left[STATE * STATE], right[STATE] = {0}, inverse[STATE * STATE], step[STATE] = {0};
+    project(out->determined.kept, reduced.H, n, left);
+    project(out->determined.honest, reduced.H, n, out->information);
+    for (int i = 0; i < n; i++) {
+        right[i] = g[entries[i]];
+        for (int j = 0; j < n; j++) {
+            int at = STATE * i + j;
+            out->edges[at] = H[POSE * entries[i] + entries[j]];
+            left[at] += out->edges[at] + L0[at];
+            out->information[at] += out->edges[at] + L0[at];
+            right[i] += out->determined.kept[at] * reduced.g[j] + L0[at] * off[entries[j]];
+        }
+    }
+    invert(left, n, least_share(prior), inverse);
+    memset(out->step, 0, sizeof out->step);
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < n; j++) step[i] -= inverse[STATE * i + j] * right[j];
+        out->step[entries[i]] = step[i];
+    }
+    substitute_nuisances(&reduced, prior, step);
+    for (int k = 0; k < prior->n_nuisances; k++) out->nuisance_step[k] = step[n + k];
+}
+
+/* Write what is known at the end, by the solution whose step led there. */
+static void conclude(const Source *source, const Prior *prior, const double *L0,
+                     const Solution *solution, Outcome *out) {
+    int n = (int)prior->n_entries;
+    const int64_t *entries = prior->entries;
+    double small[STATE * STATE], covariance[STATE * STATE] = {0}, information[STATE * STATE] = {0};
+    invert(solution->information, n, least_share(prior), small);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            covariance[STATE * entries[i] + entries[j]] = small[STATE * i + j];
+            information[STATE * entries[i] + entries[j]] = solution->information[STATE * i + j];
+        }
+
+    /* about the target's origin */
+    double shift[STATE * STATE], back[STATE * STATE], transposed[STATE * STATE];
+    double shifted[STATE * STATE], weighed[STATE * STATE];
+    shift_to_target(out->T, 1, shift);
+    shift_to_target(out->T, -1, back);
+    for (int i = 0; i < POSE; i++)
+        for (int j = 0; j < POSE; j++) transposed[STATE * i + j] = back[STATE * j + i];
+    project(shift, covariance, POSE, shifted);
+    project(transposed, information, POSE, weighed);
+    for (int i = 0; i < POSE; i++)
+        for (int j = 0; j < POSE; j++) {
+            out->covariance[POSE * i + j] = shifted[STATE * i + j];
+            out->information[POSE * i + j] = weighed[STATE * i + j];
+        }
+
+    /* directions that nothing determines */
+    out->n_degenerate = 0;
+    for (int m = 0; m < solution->determined.n_dropped; m++) {
+        const double *v = solution->determined.dropped[m];
+        if (quadratic(solution->edges, v, n) > quadratic(L0, v, n)) continue;
+        double *row = out->degenerate + POSE * out->n_degenerate++;
+        for (int i = 0; i < POSE; i++) {
+            row[i] = 0;
+            for (int j = 0; j < n; j++) row[i] += shift[STATE * i + entries[j]] * v[j];
+        }
+    }
+
+    /* displacement of the source's points as they lie in the target's frame */
+    const double *T = out->T;
+    double first[3] = {0}, half[9] = {0}, second[9] = {0};
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            first[i] += T[4 * i + j] * source->first[j];
+            for (int k = 0; k < 3; k++) half[3 * i + j] += T[4 * i + k] * source->second[3 * k + j];
+        }
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            for (int k = 0; k < 3; k++) second[3 * i + j] += half[3 * i + k] * T[4 * j + k];
+    out->predicted_rmse = displacement(first, second, covariance);
+}
+
+/* Whether T lies in none of the basins of `n` others. */
+static int is_new_basin(const double *T, const double *others, int64_t n, double reach) {
+    for (int64_t k = 0; k < n; k++)
+        if (distance_between(T, others + 16 * k, reach) <= SAME_BASIN) return 0;
+    return 1;
+}
+
+/* Write where the steps from `n` starts (n, 4, 4) end; return how many ends there are, or -1 without
+ * memory. Ends that met are one, those without overlap are left out. `last` is that of the last. */
+static int64_t follow_starts(const Target *target, const Source *source, const PairNoise *noise,
+                             const Prior *prior, const Criteria *criteria, const double *starts,
+                             int64_t n, double *ends, Outcome *last) {
+    double L0[STATE * STATE];
+    int64_t n_ends = 0;
+    Chunk *scratch = aligned_alloc(64, (sizeof *scratch + 63) / 64 * 64);
+    Solution solution;
+    if (!scratch) return -1;
+    find_prior_information(prior, L0);
+    for (int64_t start = 0; start < n; start++) {
+        memset(last, 0, sizeof *last);
+        memcpy(last->T, starts + 16 * start, sizeof last->T);
+        const Sample *sample = &source->coarse;
+        for (int64_t iteration = 0; iteration < criteria->max_iterations; iteration++) {
+            Gate gate = gate_of(iteration, criteria->max_correspondence_distance);
+            int final = gate.distance <= LAST_GATE && gate.robust <= LAST_ROBUST;
+            sample = last->settled ? &source->every : final ? &source->fine : &source->coarse;
+            solve(target, source, noise, prior, L0, last->T, last->nuisances, sample, gate, scratch,
+                  &solution);
+            displace(last->T, solution.step, last->T);
+            for (int k = 0; k < prior->n_nuisances; k++)
+                last->nuisances[k] += solution.nuisance_step[k];
+            last->iterations = iteration + 1;
+            last->overlap = solution.equations.pairs >= MIN_PAIRS;
+            if (last->settled || !last->overlap) break;
+            const double *d = solution.step;
+            double shift = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+            double turn = sqrt(d[3] * d[3] + d[4] * d[4] + d[5] * d[5]);
+            last->settled = final && shift < criteria->translation_epsilon
+                         && turn < criteria->rotation_epsilon;
+        }
+        last->pairs = solution.equations.pairs;
+        last->square = solution.equations.square;
+        last->surfels = sample->count;
+        if (last->overlap && is_new_basin(last->T, ends, n_ends, find_reach(source)))
+            memcpy(ends + 16 * n_ends++, last->T, sizeof last->T);
+    }
+    conclude(source, prior, L0, &solution, last);
+    free(scratch);
+    return n_ends;
+}

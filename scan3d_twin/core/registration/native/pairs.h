@@ -1,0 +1,298 @@
+/* The normal equations of two sweeps: point_to_plane.py describes the method.
+ *
+ * Surfels are taken CHUNK at once, as columns of scratch memory in the fastest cache, by loops without
+ * branches. */
+#pragma once
+
+#include "projection.h"
+
+#define MIN_NORMAL_COSINE 0.7   /* normals that differ by more (45 deg) are of different faces */
+#define MOST_ALONG_RAY 3.0      /* a pair may lie so many gates apart along the ray; across, one */
+#define MOST_LINES 20.0         /* lines of one sweep for each of the other, for grazing views */
+
+enum { CHUNK = 256 };
+
+typedef struct {
+    double elevation[CHUNK], yaw[CHUNK], rate[CHUNK];
+    int32_t row[CHUNK];                             /* of the target's surfel that is met, or -1 */
+    double target[SURFEL][CHUNK], target_yaw[CHUNK];
+    double J[STATE][CHUNK];                         /* derivatives: see point_to_plane.py */
+    double e[CHUNK], weight[CHUNK], normal_weight[CHUNK], line_error[CHUNK];
+    double a[3][CHUNK];                             /* lever arms */
+} Chunk;
+
+/* Write the row of the target's surfel that each of `n` source points at T meets, or -1. */
+static void associate(const Target *target, const double *restrict xs, const double *restrict ys,
+                      const double *restrict zs, int64_t n, const double *T, Chunk *restrict w) {
+    const Projection *p = &target->projection;
+    double mount[14];
+    memcpy(mount, p->mount, sizeof mount);
+    const double t0 = T[0], t1 = T[1], t2 = T[2], t3 = T[3], t4 = T[4], t5 = T[5];
+    const double t6 = T[6], t7 = T[7], t8 = T[8], t9 = T[9], t10 = T[10], t11 = T[11];
+    for (int64_t k = 0; k < n; k++) {
+        double x = xs[k], y = ys[k], z = zs[k];
+        Way way = way_to(t0 * x + t1 * y + t2 * z + t3, t4 * x + t5 * y + t6 * z + t7,
+                         t8 * x + t9 * y + t10 * z + t11, AHEAD, mount);
+        w->elevation[k] = way.elevation, w->yaw[k] = way.yaw, w->rate[k] = way.rate;
+    }
+    for (int64_t k = 0; k < n; k++) {
+        int32_t reading = reading_at(w->elevation[k], w->yaw[k], w->rate[k], p);
+        int32_t row = target->index[reading > 0 ? reading : 0];
+        w->row[k] = reading >= 0 ? row : -1;
+    }
+    for (int64_t k = 0; p->backwards && k < n; k++) {
+        if (w->row[k] >= 0) continue;
+        double x = xs[k], y = ys[k], z = zs[k];
+        int32_t reading = reading_of(t0 * x + t1 * y + t2 * z + t3, t4 * x + t5 * y + t6 * z + t7,
+                                     t8 * x + t9 * y + t10 * z + t11, BEHIND, p);
+        w->row[k] = reading >= 0 ? target->index[reading] : -1;
+    }
+}
+
+/* Copy the surfels that are met to the columns, the first one where none is. */
+static void gather(const Target *target, int64_t n, Chunk *w) {
+    for (int64_t k = n; k < whole_lanes(n); k++) w->row[k] = -1;
+    for (int64_t k = 0; k < n; k += LANES) {
+        Lanes rows[LANES];
+        for (int i = 0; i < LANES; i++) {
+            int32_t row = w->row[k + i] > 0 ? w->row[k + i] : 0;
+            rows[i] = load(target->rows + SURFEL * row);
+            w->target_yaw[k + i] = target->yaws[row];
+        }
+        transpose(rows);
+        for (int m = 0; m < SURFEL; m++) store(w->target[m] + k, rows[m]);
+    }
+}
+
+/* Write derivatives, residuals and weights of `n` pairs; the weight of a pair that does not count is
+ * 0. Adds those that do to the equations' pairs and square. */
+static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, const double *T,
+                            const double *nuisances, Gate gate, const PairNoise *noise,
+                            Chunk *restrict w, Equations *sums) {
+    const double *restrict source[SURFEL], *restrict yaws = sample->yaws + first;
+    for (int m = 0; m < SURFEL; m++) source[m] = sample->columns + m * sample->room + first;
+    const double area = (double)(sample->stride * sample->stride);
+    const double c2 = gate.robust * gate.robust, distance = gate.distance;
+    const double farthest = MOST_ALONG_RAY * distance * MOST_ALONG_RAY * distance;
+    const double jitter = noise->jitter, target_jitter = noise->target_jitter;
+    const double density = noise->density, whole = noise->share * area, tilt = noise->tilt;
+    const double yaw_scale = nuisances[0];
+    const double t0 = T[0], t1 = T[1], t2 = T[2], t3 = T[3], t4 = T[4], t5 = T[5];
+    const double t6 = T[6], t7 = T[7], t8 = T[8], t9 = T[9], t10 = T[10], t11 = T[11];
+    for (int64_t k = 0; k < n; k++) {
+        double px = source[X][k], py = source[Y][k], pz = source[Z][k];
+        double sx = source[NX][k], sy = source[NY][k], sz = source[NZ][k];
+        double qx = w->target[X][k], qy = w->target[Y][k], qz = w->target[Z][k];
+        double mx = w->target[NX][k], my = w->target[NY][k], mz = w->target[NZ][k];
+
+        /* lever arm, and mean normal */
+        double ax = t0 * px + t1 * py + t2 * pz;
+        double ay = t4 * px + t5 * py + t6 * pz;
+        double az = t8 * px + t9 * py + t10 * pz;
+        double nx = t0 * sx + t1 * sy + t2 * sz;
+        double ny = t4 * sx + t5 * sy + t6 * sz;
+        double nz = t8 * sx + t9 * sy + t10 * sz;
+        double cosine = nx * mx + ny * my + nz * mz;
+        nx += mx, ny += my, nz += mz;
+        double norm = 1 / sqrt(nx * nx + ny * ny + nz * nz + 1e-18);
+        nx *= norm, ny *= norm, nz *= norm;
+
+        /* residual */
+        double ux = ax + t3 - qx, uy = ay + t7 - qy, uz = az + t11 - qz;
+        double swing = ny * ax - nx * ay, turn = ny * qx - nx * qy;
+        double g = yaws[k] * swing - w->target_yaw[k] * turn;
+        double e = nx * ux + ny * uy + nz * uz + g * yaw_scale;
+
+        /* weight */
+        double variance = source[VARIANCE][k] + w->target[VARIANCE][k];
+        double crossing = fabs(nx * ax + ny * ay) * (qx * qx + qy * qy);
+        double crossed = fabs(nx * qx + ny * qy) * (ax * ax + ay * ay);
+        double lines = density * crossing / (crossed > 1e-9 ? crossed : 1e-9);
+        lines = lines < 1 / MOST_LINES ? 1 / MOST_LINES : lines > MOST_LINES ? MOST_LINES : lines;
+        double line_error = sqrt(jitter * swing * swing + target_jitter * lines * turn * turn);
+        double robust = c2 / (c2 + e * e / (variance + line_error * line_error));
+        int counts = (w->row[k] >= 0) & (cosine > MIN_NORMAL_COSINE) & (fabs(e) < distance)
+                   & (ux * ux + uy * uy + uz * uz < farthest);
+        double weight = counts ? whole / variance * robust * robust : 0;
+
+        w->J[0][k] = nx, w->J[1][k] = ny, w->J[2][k] = nz;
+        w->J[3][k] = ay * nz - az * ny, w->J[4][k] = az * nx - ax * nz, w->J[5][k] = swing;
+        w->J[6][k] = g;
+        w->e[k] = counts ? e : 0, w->weight[k] = weight;
+        w->normal_weight[k] =
+            weight * ((source[NORMAL_VARIANCE][k] + w->target[NORMAL_VARIANCE][k]) / 4 + tilt);
+        w->a[0][k] = ax, w->a[1][k] = ay, w->a[2][k] = az;
+        w->line_error[k] = swing < 0 ? -line_error : line_error;
+    }
+    for (int64_t k = 0; k < n; k++) {
+        sums->pairs += w->weight[k] > 0;
+        sums->square += w->e[k] * w->e[k];
+    }
+}
+
+/* Sums over the pairs of a source line, whose yaw error is marginalised: see point_to_plane.py. */
+typedef struct {
+    int32_t line;
+    double h[STATE], residual, square;
+} LineSums;
+
+static void take_line(LineSums *line, double stride, Equations *sums) {
+    double share = 1 / (stride + line->square);
+    for (int i = 0; i < sums->size; i++) {
+        sums->gradient[i] -= share * line->h[i] * line->residual;
+        for (int k = 0; k <= i; k++) sums->lost[STATE * i + k] += share * line->h[i] * line->h[k];
+    }
+    *line = (LineSums){.line = line->line};
+}
+
+static void add_lines(int64_t n, const int32_t *lines, const int *columns, double stride,
+                      const Chunk *w, LineSums *line, Equations *sums) {
+    for (int64_t k = 0; k < n; k++) {
+        if (w->weight[k] == 0) continue;
+        if (lines[k] != line->line) {
+            take_line(line, stride, sums);
+            line->line = lines[k];
+        }
+        double weighted = w->weight[k] * w->line_error[k];
+        for (int i = 0; i < sums->size; i++) line->h[i] += weighted * w->J[columns[i]][k];
+        line->residual += weighted * w->e[k];
+        line->square += weighted * w->line_error[k];
+    }
+}
+
+/* Add `n` pairs to the lower triangles of the sums. `size` and `pose` are constants where it is called,
+ * so that the sums stay in registers. */
+static inline __attribute__((always_inline)) void add_pairs(int64_t n, int size, int pose,
+                                                            const int *columns, const Chunk *w,
+                                                            Equations *sums) {
+    Lanes H[STATE][STATE] = {0}, b[STATE] = {0}, S[POSE][POSE] = {0};
+    for (int64_t k = 0; k < n; k += LANES) {
+        Lanes J[STATE], weight = load(w->weight + k), normal = load(w->normal_weight + k);
+        Lanes e = load(w->e + k);
+        for (int i = 0; i < size; i++) J[i] = load(w->J[columns[i]] + k);
+        for (int i = 0; i < size; i++) {
+            Lanes weighted = J[i] * weight;
+            b[i] += weighted * e;
+            for (int m = 0; m <= i; m++) H[i][m] += weighted * J[m];
+        }
+        for (int i = 0; i < pose; i++)
+            for (int m = 0; m <= i; m++) S[i][m] += J[i] * normal * J[m];
+    }
+    for (int i = 0; i < size; i++) {
+        sums->gradient[i] += total(b[i]);
+        for (int m = 0; m <= i; m++) sums->information[STATE * i + m] += total(H[i][m]);
+    }
+    for (int i = 0; i < pose; i++)
+        for (int m = 0; m <= i; m++) sums->spurious[STATE * i + m] -= total(S[i][m]);
+}
+
+/* Sums of w nu, w nu a and w nu a a^T over pairs. */
+typedef struct {
+    double weight, first[3], second[6];
+} Swing;
+
+/* Add `n` pairs; on a plane only what turns about z needs. */
+static inline __attribute__((always_inline)) void add_swing(int64_t n, int planar, const Chunk *w,
+                                                            Swing *swing) {
+    Lanes weight = {0}, first[3] = {0}, second[6] = {0};
+    for (int64_t k = 0; k < n; k += LANES) {
+        Lanes nu = load(w->normal_weight + k);
+        Lanes x = load(w->a[0] + k), y = load(w->a[1] + k), nx = nu * x, ny = nu * y;
+        weight += nu, first[0] += nx, first[1] += ny, second[0] += nx * x, second[2] += ny * y;
+        if (planar) continue;
+        Lanes z = load(w->a[2] + k);
+        first[2] += nu * z;
+        second[1] += nx * y, second[3] += nx * z, second[4] += ny * z, second[5] += nu * z * z;
+    }
+    swing->weight += total(weight);
+    for (int i = 0; i < 3; i++) swing->first[i] += total(first[i]);
+    for (int i = 0; i < 6; i++) swing->second[i] += total(second[i]);
+}
+
+/* Add sum w nu B B^T to what noise of the normals adds: B = (I, [a]x). */
+static void add_spurious(const Swing *swing, const int *columns, int pose, Equations *sums) {
+    double W = swing->weight, x = swing->first[0], y = swing->first[1], z = swing->first[2];
+    const double *s = swing->second;
+    const double trace = s[0] + s[2] + s[5];
+    const double full[POSE][POSE] = {
+        {W}, {0, W}, {0, 0, W},
+        {0, -z, y, trace - s[0]},
+        {z, 0, -x, -s[1], trace - s[2]},
+        {-y, x, 0, -s[3], -s[4], s[0] + s[2]},
+    };
+    for (int i = 0; i < pose; i++)
+        for (int m = 0; m <= i; m++)
+            sums->spurious[STATE * i + m] += full[columns[i]][columns[m]];
+}
+
+static void mirror(double *M, int64_t size) {
+    for (int i = 0; i < size; i++)
+        for (int m = 0; m < i; m++) M[STATE * m + i] = M[STATE * i + m];
+}
+
+/* Write the normal equations of a sample at T on the prior's entries and nuisances. */
+static void build_equations(const Target *target, const Sample *sample, const double *T,
+                            const double *nuisances, Gate gate, const PairNoise *noise,
+                            const Prior *prior, Chunk *w, Equations *sums) {
+    const int jittery = noise->jitter > 0 || noise->target_jitter > 0;
+    const double stride = (double)sample->stride;
+    int columns[STATE], pose = (int)prior->n_entries, size = pose + (int)prior->n_nuisances;
+    for (int i = 0; i < size; i++) columns[i] = i < pose ? (int)prior->entries[i] : POSE + i - pose;
+    LineSums line = {.line = -1};
+    Swing swing = {0};
+    memset(sums, 0, sizeof *sums);
+    sums->size = size;
+
+    for (int64_t first = 0; first < sample->count; first += CHUNK) {
+        int64_t n = sample->count - first < CHUNK ? sample->count - first : CHUNK;
+        const double *points = sample->columns + first;
+        associate(target, points, points + sample->room, points + 2 * sample->room, n, T, w);
+        gather(target, n, w);
+        linearise_pairs(sample, first, n, T, nuisances, gate, noise, w, sums);
+        for (int64_t k = n; k < whole_lanes(n); k++) {
+            for (int i = 0; i < STATE; i++) w->J[i][k] = 0;
+            w->a[0][k] = w->a[1][k] = w->a[2][k] = w->e[k] = w->weight[k] = w->normal_weight[k] = 0;
+        }
+        if (jittery) add_lines(n, sample->lines + first, columns, stride, w, &line, sums);
+        if (size == 4 && pose == 3 && columns[2] == 5) {
+            add_pairs(n, 4, 3, columns, w, sums);
+            add_swing(n, 1, w, &swing);
+        } else {
+            add_pairs(n, size, pose, columns, w, sums);
+            add_swing(n, 0, w, &swing);
+        }
+    }
+    take_line(&line, stride, sums);
+    add_spurious(&swing, columns, pose, sums);
+    mirror(sums->information, size);
+    mirror(sums->lost, size);
+    mirror(sums->spurious, pose);
+}
+
+/* Add information (6, 6) and gradient (6,) of edges at T: edges.py describes the method. */
+static void add_edges(const double *target, int64_t n_target, const double *source, int64_t n_source,
+                      const double *T, double distance, double robust, double *H, double *g) {
+    const double c2 = robust * robust;
+    for (int64_t i = 0; i < n_source; i++) {
+        const double *s = source + EDGE * i, *nearest = NULL;
+        double x = T[0] * s[PLACE_X] + T[1] * s[PLACE_Y], y = T[4] * s[PLACE_X] + T[5] * s[PLACE_Y];
+        double best = distance * distance;
+        for (int64_t k = 0; k < n_target; k++) {
+            const double *q = target + EDGE * k;
+            double high = s[HIGH] < q[HIGH] ? s[HIGH] : q[HIGH], low = s[LOW] > q[LOW] ? s[LOW] : q[LOW];
+            if (s[SIDE] != q[SIDE] || high <= low) continue;
+            double dx = x + T[3] - q[PLACE_X], dy = y + T[7] - q[PLACE_Y], far = dx * dx + dy * dy;
+            if (far < best) nearest = q, best = far;
+        }
+        if (!nearest) continue;
+        double nx = nearest[ACROSS_X], ny = nearest[ACROSS_Y];
+        double e = nx * (x + T[3] - nearest[PLACE_X]) + ny * (y + T[7] - nearest[PLACE_Y]);
+        double variance = s[EDGE_VARIANCE] + nearest[EDGE_VARIANCE];
+        double share = c2 / (c2 + e * e / variance), weight = share * share / variance;
+        const double J[POSE] = {nx, ny, 0, 0, 0, ny * x - nx * y};
+        for (int a = 0; a < POSE; a++) {
+            g[a] += weight * J[a] * e;
+            for (int b = 0; b < POSE; b++) H[POSE * a + b] += weight * J[a] * J[b];
+        }
+    }
+}

@@ -1,0 +1,125 @@
+/* All that registration needs of a sweep, in one pass: see surfel_grid.py. */
+#pragma once
+
+#include "noise.h"
+
+#define DEGREES (TAU / 360)
+#define WINDOW_SIZES {2.1 * DEGREES, 1.45 * DEGREES, 0.85 * DEGREES, 0}  /* half sizes of the windows */
+
+enum {
+    WINDOWS = 4,
+    MOST_HALF = 12,     /* readings in half a window at most; one at least */
+    VALID = -1,         /* code of a reading that is a distance: types.py */
+};
+
+static int64_t readings_in(double angle, double spacing) {
+    double n = floor(angle / (spacing > 1e-4 ? spacing : 1e-4) + 0.5);
+    return n < 1 ? 1 : n > MOST_HALF ? MOST_HALF : (int64_t)n;
+}
+
+/* Typical angle between two lines, by the yaws of their middle beams. */
+static double typical_line_spacing(const Sweep *sweep, double *scratch) {
+    const double *middle = sweep->yaws + sweep->n_beams / 2;
+    for (int64_t i = 0; i + 1 < sweep->n_lines; i++)
+        scratch[i] = fabs(middle[(i + 1) * sweep->stride] - middle[i * sweep->stride]);
+    return median(scratch, sweep->n_lines - 1);
+}
+
+typedef struct {
+    int64_t first_line, end_line, first_beam, end_beam;
+} Extent;
+
+/* Mark which readings are distances; return where the first and last line and beam with one are. */
+static Extent mark_valid(const Sweep *sweep, const int64_t *codes, uint8_t *valid) {
+    Extent extent = {sweep->n_lines, 0, sweep->n_beams, 0};
+    for (int64_t i = 0; i < sweep->n_lines; i++) {
+        for (int64_t j = 0; j < sweep->n_beams; j++) {
+            int64_t at = i * sweep->stride + j;
+            double range = sweep->ranges[at];
+            valid[at] = (codes[at] == VALID) & (range > 0) & (range < INFINITY);
+        }
+        const uint8_t *line = valid + i * sweep->stride, *one = memchr(line, 1, (size_t)sweep->n_beams);
+        if (!one) continue;
+        int64_t first = one - line, end = sweep->n_beams;
+        while (!line[end - 1]) end--;
+        extent.first_line = i < extent.first_line ? i : extent.first_line;
+        extent.end_line = i + 1;
+        extent.first_beam = first < extent.first_beam ? first : extent.first_beam;
+        extent.end_beam = end > extent.end_beam ? end : extent.end_beam;
+    }
+    return extent;
+}
+
+/* The part of a sweep that `extent` names. */
+static Sweep cropped(const Sweep *sweep, Extent extent) {
+    int64_t offset = extent.first_line * sweep->stride + extent.first_beam;
+    Sweep part = *sweep;
+    part.n_lines = extent.end_line - extent.first_line;
+    part.n_beams = extent.end_beam - extent.first_beam;
+    part.ranges += offset, part.yaws += offset;
+    part.sigmas = sweep->sigmas ? sweep->sigmas + offset : NULL;
+    part.rays += extent.first_line * sweep->ray_stride + 3 * extent.first_beam;
+    return part;
+}
+
+/* Write what a sweep shows. Readings outside `keep` (NULL: none) get no surfel; where `noise` is NaN
+ * it is estimated. Returns 0, or -1 if there is no memory. */
+static int make_survey(const Sweep *sweep, const int64_t *codes, const uint8_t *keep, Survey *out) {
+    size_t readings = (size_t)(sweep->n_lines * sweep->stride);
+    uint8_t *wanted = malloc(readings);
+    double *sums = malloc(sizeof *sums * 2 * (size_t)sweep->n_lines);
+    out->count = wanted && sums ? 0 : -1;
+    memset(out->index, 0xff, sizeof *out->index * readings);
+    if (out->count < 0) goto done;
+
+    /* readings that count */
+    Extent extent = mark_valid(sweep, codes, out->valid);
+    out->line_spacing = typical_line_spacing(sweep, sums);
+    if (extent.end_line == 0) {
+        out->noise[0] = isnan(out->noise[0]) ? USUAL_SIGMA : out->noise[0];
+        out->noise[1] = isnan(out->noise[1]) ? USUAL_GROWTH : out->noise[1];
+        out->noise[2] = isnan(out->noise[2]) ? 0 : out->noise[2];
+        goto done;
+    }
+    for (size_t at = 0; keep && at < readings; at++) wanted[at] = out->valid[at] & keep[at];
+    Sweep part = cropped(sweep, extent);
+    int64_t offset = part.ranges - sweep->ranges;
+    const uint8_t *valid = out->valid + offset, *wanted_part = (keep ? wanted : out->valid) + offset;
+    int32_t *index = out->index + offset;
+
+    /* range noise and windows */
+    int jittery = isnan(out->noise[2]);
+    if (isnan(out->noise[0]))
+        estimate_range_noise(part.ranges, valid, part.n_lines, part.n_beams, part.stride, out->noise);
+    if (jittery) out->noise[2] = 0;
+    const double angles[WINDOWS] = WINDOW_SIZES;
+    int64_t half[WINDOWS][2];
+    for (int k = 0; k < WINDOWS; k++) {
+        half[k][0] = readings_in(angles[k], out->line_spacing);
+        half[k][1] = readings_in(angles[k], sweep->beam_spacing);
+    }
+    Windows windows = {WINDOWS, (const int64_t (*)[2])half};
+
+    /* surfels, and jitter from them; larger windows fit then, which show it better, too */
+    out->count = fit_surfels(&part, valid, wanted_part, out->noise, windows, out->rows, out->yaws, index);
+    for (int round = 0; round < 2 && jittery && out->count >= 0; round++) {
+        sum_line_residuals(&part, out->rows, index, sums);
+        double jitter = estimate_yaw_jitter(sums, part.n_lines);
+        out->noise[2] = jitter > out->noise[2] ? jitter : out->noise[2];
+        if (round > 0 || out->noise[2] == 0) break;
+        memset(out->index, 0xff, sizeof *out->index * readings);
+        out->count = fit_surfels(&part, valid, wanted_part, out->noise, windows, out->rows, out->yaws,
+                                 index);
+    }
+
+    /* yaws from the middle of the sweep */
+    double mean = 0;
+    for (int64_t i = 0; i < sweep->n_lines; i++)
+        mean += sweep->yaws[i * sweep->stride + sweep->n_beams / 2];
+    mean /= (double)sweep->n_lines;
+    for (int64_t k = 0; k < out->count; k++) out->yaws[k] -= mean;
+done:
+    free(wanted);
+    free(sums);
+    return out->count < 0 ? -1 : 0;
+}

@@ -1,0 +1,471 @@
+"""The compiled engine: each function against its plain form, and what crosses the border."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import reference.algebra
+import reference.edges
+import reference.free_space
+import reference.gauss_newton
+import reference.point_to_plane
+import reference.pose_prior
+import reference.projection
+import reference.scan_arrays
+import reference.scan_noise
+import reference.surfels
+import reference.survey
+import synthetic
+
+from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.registration import native
+from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
+from scan3d_twin.core.registration.clouds import Tree, prepare_cloud
+from scan3d_twin.core.registration.edges import Edges, edge_equations
+from scan3d_twin.core.registration.free_space import _violations
+from scan3d_twin.core.registration.gauss_newton import Criteria, Problem, align, follow_starts
+from scan3d_twin.core.registration.multistart import spread_starts
+from scan3d_twin.core.registration.native import Engine, engine
+from scan3d_twin.core.registration.point_to_plane import Gate, linearise
+from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displaced, spread
+from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
+from scan3d_twin.core.registration.surfel_grid import SurfelGrid, prepare
+from scan3d_twin.core.registration.surfels import Beams, fit_surfels, sweep_of
+from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
+
+FIRST, SECOND = Pose2(0.0, 0.15, -0.05), Pose2(0.02, -0.15, 0.10)
+MOVE = FIRST.inverse() @ SECOND
+SIGMA = 0.005
+NATIVE = Path(native.__file__).parent
+
+
+@cache
+def image(seed: int, jitter: float = 0.0) -> RangeImage:
+    rng = np.random.default_rng(seed)
+    taken = synthetic.observe(FIRST if seed == 1 else SECOND, sigma=SIGMA, rng=rng).image
+    shaken = taken.yaws + jitter * rng.standard_normal(taken.n_lines)[:, None]
+    return replace(taken, yaws=read_only(shaken))
+
+
+@cache
+def grids(yaw_scale_sigma: float = 0.01) -> tuple[SurfelGrid, SurfelGrid]:
+    """Two sweeps that have everything: range noise, jitter, a yaw scale, a bias and edges."""
+    made = (prepare(image(seed, 0.001)) for seed in (1, 2))
+    first, second = (
+        replace(grid, noise=replace(grid.noise, yaw_scale_sigma=yaw_scale_sigma, bias_sigma=0.002))
+        for grid in made
+    )
+    assert first.noise.yaw_sigma > 0
+    assert second.noise.yaw_sigma > 0
+    return first, second
+
+
+def plain_projection(grid: SurfelGrid) -> reference.projection.Projection:
+    p = grid.projection
+    return reference.projection.Projection(
+        p.lines, p.beams, p.yaws, p.middles, p.mount, p.backwards
+    )
+
+
+def plain_target(grid: SurfelGrid) -> reference.scan_arrays.Target:
+    return reference.scan_arrays.Target(
+        grid.rows, grid.yaws, grid.index.reshape(-1), plain_projection(grid)
+    )
+
+
+def plain_sample(grid: SurfelGrid, stride: int) -> reference.scan_arrays.Sample:
+    found = reference.scan_arrays.sampled(grid.rows, grid.yaws, grid.index, stride)
+    return reference.scan_arrays.Sample(*found, stride)
+
+
+def plain_noise(target: SurfelGrid, source: SurfelGrid) -> reference.point_to_plane.Weighting:
+    return reference.point_to_plane.Weighting(
+        source.noise.yaw_sigma**2,
+        target.noise.yaw_sigma**2,
+        target.line_spacing / source.line_spacing,
+        2.0 / (source.inflation + target.inflation),
+        (source.noise.tilt_variance + target.noise.tilt_variance) / 4,
+    )
+
+
+def near(a: FloatArray, b: FloatArray, relative: float = 1e-9) -> bool:
+    """Return whether two arrays are the same but for rounding of their largest entries."""
+    a, b = np.asarray(a), np.asarray(b)
+    return a.shape == b.shape and bool(np.abs(a - b).max() <= relative * np.abs(b).max())
+
+
+# --- each function against its plain form ---
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.001])
+def test_survey(jitter: float) -> None:
+    sweep = image(1, jitter)
+    found, beams = prepare(sweep), Beams.of(sweep)
+    plain_beams = reference.scan_arrays.Beams(beams.directions, beams.lever, beams.spacing)
+    swept = reference.survey.Swept(
+        np.array(sweep.ranges), np.array(sweep.yaws), sweep.codes, plain_beams
+    )
+    plain = reference.survey.survey(swept, np.zeros((0, 0), bool), np.full(3, math.nan))
+    assert np.mean((found.index >= 0) != (plain.row_of >= 0)) < 1e-4
+    both = (found.index >= 0) & (plain.row_of >= 0)
+    differ = np.abs(found.rows[found.index[both]] - plain.rows[plain.row_of[both]])[:, :6]
+    # A window that fits but for rounding makes another surfel of one in many thousands.
+    assert np.mean(differ.max(axis=1) > 1e-5) < 1e-4
+    yaws = found.yaws[found.index[both]] - plain.yaws[plain.row_of[both]]
+    assert np.abs(yaws).max() < 1e-12
+    own = [found.noise.range_sigma, found.noise.range_sigma_per_metre, found.noise.yaw_sigma]
+    assert own == pytest.approx(plain.noise, rel=1e-6)
+    assert (own[2] > 0) == (jitter > 0)
+    assert found.line_spacing == pytest.approx(plain.line_spacing, rel=1e-12)
+    assert np.array_equal(found.valid, plain.valid)
+
+
+def test_range_noise() -> None:
+    ranges, valid = image(1).ranges, np.isfinite(image(1).ranges)
+    plain = reference.scan_noise.estimate_range_noise(ranges, valid)
+    assert estimate_range_noise(ranges, valid) == pytest.approx(plain, rel=1e-9)
+    few = valid & (np.arange(valid.size).reshape(valid.shape) < 150)
+    usual = reference.scan_noise.estimate_range_noise(ranges, few)
+    assert estimate_range_noise(ranges, few) == usual
+
+
+def test_line_residuals_and_jitter() -> None:
+    grid = grids()[0]
+    sums = np.empty((grid.image.n_lines, 2))
+    engine.line_residuals(sweep_of(grid.image), grid.rows, grid.index, sums)
+    plain = reference.scan_noise.line_residuals(
+        grid.image.ranges, grid.image.yaws, Beams.of(grid.image).lever, grid.rows, grid.index
+    )
+    assert near(sums, plain)
+    jitter = engine.yaw_jitter(sums, len(sums))
+    assert jitter == pytest.approx(reference.scan_noise.yaw_jitter(plain), rel=1e-9)
+    assert jitter > 0
+
+
+def test_samples() -> None:
+    grid = grids()[0]
+    for stride in (1, 2, 3, 8):
+        own, plain = grid.sample(stride), plain_sample(grid, stride)
+        assert np.array_equal(own.rows, plain.rows)
+        assert np.array_equal(own.yaws, plain.yaws)
+        assert np.array_equal(own.lines, plain.lines)
+
+
+def test_known_rays() -> None:
+    grid = prepare(synthetic.observe(FIRST, room=False).image)
+    assert np.array_equal(grid.known, reference.surfels.knowledge(grid.index, grid.valid))
+    assert set(np.unique(grid.known)) == {0, 1, 2}
+
+
+def test_edges() -> None:
+    grid = grids()[0]
+    beams = Beams.of(grid.image)
+    plain = reference.edges.edge_rows(
+        grid.image.ranges, grid.image.yaws, beams.directions, beams.lever, grid.rows, grid.index,
+        grid.valid, grid.noise.yaw_sigma,
+    )  # fmt: skip
+    assert len(plain) > 4
+    assert near(grid.edge_rows, plain, 1e-9)
+
+
+def test_edge_equations() -> None:
+    target, source = (Edges.of(grid.edge_rows) for grid in grids())
+    T = MOVE.matrix()
+    own = edge_equations(target, source, T, 0.05, 2.0)
+    plain = reference.edges.edge_sums(target.rows, source.rows, T, 0.05, 2.0)
+    assert np.abs(plain[0]).max() > 0
+    assert all(near(a, b) for a, b in zip(own, plain, strict=True))
+
+
+def test_tables_and_lookup() -> None:
+    grid = grids()[0]
+    projection, plain = grid.projection, plain_projection(grid)
+    centres = reference.projection._centres()
+    lines = reference.projection.nearest(projection.middles, grid.line_spacing, centres)
+    assert np.mean(projection.lines != lines) < 1e-3  # a cell's centre may fall on the border
+    points = grids()[1].rows[:, :3] + [0.01, -0.3, 0.0]
+    seen = grid.index.reshape(-1) >= 0
+    own = projection.lookup(points, seen)
+    assert np.array_equal(own, reference.projection.lookup(plain, points, seen))
+    assert np.mean(own >= 0) > 0.5
+
+
+def test_normal_equations() -> None:
+    target, source = grids()
+    T = displaced(MOVE.matrix(), np.array([0.004, -0.003, 0.002, 0.001, -0.002, 0.01]))
+    own = linearise(target, source, 2, T, 0.003, Gate(0.05, 2.0))
+    plain = reference.point_to_plane.normal_equations(
+        plain_target(target), plain_sample(source, 2), T, 0.003,
+        reference.point_to_plane.Gate(0.05, 2.0), plain_noise(target, source), (0, 1, 2, 3, 4, 5),
+    )  # fmt: skip
+    assert own.pairs == plain.pairs > 1000
+    assert own.square == pytest.approx(plain.square)
+    assert near(own.spurious, plain.faked)
+    for name in ("information", "lost", "gradient"):
+        assert near(getattr(own, name), getattr(plain, name)), name
+
+
+@pytest.mark.parametrize("dof", ["planar", "se3"])
+@pytest.mark.parametrize("yaw_scale", [0.0, 0.01])
+def test_the_iteration(dof: str, yaw_scale: float) -> None:
+    target, source = grids(yaw_scale)
+    guess = displaced(MOVE.matrix(), np.array([0.01, -0.02, 0.0, 0.0, 0.0, 0.02]))
+    prior = PosePrior(read_only(guess), PosePrior.planar(MOVE, 0.02, 0.035).covariance)
+    problem = Problem(target, source, prior, dof)  # type: ignore[arg-type]
+    own = align(problem, guess)
+    plain_prior = reference.gauss_newton.Prior(
+        guess, prior.covariance, problem.dims, 1 / yaw_scale**2 if yaw_scale else math.inf
+    )
+    scans = reference.gauss_newton.Scans(
+        plain_target(target), plain_sample(source, 2 * problem.stride),
+        plain_sample(source, problem.stride), plain_sample(source, problem.last_stride),
+        target.edge_rows, source.edge_rows, plain_noise(target, source),
+        reference.pose_prior.Moments(*problem.moments),
+    )  # fmt: skip
+    _, plain = reference.gauss_newton.descend(
+        scans, plain_prior, reference.gauss_newton.Criteria(), guess[None]
+    )
+    assert (own.iterations, own.settled, own.overlap) == (plain.iterations, True, True)
+    assert own.pairs == plain.solution.equations.pairs
+    assert np.abs(own.T - plain.state.T).max() < 1e-9
+    assert own.yaw_scale == pytest.approx(plain.state.scale, abs=1e-9)
+    assert near(own.covariance, plain.knowledge.covariance, 1e-7)
+    assert near(own.information, plain.knowledge.information, 1e-7)
+    assert own.predicted_rmse == pytest.approx(plain.knowledge.predicted_rmse, rel=1e-7)
+
+
+def test_starts_that_meet_are_one() -> None:
+    target, source = grids()
+    prior = PosePrior.planar(MOVE, 0.02, 0.035)
+    problem = Problem(target, source, prior)
+    starts = spread_starts(problem, prior.T, 8)
+    ends, last = follow_starts(problem, problem.laid(), Criteria(), starts)
+    assert len(ends) == 1
+    assert np.abs(ends[0] - last.T).max() < 0.01
+
+
+def test_violations() -> None:
+    target, source = grids()
+    T = MOVE.matrix()
+    own = _violations(target, source.sample(4), T)
+    plain = reference.free_space.violations(
+        plain_target(target), target.known, source.sample(4).rows, T
+    )
+    assert own[1] == plain[1] > 100
+    assert own[0] == pytest.approx(plain[0])
+
+
+def test_algebra() -> None:
+    rng = np.random.default_rng(0)
+    for k in (3, 6):
+        for _ in range(20):
+            half = rng.normal(size=(k, k))
+            H, noise = half @ half.T, np.diag(rng.uniform(0, 0.2, k))
+            own = find_determined(H, noise, 1.3)
+            plain = reference.algebra.determined(H, noise, 1.3)
+            assert near(own[0], plain[0])
+            assert near(own[1], plain[1])
+            assert len(own[2]) == len(plain[2])
+            assert near(invert_information(H), np.linalg.inv(H), 1e-7)
+    flat = np.diag([4.0, 0.0, 1.0])
+    assert invert_information(flat) == pytest.approx(np.diag([0.25, 0.0, 1.0]))
+
+
+@pytest.mark.parametrize("known", [2.0, 1e6, math.inf])
+def test_a_nuisance_is_marginalised_by_its_schur_complement(known: float) -> None:
+    half = np.random.default_rng(0).normal(size=(7, 7))
+    H = half @ half.T
+    whole = H + np.diag([0.0] * 6 + [0.0 if math.isinf(known) else known])
+    expected = H[:6, :6] if math.isinf(known) else np.linalg.inv(np.linalg.inv(whole)[:6, :6])
+    assert near(marginalise(H, known), expected, 1e-8)
+
+
+def test_small_motions() -> None:
+    rng = np.random.default_rng(0)
+    for step in rng.normal(size=(20, 6)) * 0.4:
+        T = displaced(np.eye(4), rng.normal(size=6))
+        moved = displaced(T, step)
+        assert moved == pytest.approx(reference.pose_prior.displaced(T, step), abs=1e-14)
+        assert deviation(moved, T) == pytest.approx(step, abs=1e-12)
+    assert deviation(T, T) == pytest.approx(np.zeros(6), abs=1e-15)
+    points, half = rng.normal(size=(50, 3)), rng.normal(size=(6, 6))
+    assert spread(points, half @ half.T) == pytest.approx(
+        reference.pose_prior.displacement(reference.pose_prior.Moments.of(points), half @ half.T)
+    )
+
+
+def test_nearest_neighbours_are_those_of_a_full_search() -> None:
+    rng = np.random.default_rng(0)
+    points = np.round(rng.normal(size=(500, 3)), 2)  # with ties
+    points[100:120] = points[0]
+    wanted = rng.normal(size=(60, 3))
+    squares, indices = Tree.of(points).nearest(wanted, 20)
+    every = np.sum((wanted[:, None] - points) ** 2, axis=2)
+    assert squares == pytest.approx(np.sort(every, axis=1)[:, :20], abs=1e-15)
+    assert np.take_along_axis(every, indices.astype(int), 1) == pytest.approx(squares, abs=1e-15)
+    few = Tree.of(points[:3]).nearest(wanted, 5)
+    assert np.isinf(few[0][:, 3:]).all()
+    assert (few[1][:, 3:] == -1).all()
+
+
+def test_planes_of_a_cloud_are_those_of_its_neighbours() -> None:
+    points = np.random.default_rng(0).normal(size=(300, 3))
+    cloud = prepare_cloud(points)
+    nearest = np.argsort(np.sum((points[:, None] - points) ** 2, axis=2), axis=1)[:, :20]
+    around = points[nearest] - points[nearest].mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / 20)
+    assert cloud.centroids == pytest.approx(points[nearest].mean(axis=1), abs=1e-12)
+    assert np.abs(np.sum(cloud.normals * vectors[..., 0], axis=1)) == pytest.approx(1.0, abs=1e-6)
+    assert cloud.tilt == pytest.approx(1 / (20 * np.maximum(values[:, 1] - values[:, 0], 1e-9)))
+
+
+# --- lines and beams that are on no grid ---
+
+
+def test_each_line_may_have_rays_of_its_own() -> None:
+    """Every other line half a beam higher: as many surfels, as near to the surfaces."""
+    wall = (synthetic.Box((1.0, -3.0, 0.0), (1.5, 3.0, 2.0)),)
+    lower = synthetic.observe(Pose2(), wall, room=False).image
+    shifted = replace(
+        lower,
+        spec=replace(lower.spec, elevations=read_only(lower.spec.elevations + math.pi / 1024)),
+    )
+    rays = np.stack([Beams.of(lower).directions, Beams.of(shifted).directions])
+    odd = np.arange(lower.n_lines) % 2
+    rays = np.ascontiguousarray(rays[odd])
+    turned = np.cos(lower.yaws)[..., None] * rays[..., :1]  # x of each ray in the scan's frame
+    with np.errstate(divide="ignore"):
+        ranges = np.ascontiguousarray((1.0 - 0.05 * np.cos(lower.yaws)) / turned[..., 0])
+    up = np.abs(0.3 + ranges * rays[..., 2] - 1.0) < 0.8
+    valid = np.ascontiguousarray((ranges > 0) & (ranges < 4.0) & up)
+    sweep = native.Sweep(
+        n_lines=lower.n_lines, n_beams=lower.spec.n_beams, stride=lower.spec.n_beams,
+        ranges=ranges, yaws=lower.yaws, rays=rays, ray_stride=3 * lower.spec.n_beams,
+        lever=Beams.of(lower).lever, beam_spacing=Beams.of(lower).spacing,
+    )  # fmt: skip
+    windows = np.array([[4, 6], [1, 1]], dtype=np.int64)
+    rows, _, index = fit_surfels(sweep, valid, valid, np.array([0.004, 0.0, 0.0]), windows)
+    assert np.count_nonzero(index >= 0) == len(rows) > 0.95 * np.count_nonzero(valid)
+    assert np.abs(rows[:, 0] - 1.0).max() < 1e-6
+    assert np.abs(rows[:, 3] + 1.0).max() < 1e-6
+
+
+def test_the_noise_of_each_reading_can_be_handed_in() -> None:
+    grid = prepare(image(1), noise=ScanNoise(SIGMA, 0.0))
+    sweep = sweep_of(grid.image)
+    sigmas = np.full(grid.image.ranges.shape, 2 * SIGMA)
+    sweep.sigmas = native.Doubles.from_param(sigmas)
+    windows = np.array([[4, 6], [1, 1]], dtype=np.int64)
+    noise = np.array([SIGMA, 0.0, 0.0])
+    own, _, index = fit_surfels(sweep, grid.valid, grid.valid, noise, windows)
+    usual = fit_surfels(sweep_of(grid.image), grid.valid, grid.valid, noise, windows)
+    both = (index >= 0) & (usual[2] >= 0)
+    ratio = own[index[both], 6] / usual[0][usual[2][both], 6]
+    assert np.median(ratio) == pytest.approx(4.0, rel=0.01)
+
+
+# --- levels and builds ---
+
+
+def fingerprint() -> tuple[bytes, ...]:
+    """Return the bytes of what a registration and its parts come to."""
+    target, source = (prepare(image(seed, 0.001)) for seed in (1, 2))
+    prior = PosePrior.planar(MOVE, 0.02, 0.035)
+    result = align(Problem(target, source, prior, "se3"), prior.T)
+    cloud = prepare_cloud(target.rows[:2000, :3])
+    parts = (
+        target.rows, target.index, target.edge_rows, target.known, target.projection.lines,
+        result.T, result.covariance, result.information, cloud.normals, cloud.tilt,
+    )  # fmt: skip
+    return tuple(np.ascontiguousarray(part).tobytes() for part in parts)
+
+
+def run_by(other: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let another library or level do all the work."""
+    for name in native.FUNCTIONS:
+        monkeypatch.setattr(engine, name, getattr(other, name), raising=False)
+
+
+def test_all_levels_of_the_processor_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    levels = [level for level in (1, 3, 4) if level <= engine.level]
+    found = []
+    for level in levels:
+        run_by(Engine(level=level), monkeypatch)
+        found.append(fingerprint())
+    assert all(each == found[0] for each in found)
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+def test_another_build_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without optimisation every operation is carried out as it is written."""
+    library, digest = tmp_path / "engine.so", native.digest_sources()
+    flags = ["-std=gnu11", "-O0", "-fPIC", "-shared", "-ffp-contract=off", "-Wno-psabi"]
+    sources = [str(NATIVE / "engine.c"), str(NATIVE / "levels.c")]
+    defined = ["-DLEVEL=v1", f'-DDIGEST="{digest}"']
+    subprocess.run(
+        ["gcc", *flags, *defined, *sources, "-o", str(library), "-lm"], check=True, timeout=100
+    )
+    expected = fingerprint()
+    run_by(Engine(library, level=1), monkeypatch)
+    assert fingerprint() == expected
+
+
+# --- the border ---
+
+
+def test_both_sides_agree_on_the_values() -> None:
+    sizes = np.empty(len(native.VALUES), dtype=np.int64)
+    engine.sizes(sizes)
+    assert sizes.tolist() == [ctypes.sizeof(each) for each in native.VALUES]
+
+
+def test_arrays_of_another_type_or_layout_are_refused() -> None:
+    centres = np.empty(16384)
+    with pytest.raises(ctypes.ArgumentError, match="float64"):
+        engine.cell_centres(centres.astype(np.float32))
+    with pytest.raises(ctypes.ArgumentError, match="contiguous"):
+        engine.cell_centres(np.empty(2 * 16384)[::2])
+    with pytest.raises(TypeError, match="int32"):
+        native.Target(index=np.zeros(3))
+    with pytest.raises(AttributeError, match="no function"):
+        engine.warp  # noqa: B018
+
+
+def test_a_library_built_from_other_sources_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when the changed file is older than the library: its content counts."""
+    for path in NATIVE.glob("*.[ch]"):
+        shutil.copy(path, tmp_path)
+    assert native.digest_sources(tmp_path) == native.digest_sources()
+    changed = tmp_path / "edges.h"
+    changed.write_text(changed.read_text().replace("MIN_EDGE_COSINE 0.35", "MIN_EDGE_COSINE 0.30"))
+    other = native.digest_sources(tmp_path)
+    monkeypatch.setattr(native, "digest_sources", lambda: other)
+    with pytest.raises(FileError, match="make setup"):
+        Engine().library  # noqa: B018
+
+
+def test_a_missing_library_is_one_line_with_its_cure(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="make setup") as error:
+        Engine(tmp_path / "engine.so").library  # noqa: B018
+    assert "\n" not in str(error.value)
+
+
+def test_a_wheel_without_sources_has_no_digest(tmp_path: Path) -> None:
+    assert native.digest_sources(tmp_path) is None
+
+
+def test_no_just_in_time_compiler_is_imported() -> None:
+    code = "import sys, scan3d_twin.core.registration as r; print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

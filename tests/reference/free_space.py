@@ -1,0 +1,42 @@
+"""Do two sweeps contradict each other? A surface cannot stand where the other scan saw through.
+
+Each surfel of one scan is looked up in the other. In front of what is measured there, or where
+nothing returned, it is a violation; on it, it counts by its squared distance; behind it is hidden
+and says nothing. Counted both ways, a wrong period of a regular surface fits on the surface itself
+but sticks out at its ends.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from reference.projection import lookup
+from reference.scan_arrays import Target
+from reference.surfels import EMPTY, SURFACE, UNKNOWN, VARIANCE, N, X
+from scan3d_twin.core.types import FloatArray, SmallIntArray
+
+MARGIN = 0.02
+"""In front by this much is a full violation [m], or by ..."""
+SIGMAS = 3.0
+"""... this many standard deviations, whichever is more."""
+
+
+def violations(
+    target: Target, known: SmallIntArray, rows: FloatArray, T: FloatArray
+) -> tuple[float, int]:
+    """Return the sum of the violations, and how many surfels a reading says something of.
+
+    Args:
+        target: The scan that is asked.
+        known: What each of its readings says of its ray (n,).
+        rows: Surfels of the other scan (m, 8).
+        T: ``T_target_source`` (4, 4).
+    """
+    points = rows[:, X] @ T[:3, :3].T + T[:3, 3]
+    at = lookup(target.projection, points, known != UNKNOWN)
+    state, met = np.where(at >= 0, known[at], UNKNOWN), target.rows[target.row_of[at]]
+    e = np.sum(met[:, N] * (points - met[:, X]), axis=1)
+    margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + met[:, VARIANCE]))
+    hit = np.where(e < -margin, 0.0, np.minimum(1.0, (e / margin) ** 2))
+    cost = np.where(state == SURFACE, hit, np.where(state == EMPTY, 1.0, 0.0))
+    return float(cost.sum()), int(np.count_nonzero(state != UNKNOWN))

@@ -1,0 +1,314 @@
+"""Registration of two sweeps on the grids they were taken on: maximum a posteriori, honestly.
+
+Gauss-Newton on the normal equations of ``point_to_plane``, with the gate and the robust weights
+tightened from step to step, the odometry as prior about the viewpoint and vertical edges:
+
+    (H_kept + H_edges + L0) step = -(g_kept + g_edges + L0 (x - x0)).
+
+H_kept holds those eigenvectors v of the scans' information H whose information exceeds twice what
+noise of the normals fakes, v^T H v >= 2 v^T H_faked v (Hatleskog and Alexis, arXiv 2410.10784): on
+a wall the rest would be a slide that looks like knowledge, so it is left to prior and edges. Twice
+means: as much signal as noise. The covariance is the inverse of the left side, less what is faked
+and what yaw jitter hides; for point to plane that is sound (Bonnabel et al., arXiv 1410.7632).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from reference.algebra import (
+    block,
+    determined,
+    inverse,
+    picked,
+    projected,
+    quadratic,
+    without_scale,
+)
+from reference.edges import edge_sums
+from reference.point_to_plane import (
+    Equations,
+    Gate,
+    Weighting,
+    normal_equations,
+)
+from reference.pose_prior import (
+    Moments,
+    about_target,
+    deviation,
+    displaced,
+    displacement,
+)
+from reference.scan_arrays import Sample, Target
+from scan3d_twin.core.types import FloatArray, read_only
+
+Dof = Literal["planar", "se3"]
+MIN_PAIRS = 12
+"""Fewer correspondences than this determine nothing reliably."""
+WANTED, WANTED_LAST = 3000, 12000
+"""Surfels used of a source, and in the very last step: fewer lose accuracy where the surface bends,
+as windows are small and overlap little there."""
+TIGHTEN = 0.7
+"""Factor of the gate from one step to the next ..."""
+LAST_GATE, LAST_ROBUST = 0.03, 1.5
+"""... down to these: a few times the range noise, and a robust kernel of 1.5 sigma."""
+FIRST_ROBUST = 4.0
+"""The kernel of the first step [sigma]."""
+SAME_BASIN = 0.010
+"""Poses that displace the source by less than this from each other are one basin [m]."""
+EDGE_ROBUST = 2.0
+"""The kernel of edges, in kernels of surfels: their errors are uniform, not normal."""
+
+
+NOTHING = read_only(np.zeros((6, 6)))
+"""Covariance that stands for no knowledge."""
+
+
+class Criteria(NamedTuple):
+    """When the iteration ends, and the widest gate."""
+
+    max_iterations: int = 30
+    translation_epsilon: float = 1e-4
+    rotation_epsilon: float = 1e-4
+    max_correspondence_distance: float = 0.10
+
+
+class Scans(NamedTuple):
+    """What the iteration needs of two grids.
+
+    Attributes:
+        target: What the source is laid on.
+        coarse: Surfels of the source for the first steps.
+        fine: For the steps at the last gate.
+        every: For the one step after these have settled.
+        target_edges: As rows (m, 8), see ``edges``.
+        source_edges: As rows (n, 8).
+        both: What the sweeps err by.
+        moments: Of the source's surfels.
+    """
+
+    target: Target
+    coarse: Sample
+    fine: Sample
+    every: Sample
+    target_edges: FloatArray
+    source_edges: FloatArray
+    both: Weighting
+    moments: Moments
+
+
+class Prior(NamedTuple):
+    """What is known beforehand.
+
+    Attributes:
+        mean: Of ``T_target_source`` (4, 4).
+        covariance: Of x y z rx ry rz (6, 6); 0 when nothing is known.
+        rows: The estimated entries of these, k of them.
+        yaw_scale: Information of the common relative error of the yaws; infinite when exact.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    rows: tuple[int, ...]
+    yaw_scale: float
+
+
+class State(NamedTuple):
+    """Where the iteration stands: ``T_target_source`` (4, 4) and the yaw scale error."""
+
+    T: FloatArray
+    scale: float
+
+
+class Solution(NamedTuple):
+    """One Gauss-Newton step and what is known there.
+
+    Attributes:
+        step: Of x y z rx ry rz about the viewpoint (6,).
+        scale_step: Of the yaw scale error.
+        information: Left side of the equation, less what is faked (k, k).
+        dropped: Directions (j, k) that the surfels do not determine.
+        edges: Information of the edges (k, k).
+        equations: Of the surfels.
+    """
+
+    step: FloatArray
+    scale_step: float
+    information: FloatArray
+    dropped: FloatArray
+    edges: FloatArray
+    equations: Equations
+
+
+class Knowledge(NamedTuple):
+    """What is known of ``T_target_source`` at the end, about the target's origin.
+
+    Attributes:
+        covariance: Of x y z rx ry rz (6, 6).
+        information: Its inverse on the estimated entries (6, 6).
+        degenerate: Directions (j, 6) that neither surfels nor edges determine.
+        predicted_rmse: RMS displacement of the source's surfels to be expected [m].
+    """
+
+    covariance: FloatArray
+    information: FloatArray
+    degenerate: FloatArray
+    predicted_rmse: float
+
+
+class Outcome(NamedTuple):
+    """Where the iteration ended.
+
+    Attributes:
+        state: After the last step.
+        solution: Of the last step.
+        knowledge: What it leaves unknown.
+        surfels: Of the source that took part in it.
+        iterations: Steps in all.
+        settled: Whether they became small enough.
+        overlap: Whether enough surfels found a partner.
+    """
+
+    state: State
+    solution: Solution
+    knowledge: Knowledge
+    surfels: int
+    iterations: int
+    settled: bool
+    overlap: bool
+
+
+def descend(
+    scans: Scans, prior: Prior, criteria: Criteria, starts: FloatArray
+) -> tuple[FloatArray, Outcome]:
+    """Return where the steps from ``starts`` (n, 4, 4) end (m, 4, 4), and how the last did.
+
+    Ends that met are one, those without overlap left out.
+    """
+    beforehand, ends, n = prior_information(prior), np.empty_like(starts), 0
+    for start in range(len(starts)):
+        state, settled = State(starts[start].copy(), 0.0), False
+        for iteration in range(criteria.max_iterations):
+            gate = tightened(iteration, criteria.max_correspondence_distance)
+            final = gate.distance <= LAST_GATE and gate.robust <= LAST_ROBUST
+            sample = scans.every if settled else (scans.fine if final else scans.coarse)
+            solution = solve(scans, prior, beforehand, state, sample, gate)
+            state = State(displaced(state.T, solution.step), state.scale + solution.scale_step)
+            overlap = solution.equations.pairs >= MIN_PAIRS
+            if settled or not overlap:
+                break
+            shift, turn = length(solution.step[:3]), length(solution.step[3:])
+            small = shift < criteria.translation_epsilon and turn < criteria.rotation_epsilon
+            settled = final and small
+        if overlap and new_basin(state.T, ends[:n], reach(scans.moments)):
+            ends[n] = state.T
+            n += 1
+    known = knowledge(scans, prior, beforehand, state, solution)
+    last = Outcome(state, solution, known, len(sample.rows), iteration + 1, settled, overlap)
+    return ends[:n].copy(), last
+
+
+def prior_information(prior: Prior) -> FloatArray:
+    """Return L0, the information of the prior on the estimated entries (k, k)."""
+    k = len(prior.rows)
+    information = np.zeros((k, k))
+    if prior.covariance[0, 0] > 0.0:
+        information[:] = np.linalg.inv(block(prior.covariance, prior.rows))
+    return information
+
+
+def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:
+    """Tell whether ``T`` (4, 4) lies in none of the basins of ``others`` (n, 4, 4)."""
+    for k in range(len(others)):  # noqa: SIM110
+        if apart(T, others[k], reach) <= SAME_BASIN:
+            return False
+    return True
+
+
+def reach(moments: Moments) -> float:
+    """Return the root mean square distance of points [m]: it makes turns comparable with shifts."""
+    second = moments.second
+    return math.sqrt(second[0, 0] + second[1, 1] + second[2, 2])
+
+
+def apart(a: FloatArray, b: FloatArray, reach: float) -> float:
+    """Return by how much two poses (4, 4) displace points at a distance ``reach`` [m]."""
+    square = 0.0
+    for i in range(3):
+        square += (a[i, 3] - b[i, 3]) ** 2
+        for j in range(3):
+            square += (reach * (a[i, j] - b[i, j])) ** 2 / 2.0
+    return math.sqrt(square)
+
+
+def length(v: FloatArray) -> float:
+    """Return the length of a vector (3,)."""
+    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+
+
+def tightened(iteration: int, widest: float) -> Gate:
+    """Return the gate of a step."""
+    tight = TIGHTEN**iteration
+    return Gate(max(min(LAST_GATE, widest), tight * widest), max(LAST_ROBUST, FIRST_ROBUST * tight))
+
+
+def solve(
+    scans: Scans, prior: Prior, beforehand: FloatArray, state: State, sample: Sample, gate: Gate
+) -> Solution:
+    """Return the Gauss-Newton step at ``state``; the equation is at the module's head.
+
+    ``beforehand`` is its L0, see ``prior_information``.
+    """
+    rows = prior.rows
+    equations = normal_equations(scans.target, sample, state.T, state.scale, gate, scans.both, rows)
+    H, g, per_step = without_scale(equations, prior.yaw_scale, state.scale)
+    k = len(rows)
+    kept, honest, dropped = determined(
+        equations.information[:k, :k], equations.faked, reach(scans.moments)
+    )
+    H_edges, g_edges = edge_sums(
+        scans.target_edges, scans.source_edges, state.T, gate.distance, EDGE_ROBUST * gate.robust
+    )
+    H_edges = block(H_edges, rows)
+    off = picked(deviation(state.T, prior.mean), rows)
+    right = kept @ g + picked(g_edges, rows) + beforehand @ off
+    left = projected(kept, H) + H_edges + beforehand
+    small = -(inverse(left, beforehand) @ right)
+    step, scale_step = np.zeros(6), per_step[k]
+    for i in range(k):
+        step[rows[i]] = small[i]
+        scale_step += per_step[i] * small[i]
+    information = projected(honest, H) + H_edges + beforehand
+    return Solution(step, scale_step, information, dropped, H_edges, equations)
+
+
+def knowledge(
+    scans: Scans, prior: Prior, beforehand: FloatArray, state: State, solution: Solution
+) -> Knowledge:
+    """Return what is known of ``state`` by the ``solution`` whose step led to it."""
+    small = inverse(solution.information, beforehand)
+    covariance, information = np.zeros((6, 6)), np.zeros((6, 6))
+    for i in range(len(prior.rows)):
+        for j in range(len(prior.rows)):
+            covariance[prior.rows[i], prior.rows[j]] = small[i, j]
+            information[prior.rows[i], prior.rows[j]] = solution.information[i, j]
+    degenerate, n = np.zeros((len(solution.dropped), 6)), 0
+    for m in range(len(degenerate)):
+        v = solution.dropped[m]
+        if quadratic(solution.edges, v) <= quadratic(beforehand, v):
+            for i in range(len(v)):
+                degenerate[n, prior.rows[i]] = v[i]
+            n += 1
+    R = state.T[:3, :3].copy()
+    turned = Moments(R @ scans.moments.first, projected(R, scans.moments.second))
+    shift = about_target(state.T)
+    back = 2.0 * np.eye(6) - shift
+    return Knowledge(
+        projected(shift, covariance),
+        projected(back.T.copy(), information),
+        degenerate[:n] @ shift.T.copy(),
+        displacement(turned, covariance),
+    )
