@@ -85,7 +85,7 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
     from scan3d_twin.emulator.urg import UrgEmulator
     from scan3d_twin.emulator.urg_profile import UrgProfile
     from scan3d_twin.protocols import oi, scip
-    from scan3d_twin.sim.robot import open_sim
+    from scan3d_twin.sim.robot import open_robot
 
     if options.lidar_baud not in scip.BAUDS:
         known = ", ".join(map(str, scip.BAUDS))
@@ -103,7 +103,7 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
         opened = TcpPort(line) if options.tcp else PtyPort(line)
         return stack.enter_context(closing(opened))
 
-    with open_sim(options.scene, options.seed) as (robot, _), ExitStack() as stack:
+    with open_robot(options.scene, options.seed) as robot, ExitStack() as stack:
         base = port(Line(CreateEmulator(robot.base, model), faults, options.seed))
         lidar = port(Line(UrgEmulator(robot.lidar, profile), faults, options.seed + 1))
         yield robot.clock, base, lidar

@@ -1,45 +1,56 @@
 """Large arrays of values that are kept for long but seldom read: folded, without loss of a bit.
 
 A session keeps all its views, and a robot's computer may be small. What is folded reads as before,
-only slower: it is unfolded each time. Ranges and codes are few different numbers, so that each is
-kept once; headings run smoothly, so that their second differences are small.
+only slower: it is unfolded when it is read, and what was read last is kept at hand. Ranges are
+whole millimetres and codes small numbers, so that two bytes do for each; headings run smoothly, so
+that their second differences are small.
 """
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import zstandard
 
 from scan3d_twin.core.errors import ConfigError
 
 AnyArray = npt.NDArray[Any]
 T = TypeVar("T")
-FEW = 2
-"""Numbers are kept once each if they occur so often on average."""
+AT_HAND = 4
+"""Arrays that were read last and are kept unfolded: most of those of one view."""
+LIMIT = 32_000
+"""Whole numbers, or thousandths, up to this are kept in two bytes."""
+OTHER = -32_768
+"""Stands for all others; of floating-point numbers it reads as NaN."""
+SOME = 8
+"""So many times more numbers than there are others make two bytes each worth while."""
 FAST = 1
 """Level of compression: higher ones take longer and gain little."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Folded:
     """A folded array of 8-byte numbers.
 
     Attributes:
         shape: Of the array.
         dtype: Of its numbers.
-        numbers: The different ones, as bits; empty if there are too many.
-        packed: Places in ``numbers``, or second differences along the rows, compressed.
+        packed: The numbers in two bytes, or second differences along the rows, compressed.
+        others: Places (n,) of numbers that two bytes do not hold; None for differences.
+        values: These numbers (n,), as bits.
     """
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    numbers: npt.NDArray[np.uint64]
     packed: bytes
+    others: npt.NDArray[np.int32] | None
+    values: npt.NDArray[np.uint64]
 
     @staticmethod
     def of(array: AnyArray) -> Folded:
@@ -51,25 +62,48 @@ class Folded:
         if array.dtype.itemsize != 8:
             raise ConfigError(f"only numbers of 8 bytes can be folded, not {array.dtype}")
         bits = np.ascontiguousarray(array).view(np.uint64)
-        numbers, places = np.unique(bits, return_inverse=True)
-        if len(numbers) * FEW > bits.size or len(numbers) > 1 << 16:
-            numbers, rest = numbers[:0], _shuffled(_differences(_differences(bits)))
-        else:
-            numbers, rest = numbers.copy(), _shuffled(places.reshape(-1).astype(np.uint16))
-        return Folded(array.shape, array.dtype, numbers, zlib.compress(rest, FAST))
+        short = _shortened(array)
+        others = np.flatnonzero(_lengthened(short, array.dtype).view(np.uint64) != bits)
+        if len(others) * SOME > bits.size:
+            packed = _packed(_differences(_differences(bits)))
+            return Folded(array.shape, array.dtype, packed, None, bits[:0].ravel())
+        values = bits.reshape(-1)[others]
+        return Folded(array.shape, array.dtype, _packed(short), others.astype(np.int32), values)
 
     def unfold(self) -> AnyArray:
         """Return the array, which refuses writes."""
-        rest = zlib.decompress(self.packed)
-        if len(self.numbers):
-            array = self.numbers[_unshuffled(rest, np.dtype(np.uint16))].reshape(self.shape)
-        else:
-            twice = _unshuffled(rest, np.dtype(np.uint64)).reshape(self.shape)
-            once = np.cumsum(twice, axis=-1, dtype=np.uint64)
-            array = np.cumsum(once, axis=-1, dtype=np.uint64)
-        array = np.asarray(array.view(self.dtype))
-        array.flags.writeable = False
-        return array
+        return _unfolded(self)
+
+
+@lru_cache(maxsize=AT_HAND)
+def _unfolded(folded: Folded) -> AnyArray:
+    if folded.others is None:
+        twice = _unpacked(folded.packed, np.dtype(np.uint64)).reshape(folded.shape)
+        once = np.cumsum(twice, axis=-1, dtype=np.uint64)
+        bits = np.cumsum(once, axis=-1, dtype=np.uint64, out=once)
+    else:
+        short = _unpacked(folded.packed, np.dtype(np.int16)).reshape(folded.shape)
+        bits = _lengthened(short, folded.dtype).view(np.uint64)
+        bits.reshape(-1)[folded.others] = folded.values
+    array = np.asarray(bits.view(folded.dtype))
+    array.flags.writeable = False
+    return array
+
+
+def _shortened(array: AnyArray) -> npt.NDArray[np.int16]:
+    """Return whole numbers, and floating-point ones in thousandths; ``OTHER`` if too large."""
+    whole = np.rint(1e3 * array) if array.dtype.kind == "f" else array
+    near = (whole >= -LIMIT) & (whole <= LIMIT)
+    return np.where(near, whole, OTHER).astype(np.int16)
+
+
+def _lengthened(short: npt.NDArray[np.int16], dtype: np.dtype[Any]) -> AnyArray:
+    """Return the numbers of type ``dtype`` that were shortened."""
+    if dtype.kind != "f":
+        return short.astype(dtype)
+    numbers = short / 1e3
+    numbers[short == OTHER] = np.nan
+    return numbers
 
 
 class Unfolds(Protocol):
@@ -110,11 +144,18 @@ def is_folded(instance: object, name: str) -> bool:
     return not isinstance(instance.__dict__[f"_{name}"], np.ndarray)
 
 
-def fold(instance: object, *names: str) -> None:
-    """Put the arrays in the ``Foldable`` of those ``names`` away; doing so twice does nothing."""
-    for name in names:
+def fold(names: Sequence[str], *instances: object) -> None:
+    """Put the arrays in the ``Foldable`` of those ``names`` away; doing so twice does nothing.
+
+    An array that several of the ``instances`` share is folded once.
+    """
+    folded: dict[int, tuple[AnyArray, Folded]] = {}
+    for instance, name in product(instances, names):
         if not is_folded(instance, name):
-            object.__setattr__(instance, name, Folded.of(getattr(instance, name)))
+            array = getattr(instance, name)
+            if id(array) not in folded:
+                folded[id(array)] = array, Folded.of(array)
+            object.__setattr__(instance, name, folded[id(array)][1])
 
 
 def _differences(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
@@ -124,11 +165,12 @@ def _differences(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     return result
 
 
-def _shuffled(numbers: npt.NDArray[Any]) -> bytes:
-    """Return the first bytes of all numbers, then the second ones and so on."""
-    return numbers.reshape(-1, 1).view(np.uint8).T.tobytes()
+def _packed(numbers: npt.NDArray[Any]) -> bytes:
+    """Return all numbers' first bytes, then the second ones and so on, compressed."""
+    columns = numbers.reshape(-1, 1).view(np.uint8).T
+    return zstandard.compress(columns.tobytes(), FAST)
 
 
-def _unshuffled(data: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    columns = np.frombuffer(data, np.uint8).reshape(dtype.itemsize, -1)
+def _unpacked(packed: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    columns = np.frombuffer(zstandard.decompress(packed), np.uint8).reshape(dtype.itemsize, -1)
     return np.ascontiguousarray(columns.T).view(dtype).reshape(-1)

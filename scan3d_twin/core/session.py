@@ -40,8 +40,7 @@ class View:
     def fold(self) -> None:
         """Put the large arrays away: earlier views are kept, but seldom read."""
         self.sweep.fold(self.image)
-        self.image.fold()
-        self.observation.image.fold()
+        self.image.fold(self.observation.image)
 
 
 @dataclass(frozen=True)

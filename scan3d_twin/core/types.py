@@ -219,9 +219,9 @@ class RangeImage:
         """Number of scan lines."""
         return len(self.stamps)
 
-    def fold(self) -> None:
-        """Put the large arrays away, as an image that is kept but seldom read."""
-        fold(self, "yaws", "ranges", "codes")
+    def fold(self, *others: RangeImage) -> None:
+        """Put the large arrays of this and ``others`` away, as images kept but seldom read."""
+        fold(("yaws", "ranges", "codes"), self, *others)
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
@@ -231,7 +231,8 @@ class RangeImage:
     @property
     def directions(self) -> FloatArray:
         """Beam directions in ``scan`` (n_lines, n_beams, 3); made anew, as a session keeps many."""
-        return np.stack(_rotated(self._beams, np.cos(self.yaws), np.sin(self.yaws)), axis=-1)
+        yaws = self.yaws
+        return np.stack(_rotated(self._beams, np.cos(yaws), np.sin(yaws)), axis=-1)
 
     @property
     def points(self) -> FloatArray:
@@ -239,11 +240,12 @@ class RangeImage:
 
         Made anew each time: a session keeps its images, and points take six times their room.
         """
-        c, s = np.cos(self.yaws), np.sin(self.yaws)
-        result = np.empty((*self.yaws.shape, 3))
+        yaws, ranges = self.yaws, self.ranges
+        c, s = np.cos(yaws), np.sin(yaws)
+        result = np.empty((*yaws.shape, 3))
         levers, beams = _rotated(self.T_base_lidar[:3, 3], c, s), _rotated(self._beams, c, s)
         for i, (lever, beam) in enumerate(zip(levers, beams, strict=True)):
-            np.add(lever, self.ranges * beam, out=result[..., i])
+            np.add(lever, ranges * beam, out=result[..., i])
         return result
 
     @property

@@ -52,7 +52,7 @@ class Outputs:
     digital: bytes | None = None
     digits: bytes | None = None
     songs: dict[int, bytes] = field(default_factory=dict)
-    sent_ir: list[int] = field(default_factory=list)
+    sent_ir: bytes | None = None
 
 
 class CreateEmulator:
@@ -220,7 +220,7 @@ class CreateEmulator:
             Op.DIGITAL_OUTPUTS: show("digital"),
             Op.DIGIT_LEDS_RAW: show("digits"),
             Op.DIGIT_LEDS_ASCII: show("digits"),
-            Op.SEND_IR: lambda command: outputs.sent_ir.append(command.data[0]),
+            Op.SEND_IR: show("sent_ir"),
             Op.SONG: self._store_song,
             Op.PLAY: self._play_song,
         }

@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
@@ -155,15 +154,16 @@ class McapFile:
         )
         self._writer.start(profile=Profile.ROS2, library=f"scan3d_twin {__version__}")
 
-    def write(self, topic: str, stamp: float, message: Any, *, latched: bool = False) -> None:
+    def write(
+        self, topic: str, stamp: float, message: ros.Message, *, latched: bool = False
+    ) -> None:
         """Add ``message`` at ``stamp`` on the robot's clock [s].
 
         Raises:
             FileError: The disk is full or gone.
         """
-        name: str = message.__msgtype__
-        data = bytes(ros.typestore().serialize_cdr(message, name))
-        self.write_bytes(topic, name, round(stamp * 1e9), data, latched=latched)
+        kind, data = message
+        self.write_bytes(topic, kind, round(stamp * 1e9), data, latched=latched)
         before, wall = self._flushed
         if abs(stamp - before) >= FLUSH_PERIOD or self._wall() - wall >= FLUSH_PERIOD:
             self.flush(stamp)

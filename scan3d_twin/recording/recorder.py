@@ -14,7 +14,7 @@ from scan3d_twin.core.motion import travelled
 from scan3d_twin.core.observer import Command, attended
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
-from scan3d_twin.recording import ros, ros_records
+from scan3d_twin.recording import cdr, ros, ros_records
 from scan3d_twin.recording.load import Recorded
 from scan3d_twin.recording.mcap_file import McapFile
 from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
@@ -132,7 +132,7 @@ class Recorder:
         if self._file.sink.closed or self._failure is not None:
             return
         try:
-            self._file.write(topic, stamp, ros_records.serial_bytes(stamp, direction, data))
+            self._file.write(topic, stamp, cdr.serial_bytes(stamp, direction, data))
         except FileError as error:
             self._failure = error
 
@@ -143,7 +143,7 @@ class Recorder:
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``."""
         self._follow()
-        self._file.write(SCANS, self._now(), ros.scan(line, self._attached().lidar.spec))
+        self._file.write(SCANS, self._now(), cdr.scan(line, self._attached().lidar.spec))
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
@@ -223,15 +223,15 @@ class Recorder:
             self.mark = replace(self.mark, path=self.mark.path + path, turn=self.mark.turn + turn)
         fresh = [s for s in samples if self._last is None or s.stamp > self._last.stamp]
         for sample in fresh:
-            self._file.write(ODOMETRY, sample.stamp, ros.odometry(sample, self._last))
+            self._file.write(ODOMETRY, sample.stamp, cdr.odometry(sample, self._last))
             self._last = sample
         if fresh and self._last is not None:
-            edges = ("world", "odom", self._T_world_odom), ("odom", "base", self._last.T_odom_base)
-            self._file.write("/tf", self._last.stamp, ros.transforms(self._last.stamp, *edges))
+            stamp, T_odom_base = self._last.stamp, self._last.T_odom_base
+            self._file.write("/tf", stamp, cdr.frames(stamp, self._T_world_odom, T_odom_base))
 
     def _on_command(self, linear: float, angular: float) -> None:
         now = self._now()
-        self._file.write(COMMANDS, now, ros.command(now, linear, angular))
+        self._file.write(COMMANDS, now, cdr.command(now, linear, angular))
 
     def _now(self) -> float:
         return 0.0 if self._robot is None else self._robot.clock.now()

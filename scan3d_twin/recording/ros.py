@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from scan3d_twin.core.session import View
-from scan3d_twin.core.types import FloatArray, IntArray, LidarSpec, Odometry, Pose2, ScanLine
+from scan3d_twin.core.types import FloatArray, IntArray, Pose2
 
 OWN_TYPES = {
     "scan3d_twin_msgs/msg/Record": """
@@ -77,6 +77,18 @@ CLOUD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("view", "<u2"), ("t
 """A point of ``sensor_msgs/PointCloud2``; ``target`` is 1 on the target and 0 elsewhere."""
 
 
+class Message(NamedTuple):
+    """An encoded message.
+
+    Attributes:
+        kind: Its type, such as ``std_msgs/msg/Header``.
+        data: As CDR.
+    """
+
+    kind: str
+    data: bytes
+
+
 @cache
 def typestore() -> Any:
     """Return the messages of ROS 2 and our own."""
@@ -87,13 +99,23 @@ def typestore() -> Any:
 
 
 def new(kind: str, /, **fields: Any) -> Any:
-    """Return the message of type ``kind``, such as ``std_msgs/msg/Header``."""
+    """Return the message of type ``kind``, such as ``std_msgs/msg/Header``, not yet encoded."""
     return typestore().types[kind](**fields)
+
+
+def encode(kind: str, /, **fields: Any) -> Message:
+    """Return the message of type ``kind`` with these ``fields``."""
+    return Message(kind, bytes(typestore().serialize_cdr(new(kind, **fields), kind)))
+
+
+def split(stamp: float) -> tuple[int, int]:
+    """Return ``stamp`` [s] as whole seconds and nanoseconds."""
+    return divmod(round(stamp * 1e9), 1_000_000_000)
 
 
 def time_of(stamp: float) -> Any:
     """Return ``stamp`` [s] as ROS has it, to the nanosecond."""
-    seconds, rest = divmod(round(stamp * 1e9), 1_000_000_000)
+    seconds, rest = split(stamp)
     return new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
 
 
@@ -102,126 +124,42 @@ def header(stamp: float, frame: str) -> Any:
     return new("std_msgs/msg/Header", stamp=time_of(stamp), frame_id=frame)
 
 
-def scan(line: ScanLine, spec: LidarSpec) -> Any:
-    """Return a scan line; its intensities are the sensor's error codes, -1 where measured."""
-    steps = max(1, spec.n_beams - 1)
-    first, last = float(spec.elevations[0]), float(spec.elevations[-1])
-    return new(
-        "sensor_msgs/msg/LaserScan",
-        header=header(line.stamp, "laser"),
-        angle_min=first,
-        angle_max=last,
-        angle_increment=(last - first) / steps,
-        time_increment=float(spec.beam_times[-1] - spec.beam_times[0]) / steps,
-        scan_time=spec.line_period,
-        range_min=spec.min_range,
-        range_max=spec.max_range,
-        ranges=line.ranges.astype(np.float32),
-        intensities=line.codes.astype(np.float32),
-    )
-
-
-def odometry(sample: Odometry, before: Odometry | None) -> Any:
-    """Return a sample of the odometry, with the velocity since the one ``before``."""
-    covariance = np.zeros((6, 6))
-    covariance[np.ix_((0, 1, 5), (0, 1, 5))] = sample.covariance
-    return new(
-        "nav_msgs/msg/Odometry",
-        header=header(sample.stamp, "odom"),
-        child_frame_id="base",
-        pose=new(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=pose(sample.T_odom_base),
-            covariance=covariance.ravel(),
-        ),
-        twist=new(
-            "geometry_msgs/msg/TwistWithCovariance",
-            twist=_velocity(sample, before),
-            covariance=np.zeros(36),
-        ),
-    )
-
-
-def _velocity(sample: Odometry, before: Odometry | None) -> Any:
-    if before is None or sample.stamp <= before.stamp:
-        return twist(0.0, 0.0)
-    move = before.T_odom_base.inverse() @ sample.T_odom_base
-    period = sample.stamp - before.stamp
-    return twist(move.x / period, move.yaw / period)
-
-
-def twist(linear: float, angular: float) -> Any:
-    """Return the velocity of a base [m/s], [rad/s]."""
-    return new(
-        "geometry_msgs/msg/Twist",
-        linear=_vector(linear, 0.0, 0.0),
-        angular=_vector(0.0, 0.0, angular),
-    )
-
-
-def command(stamp: float, linear: float, angular: float) -> Any:
-    """Return a velocity that was sent to the base."""
-    return new(
-        "geometry_msgs/msg/TwistStamped",
-        header=header(stamp, "base"),
-        twist=twist(linear, angular),
-    )
-
-
-def transforms(stamp: float, *edges: tuple[str, str, Pose2]) -> Any:
-    """Return (parent, child, T) of each of the ``edges`` of the tree of frames."""
-    return new(
-        "tf2_msgs/msg/TFMessage",
-        transforms=[
-            _transform(stamp, parent, child, _vector(T.x, T.y, 0.0), _heading(T.yaw))
-            for parent, child, T in edges
-        ],
-    )
-
-
-def mount(T_base_lidar: FloatArray) -> Any:
+def mount(T_base_lidar: FloatArray) -> Message:
     """Return where the lidar sits on the base, as a transform that never changes."""
     T = T_base_lidar @ LASER_IN_LIDAR
     x, y, z, w = map(float, Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
     rotation = new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-    edge = _transform(0.0, "base", "laser", _vector(*map(float, T[:3, 3])), rotation)
-    return new("tf2_msgs/msg/TFMessage", transforms=[edge])
-
-
-def _transform(stamp: float, parent: str, child: str, translation: Any, rotation: Any) -> Any:
-    return new(
+    place = new("geometry_msgs/msg/Vector3", **dict(zip("xyz", T[:3, 3].tolist(), strict=True)))
+    edge = new(
         "geometry_msgs/msg/TransformStamped",
-        header=header(stamp, parent),
-        child_frame_id=child,
-        transform=new("geometry_msgs/msg/Transform", translation=translation, rotation=rotation),
+        header=header(0.0, "base"),
+        child_frame_id="laser",
+        transform=new("geometry_msgs/msg/Transform", translation=place, rotation=rotation),
     )
+    return encode("tf2_msgs/msg/TFMessage", transforms=[edge])
 
 
 def pose(planar: Pose2) -> Any:
     """Return a planar pose."""
+    z, w = heading(planar.yaw)
     return new(
         "geometry_msgs/msg/Pose",
         position=new("geometry_msgs/msg/Point", x=planar.x, y=planar.y, z=0.0),
-        orientation=_heading(planar.yaw),
+        orientation=new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=z, w=w),
     )
 
 
-def _heading(yaw: float) -> Any:
-    """Return a turn about z by ``yaw`` in [-pi, pi) [rad] as a unit quaternion."""
-    z, w = math.sin(yaw / 2), math.cos(yaw / 2)
-    return new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=z, w=w)
+def heading(yaw: float) -> tuple[float, float]:
+    """Return z and w of the unit quaternion that turns about z by ``yaw`` in [-pi, pi) [rad]."""
+    return math.sin(yaw / 2), math.cos(yaw / 2)
 
 
-def _vector(x: float, y: float, z: float) -> Any:
-    return new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def viewpoint(stamp: float, where: Pose2) -> Any:
+def viewpoint(stamp: float, where: Pose2) -> Message:
     """Return where the robot is to go next, in ``world``."""
-    return new("geometry_msgs/msg/PoseStamped", header=header(stamp, "world"), pose=pose(where))
+    return encode("geometry_msgs/msg/PoseStamped", header=header(stamp, "world"), pose=pose(where))
 
 
-def cloud(stamp: float, index: int, view: View) -> Any:
+def cloud(stamp: float, index: int, view: View) -> Message:
     """Return all points of view ``index`` in ``world``, except the floor."""
     points = np.zeros(len(view.sweep), dtype=CLOUD)
     for axis, values in zip("xyz", view.T_world_scan.apply(view.sweep.points).T, strict=True):
@@ -229,7 +167,7 @@ def cloud(stamp: float, index: int, view: View) -> Any:
     points["view"] = index
     places, target = (_places(each.lines, each.beams, view) for each in (view.sweep, view.target))
     points["target"] = np.isin(places, target)
-    return new(
+    return encode(
         "sensor_msgs/msg/PointCloud2",
         header=header(stamp, "world"),
         height=1,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,9 @@ INFO = 20
 """Level of an ordinary ``rcl_interfaces/Log``."""
 
 
-def log(stamp: float, text: str) -> Any:
+def log(stamp: float, text: str) -> ros.Message:
     """Return an event in words."""
-    return ros.new(
+    return ros.encode(
         "rcl_interfaces/msg/Log",
         stamp=ros.time_of(stamp),
         level=INFO,
@@ -28,9 +28,9 @@ def log(stamp: float, text: str) -> Any:
     )
 
 
-def plan(stamp: float, index: int, made: Plan) -> Any:
+def plan(stamp: float, index: int, made: Plan) -> ros.Message:
     """Return the plan that was made after view ``index``, in ``world``."""
-    return ros.new(
+    return ros.encode(
         "scan3d_twin_msgs/msg/Plan",
         header=ros.header(stamp, "world"),
         view=index,
@@ -55,14 +55,14 @@ def _candidate(each: Candidate) -> Any:
     )
 
 
-def registration(stamp: float, index: int, result: RegistrationResult) -> Any:
+def registration(stamp: float, index: int, result: RegistrationResult) -> ros.Message:
     """Return how view ``index`` lies on the one before it."""
     pose = ros.new(
         "geometry_msgs/msg/PoseWithCovariance",
         pose=ros.pose(Pose2.from_matrix(result.T_target_source)),
         covariance=np.asarray(result.covariance, dtype=np.float64).ravel(),
     )
-    return ros.new(
+    return ros.encode(
         "scan3d_twin_msgs/msg/Registration",
         header=ros.header(stamp, "world"),
         view=index,
@@ -77,20 +77,10 @@ def registration(stamp: float, index: int, result: RegistrationResult) -> Any:
     )
 
 
-def serial_bytes(stamp: float, direction: Literal["<", ">"], data: bytes) -> Any:
-    """Return ``data`` that came from (<) or went to (>) a device."""
-    return ros.new(
-        "scan3d_twin_msgs/msg/SerialBytes",
-        stamp=ros.time_of(stamp),
-        direction=direction,
-        data=np.frombuffer(data, dtype=np.uint8),
-    )
-
-
-def record(stamp: float, kind: str, index: int, packed: Packed) -> Any:
+def record(stamp: float, kind: str, index: int, packed: Packed) -> ros.Message:
     """Return a value that is to come back bit by bit."""
     text, blob = packed
-    return ros.new(
+    return ros.encode(
         "scan3d_twin_msgs/msg/Record",
         stamp=ros.time_of(stamp),
         kind=kind,

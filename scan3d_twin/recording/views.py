@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
 
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.recording.image import image_arrays
+from scan3d_twin.recording.image import image_arrays, npz_bytes
 
 
 def view_path(folder: Path, index: int) -> Path:
@@ -25,10 +24,7 @@ def view_bytes(view: View) -> bytes:
     (poses as x, y, yaw) and ``target_points`` (n, 3) in frame ``scan`` with their ``target_lines``
     and ``target_beams``.
     """
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        allow_pickle=False,
+    return npz_bytes(
         **image_arrays(view.observation.image),
         T_odom_scan=_row(view.observation.T_odom_scan),
         T_world_scan=_row(view.T_world_scan),
@@ -36,7 +32,6 @@ def view_bytes(view: View) -> bytes:
         target_lines=view.target.lines.astype(np.int32),
         target_beams=view.target.beams.astype(np.int32),
     )
-    return buffer.getvalue()
 
 
 def _row(pose: Pose2) -> FloatArray:

@@ -19,6 +19,8 @@ __all__ = ["CREATE2", "HISTORY", "SimBase"]
 
 HISTORY = 20_000
 """Odometry samples that are kept at least: 5 minutes."""
+SURPLUS = 2_000
+"""So many older ones are forgotten at a time."""
 
 
 class SimBase:
@@ -95,7 +97,7 @@ class SimBase:
         right = qpos.item(self._wheels[1]) - self._zero[1]
         sent = (self._driven[0] * radius, self._driven[1] * radius)
         self._pending.append(Sample(time, (left, right), sent))
-        if len(self._pending) >= HISTORY:
+        if len(self._pending) >= SURPLUS:
             self._reckon()
         before, self._hazards = self._hazards, self._feelers.hazards(self._driven)
         names = _blocking(before, self._hazards, self._target)
@@ -109,8 +111,7 @@ class SimBase:
         update = self._odometer.update
         self._history += [update(sample) for sample in self._pending]
         self._pending.clear()
-        if len(self._history) > 2 * HISTORY:
-            del self._history[:HISTORY]
+        del self._history[: max(0, len(self._history) - HISTORY) // SURPLUS * SURPLUS]
 
     def _accelerate(self) -> None:
         radius, step = self.spec.wheel_diameter / 2, self._ramp

@@ -56,7 +56,7 @@ class SimLidar:
         # The mirror turned before anyone listened.
         self._start = float(rng.uniform(0.0, scanner.spec.line_period))
         self._pace = 1 + scanner.config.revolution * float(rng.standard_normal())
-        self._jitter = np.empty(0)
+        self._jitter, self._drawn = np.empty(0), 0
         self._next = 0
         self._unread: deque[Revolution] = deque(maxlen=UNREAD_LINES)
         self._last: Revolution | None = None
@@ -73,11 +73,11 @@ class SimLidar:
 
     def service(self) -> None:
         """Take in the line that has arrived, unless it is lost."""
-        number, self._next = self._next, self._next + 1
+        number, start, self._next = self._next, self._time(self._next), self._next + 1
         self.next_step = self._arrival(self._next)
         loss = self._scanner.config.line_loss
         if loss == 0 or np.random.default_rng([*self._seed, _LOSS, number]).random() >= loss:
-            turn = Revolution(number, self._time(number), self._world.scene_qpos())
+            turn = Revolution(number, start, self._world.scene_qpos())
             self._unread.append(turn)
 
     def read_line(self, timeout: float) -> ScanLine:
@@ -142,13 +142,13 @@ class SimLidar:
         )
 
     def _time(self, number: int) -> float:
-        """Return the true time of step 0 of revolution ``number`` [s]."""
-        if number >= len(self._jitter):
-            rng = np.random.default_rng([*self._seed, _JITTER, len(self._jitter)])
-            drawn = self._scanner.config.jitter * rng.standard_normal(_BLOCK)
-            self._jitter = np.concatenate([self._jitter, drawn])
+        """Return the true time of step 0 of revolution ``number`` [s]; asked in their order."""
+        if number >= self._drawn:
+            rng = np.random.default_rng([*self._seed, _JITTER, self._drawn])
+            self._jitter = self._scanner.config.jitter * rng.standard_normal(_BLOCK)
+            self._drawn += _BLOCK
         turn = number * self.spec.line_period * self._pace
-        return max(0.0, self._start + turn + float(self._jitter[number]))
+        return max(0.0, self._start + turn + float(self._jitter[number - self._drawn]))
 
     def _stamp(self, start: float) -> float:
         """Return ``start`` [s] as the sensor's timer shows it."""

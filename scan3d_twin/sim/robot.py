@@ -18,6 +18,7 @@ from scan3d_twin.sim.lidar import SimLidar
 from scan3d_twin.sim.profiles import PROFILES
 from scan3d_twin.sim.scanner import Scanner, lidar_spec
 from scan3d_twin.sim.scene import Scene, load_scene
+from scan3d_twin.sim.trace import Trace
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
 
@@ -65,8 +66,38 @@ def open_sim(
         ConfigError: There is no such scene.
         SceneError: The scene cannot be built.
     """
-    config = TwinConfig() if config is None else config
     scene = load_scene(scene) if isinstance(scene, str) else scene
+    with _open_twin(scene, seed, config, solver, spec) as (world, base, lidar, clock):
+        trace = Trace(world)
+        clock.attach(trace)
+        truth = Truth(scene, trace, MujocoCaster(scene.model), lidar.evidence)
+        yield Robot(base, lidar, clock), truth
+
+
+@contextmanager
+def open_robot(scene: Scene | str, seed: int) -> Iterator[Robot]:
+    """Open the twin as ``open_sim`` does, but without its truth, which grows with time.
+
+    Nothing does then, however long the robot runs.
+
+    Raises:
+        ConfigError, SceneError: See ``open_sim``.
+    """
+    scene = load_scene(scene) if isinstance(scene, str) else scene
+    with _open_twin(scene, seed, None, None, None) as (_, base, lidar, clock):
+        yield Robot(base, lidar, clock)
+
+
+@contextmanager
+def _open_twin(
+    scene: Scene,
+    seed: int,
+    config: TwinConfig | None,
+    solver: Solver | None,
+    spec: LidarSpec | None,
+) -> Iterator[tuple[World, SimBase, SimLidar, SimClock]]:
+    """Open the parts of the twin; see ``open_sim``."""
+    config = TwinConfig() if config is None else config
     errors = draw_robot(scene, seed, config.errors)
     world = World(scene, build_model(scene, config.robot, errors, solver))
     clock = SimClock(world)
@@ -78,9 +109,6 @@ def open_sim(
     lidar = SimLidar(world, clock, scanner, [seed, Stream.LIDAR])
     clock.attach(lidar, base)
     try:
-        yield (
-            Robot(base, lidar, clock),
-            Truth(scene, world, MujocoCaster(scene.model), lidar.evidence),
-        )
+        yield world, base, lidar, clock
     finally:
         base.stop()

@@ -20,7 +20,7 @@ ON_FLOOR = 0.002
 
 
 class Whereabouts(Protocol):
-    """Where things were; ``World`` with physics, ``KinematicWorld`` without."""
+    """Where things were; ``Trace`` with physics, ``KinematicWorld`` without."""
 
     def base_pose(self, time: float) -> Pose2:
         """Return ``T_map_base`` at ``time`` [s]."""

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.types import FloatArray, IntArray, Pose2, read_only
+from scan3d_twin.core.types import FloatArray, IntArray, read_only
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
 from scan3d_twin.sim.floor import lay_floor, uneven_floor
 from scan3d_twin.sim.profiles import PROFILES
@@ -23,11 +23,9 @@ TIMESTEP = 0.002
 SETTLE = 1.0
 """Physics time before time 0, in which the suspension comes to rest [s]."""
 RECENT = 16_384
-"""Steps of the lidar's pose that are kept: 32 s, a sweep of 300 lines."""
+"""Steps of which the poses are kept: 32 s, a sweep of 300 lines."""
 TRACE = slice(-6, None)
 """The sensors of the trace: the lidar's place and three axes; the base's place and quaternion."""
-BASE = 7
-"""Columns of the base's pose."""
 
 
 @dataclass(frozen=True)
@@ -179,9 +177,7 @@ class World:
             _history(model, self.data, sensor, self._settled)
             for sensor in range(model.nsensor)[TRACE]
         ]
-        self._lidar, self._recent_base = histories[:4], histories[4:]
-        self._base = np.empty((1024, BASE))
-        self._kept = 0
+        self._lidar, self._base = histories[:4], histories[4:]
 
     @property
     def time(self) -> float:
@@ -194,38 +190,22 @@ class World:
 
     def advance(self, steps: int) -> None:
         """Run ``steps`` physics steps; MuJoCo records the poses."""
-        while steps > 0:
-            count = min(steps, RECENT - (self.steps - self._kept))
-            mujoco.mj_step(self.model, self.data, nstep=count)
-            self.steps += count
-            steps -= count
-            if self.steps - self._kept == RECENT:
-                self._keep()
+        mujoco.mj_step(self.model, self.data, nstep=steps)
+        self.steps += steps
 
-    def _keep(self) -> None:
-        """Copy the base's poses of the latest steps to the long trace."""
-        if self.steps >= len(self._base):
-            grown = np.empty((2 * (self.steps + 1), BASE))
-            grown[: self._kept] = self._base[: self._kept]
-            self._base = grown
-        rows = self._slots(np.arange(self._kept, self.steps))
-        self._base[self._kept : self.steps] = _columns(self._recent_base, rows)
-        self._kept = self.steps
+    def base_rows(self, steps: IntArray) -> FloatArray:
+        """Return the base's place and quaternion (n, 7) at recent ``steps`` (n,).
 
-    def base_pose(self, time: float) -> Pose2:
-        """Return ``T_map_base`` at ``time`` [s], interpolated; clamped to what was recorded."""
-        self._keep()
-        self._base[self.steps] = self._base_qpos
-        place = np.array([time]) / self.timestep
-        rows = _interpolate(self._base.__getitem__, place, 0, self.steps + 1)
-        x, y, _, qw, qx, qy, qz = rows[0]
-        yaw = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-        return Pose2(x, y, float(yaw))
+        The pose of the step that comes next is known already.
+        """
+        rows = _columns(self._base, self._slots(steps))
+        rows[steps == self.steps] = self._base_qpos
+        return rows
 
     def lidar_poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the lidar's positions (n, 3) [m] and rotations (n, 3, 3) in ``map``."""
         first = max(0, self.steps - RECENT)
-        rows = _interpolate(self._lidar_rows, times / self.timestep, first, self.steps)
+        rows = interpolate(self._lidar_rows, times / self.timestep, first, self.steps)
         return rows[:, :3], rows[:, 3:].reshape(-1, 3, 3).transpose(0, 2, 1)
 
     def _lidar_rows(self, steps: IntArray) -> FloatArray:
@@ -258,7 +238,7 @@ def _columns(histories: list[FloatArray], rows: IntArray) -> FloatArray:
     return np.concatenate([history.take(rows, axis=0) for history in histories], axis=1)
 
 
-def _interpolate(
+def interpolate(
     rows: Callable[[IntArray], FloatArray], times: FloatArray, first: int, end: int
 ) -> FloatArray:
     """Return the trace (n, k) at ``times`` (n,) [steps], where ``rows`` gives it at steps (m,).

@@ -41,7 +41,7 @@ def test_what_was_folded_unfolds_bit_by_bit(name):
 @pytest.mark.parametrize(("name", "least"), [("ranges", 2), ("codes", 8), ("headings", 5)])
 def test_what_a_lidar_reads_becomes_much_smaller(name, least):
     folded = Folded.of(ARRAYS[name])
-    assert least * (len(folded.packed) + folded.numbers.nbytes) < ARRAYS[name].nbytes
+    assert least * (len(folded.packed) + 12 * len(folded.values)) < ARRAYS[name].nbytes
 
 
 def test_other_numbers_are_refused():
@@ -60,12 +60,26 @@ def test_a_folded_field_reads_as_before():
     holder = Holder(ARRAYS["ranges"], "x")
     assert holder.values is ARRAYS["ranges"]
     assert not is_folded(holder, "values")
-    fold(holder, "values")
-    fold(holder, "values")
+    fold(["values"], holder)
+    fold(["values"], holder)
     assert is_folded(holder, "values")
     assert same_bits(holder.values, ARRAYS["ranges"])
     assert same_bits(replace(holder, name="y").values, ARRAYS["ranges"])
     assert same_bits(pickle.loads(pickle.dumps(holder)).values, ARRAYS["ranges"])
+
+
+def test_what_was_read_last_is_not_unfolded_again():
+    holder = Holder(ARRAYS["ranges"].copy(), "x")
+    fold(["values"], holder)
+    assert holder.values is holder.values
+
+
+def test_an_array_that_two_share_is_folded_once():
+    one = Holder(ARRAYS["headings"], "one")
+    other = replace(one, name="other")
+    fold(["values"], one, other)
+    assert is_folded(one, "values")
+    assert one.values is other.values
 
 
 def test_a_field_that_may_be_folded_has_no_default():
