@@ -8,7 +8,7 @@ from pathlib import Path
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import evaluate
+from scan3d_twin.core.evaluate import Reference, evaluate
 from scan3d_twin.core.model import build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -22,9 +22,9 @@ def main(folder: Path) -> None:
     config = Config(max_views=4)
     with open_sim("three_boxes", SEED) as (robot, truth):
         session = digitize(robot, make_planner("siicp"), config, SEED, Unobserved())
-        result = evaluate(session, truth)
+        model = build_model(session)
+        result = evaluate(session, model, Reference.of(session, truth))
 
-    model = build_model(session)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.ply").write_bytes(ply_bytes(model.points, model.view))
     print(f"{len(session.views)} views, {len(model)} points: {session.stop_reason}")

@@ -21,6 +21,7 @@ from scan3d_twin.core.presets import preset
 from scan3d_twin.protocols.urg04lx import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.real.transport import Tapped
+from scan3d_twin.recording.folder import claim_folder
 from scan3d_twin.recording.recorder import SerialTaps
 from scan3d_twin.recording.settings import REAL, settings
 
@@ -122,7 +123,8 @@ def main():
     clock, taps = FarClock(Connection(int(sys.argv[1]))), SerialTaps()
     given = tomllib.loads("\n".join(sys.argv[3:]))
     effective = settings([preset("best"), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
-    run(effective, REAL, opening(clock, taps), Path(sys.argv[2]), as_json=True, taps=taps)
+    folder = claim_folder(Path(sys.argv[2]))
+    run(effective, REAL, opening(clock, taps), folder, as_json=True, taps=taps)
     print(sorted({name.partition(".")[0] for name in sys.modules}), file=sys.stderr)
 
 

@@ -15,8 +15,8 @@ from scan3d_twin.bench.features import feature_before
 from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.evaluate import Evaluation, evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.evaluate import Evaluation, Reference, evaluate
+from scan3d_twin.core.model import Model, build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.closed_loop import Loop, close_loop
@@ -59,12 +59,14 @@ def perform(task: Task) -> Done:
     if loop.ended is not None and not isinstance(loop.ended, TwinError):
         raise loop.ended
     seen = any(len(view.target) for view in loop.session.views)
-    record = _filled(task.blank(), loop, evaluate(loop.session, truth) if seen else None)
-    picture = _picture(task, record, loop.session) if task.picture and seen else None
+    model = build_model(loop.session)
+    evaluation = evaluate(loop.session, model, Reference.of(loop.session, truth)) if seen else None
+    record = _filled(task.blank(), loop, model, evaluation)
+    picture = _picture(task, record, loop.session, model) if task.picture and seen else None
     return Done(_signed(record, wall, cpu), picture)
 
 
-def _filled(blank: Record, loop: Loop, evaluation: Evaluation | None) -> Record:
+def _filled(blank: Record, loop: Loop, model: Model, evaluation: Evaluation | None) -> Record:
     """Return the record of ``loop``; without ``evaluation`` nothing of the target was seen."""
     errors = [pair.error for pair in evaluation.pairs] if evaluation else []
     record = replace(
@@ -81,10 +83,10 @@ def _filled(blank: Record, loop: Loop, evaluation: Evaluation | None) -> Record:
         plan_cpu=sum(loop.plan_times),
         steps=tuple(_step(loop, k, evaluation) for k in range(len(loop.session.views))),
     )
-    return record if evaluation is None else replace(record, **_quality(loop.session, evaluation))
+    return record if evaluation is None else replace(record, **_quality(model, evaluation))
 
 
-def _quality(session: Session, evaluation: Evaluation) -> dict[str, Any]:
+def _quality(model: Model, evaluation: Evaluation) -> dict[str, Any]:
     return {
         "coverage": evaluation.coverage,
         "coverable_share": evaluation.coverable_share,
@@ -93,7 +95,7 @@ def _quality(session: Session, evaluation: Evaluation) -> dict[str, Any]:
         "accuracy_p95": evaluation.accuracy.p95,
         "completeness": evaluation.completeness.median,
         "completeness_p95": evaluation.completeness.p95,
-        "points": len(build_model(session)),
+        "points": len(model),
     }
 
 
@@ -137,8 +139,7 @@ def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict
     return planned | errors
 
 
-def _picture(task: Task, record: Record, session: Session) -> str:
-    model = build_model(session)
+def _picture(task: Task, record: Record, session: Session, model: Model) -> str:
     return top_view(
         model.points,
         model.view,

@@ -15,14 +15,36 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError, Parameter
 
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
-from scan3d_twin.cli.versions import version_text
 from scan3d_twin.core.errors import TwinError
 
+COMMANDS = {
+    "sim": "Digitise a scene with the twin.",
+    "real": "Digitise with the real robot.",
+    "scan": "Take one 3D image from here.",
+    "calibrate": "Find out from scans where the lidar sits.",
+    "doctor": "Look for what is wrong with the robot.",
+    "view": "Show a recorded run on a web page.",
+    "mesh": "Write a run's target as triangles.",
+    "export": "Write a run's model for other programs.",
+    "replay": "Register and plan on a recorded run.",
+    "emulate": "Serve the twin's base and lidar on serial ports.",
+}
+"""Commands that are a function of the module of the same name, and what they do."""
+
+
+def _version() -> str:
+    from scan3d_twin.cli.versions import version_text
+
+    return version_text()
+
+
+# The list of commands is plain text; the reader of Markdown would take as long as all the rest.
 app = App(
     name="twin",
-    version=version_text,
+    version=_version,
     version_format="plaintext",
     help="Digitise things in 3D with a vacuum-cleaner robot and a small laser scanner.",
+    help_format="plaintext",
     help_epilogue=(
         "Exit codes: 0 ok, 1 a bug, 2 wrong option, name, key or value, 3 port or file, "
         "4 scan failed, 5 safety stop, 130 interrupted."
@@ -31,39 +53,29 @@ app = App(
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(negative=(), show_env_var=False),
 )
-app.command("scan3d_twin.cli.sim:sim", name="sim", help="Digitise a scene with the twin.")
-app.command("scan3d_twin.cli.real:real", name="real", help="Digitise with the real robot.")
-app.command("scan3d_twin.cli.scan:scan", name="scan", help="Take one 3D image from here.")
-app.command(
-    "scan3d_twin.cli.calibrate:calibrate",
-    name="calibrate",
-    help="Find out from scans where the lidar sits.",
-)
-app.command(
-    "scan3d_twin.cli.doctor:doctor", name="doctor", help="Look for what is wrong with the robot."
-)
-app.command("scan3d_twin.cli.view:view", name="view", help="Show a recorded run on a web page.")
-app.command("scan3d_twin.cli.mesh:mesh", name="mesh", help="Write a run's target as triangles.")
-app.command(
-    "scan3d_twin.cli.export:export", name="export", help="Write a run's model for other programs."
-)
+for _name, _help in COMMANDS.items():
+    _place = f"scan3d_twin.cli.{_name}:{_name}"
+    app.command(_place, name=_name, help=_help, help_format="markdown")
 app.command(
     "scan3d_twin.cli.session:app", name="session", help="Look at and change what a run recorded."
 )
 app.command(
-    "scan3d_twin.cli.replay:replay", name="replay", help="Register and plan on a recorded run."
+    "scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.", help_format="markdown"
 )
-app.command("scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.")
-app.command("scan3d_twin.cli.listing:planners", name="planners", help="List the planners.")
+app.command(
+    "scan3d_twin.cli.listing:planners",
+    name="planners",
+    help="List the planners.",
+    help_format="markdown",
+)
 app.command(
     "scan3d_twin.cli.bench:app", name="bench", help="Run planners against planners in the twin."
 )
 app.command(
-    "scan3d_twin.cli.emulate:emulate",
-    name="emulate",
-    help="Serve the twin's base and lidar on serial ports.",
+    "scan3d_twin.cli.completion:install",
+    name="--install-completion",
+    help="Complete commands and options in this shell.",
 )
-app.register_install_completion_command(help="Complete commands and options in this shell.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

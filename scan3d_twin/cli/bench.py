@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 else:
     DottedOptions = dotted_options(Config, TwinConfig)
 
-app = App(name="bench")
+app = App(name="bench", help_format="markdown")
 Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True, show_default=False)]
 
 

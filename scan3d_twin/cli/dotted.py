@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
-import textwrap
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, fields, is_dataclass, make_dataclass
 from typing import Annotated, Any, get_type_hints
@@ -19,10 +19,12 @@ ENVIRONMENT = "TWIN_"
 
 def dotted_options(*configs: type) -> type:
     """Return a dataclass with an optional field for each ``--section.name`` of ``configs``."""
+    sections = list(_sections(configs))
+    docs = {name: field_docs(name) for name in {cls.__module__ for _, cls in sections}}
     rows = [
-        _option(section, field, hint, docs.get(field.name, ""))
-        for section, cls in _sections(configs)
-        for docs, hints in [(field_docs(cls), get_type_hints(cls))]
+        _option(section, field, hint, docs[cls.__module__][cls.__name__].get(field.name, ""))
+        for section, cls in sections
+        for hints in [get_type_hints(cls)]
         for field in fields(cls)
         for hint in [hints[field.name]]
     ]
@@ -41,10 +43,16 @@ def stated(options: Any) -> Mapping[str, Mapping[str, Any]]:
     return sections
 
 
-def field_docs(cls: type) -> dict[str, str]:
-    """Return the docstrings below the fields of a class, by field, each as one line."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
-    assert isinstance(tree, ast.ClassDef)
+def field_docs(module: str) -> dict[str, dict[str, str]]:
+    """Return the docstrings below the fields of a module's classes, each as one line.
+
+    By class and field.
+    """
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    return {node.name: _docs(node) for node in tree.body if isinstance(node, ast.ClassDef)}
+
+
+def _docs(tree: ast.ClassDef) -> dict[str, str]:
     docs, name = {}, ""
     for node in tree.body:
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):

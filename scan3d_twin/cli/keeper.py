@@ -14,7 +14,7 @@ from scan3d_twin.recording.views import view_bytes, view_path
 
 
 class Keeper:
-    """Keeps each finished view on disk, folds those before it and tells the progress."""
+    """Keeps each finished view on disk, spares memory if wanted and tells the progress."""
 
     def __init__(self, folder: Path, settings: Settings, progress: Progress) -> None:
         self._folder = folder
@@ -37,7 +37,8 @@ class Keeper:
             write_file(self._folder / "config.toml", settings_toml(self._settings))
             self._described = True
         write_file(view_path(self._folder, index), view_bytes(session.views[index]))
-        session.fold()
+        if session.config.spare == "memory":
+            session.fold()
         self._progress.view(session)
 
     def on_plan(self, session: Session) -> None:

@@ -66,5 +66,6 @@ def _surface(session: Session, method: str) -> Mesh:
 
         return poisson(build_model(session, POISSON_VOXEL))
     from scan3d_twin.core.mesh import build_mesh
+    from scan3d_twin.core.model import sightings
 
-    return build_mesh(session)
+    return build_mesh(session, sightings(session))

@@ -7,13 +7,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
-
-from rich.console import Console
-from rich.status import Status
+from typing import TYPE_CHECKING, Protocol
 
 from scan3d_twin.core.model import scanned_share
 from scan3d_twin.core.session import Session
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.status import Status
 
 _OUTLINE = {"front": "front", "full": "contour"}
 
@@ -41,6 +42,11 @@ class Progress(Protocol):
 @contextmanager
 def make_progress() -> Iterator[Progress]:
     """Open the progress that fits standard error."""
+    if not sys.stderr.isatty():
+        yield PlainProgress()
+        return
+    from rich.console import Console
+
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal or console.is_dumb_terminal:
         yield PlainProgress()
@@ -50,23 +56,27 @@ def make_progress() -> Iterator[Progress]:
 
 
 class Pace:
-    """How long a scan will take, from how much of the outline each view has added."""
+    """How long a run has taken and will take at most, told after each view."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._first: tuple[float, float] | None = None
+        self._began = clock()
+        self._views = 0
 
-    def left(self, share: float) -> str:
-        """Return in words how long the rest takes, ``share`` 0..1 being done; empty if unknown."""
-        now = self._clock()
-        if self._first is None:
-            self._first = now, share
-        started, before = self._first
-        if not before < share < 1.0:
-            return ""
-        seconds = (now - started) / (share - before) * (1.0 - share)
+    def words(self, session: Session) -> str:
+        """Return the time on the robot's clock, the computer's and what is left of it at most.
+
+        What is left is what as many views as are allowed would take at the pace of those so far;
+        most runs are complete before.
+        """
+        elapsed, done = self._clock() - self._began, len(session.views)
+        self._views += 1
+        left = elapsed / self._views * (session.config.max_views - done)
+        stamp = float(session.views[-1].observation.image.stamps.max())
         return (
-            f", about {seconds / 60:.0f} min left" if seconds >= 90 else f", {seconds:.0f} s left"
+            f"; {done} of at most {session.config.max_views} views, "
+            f"{stamp:.0f} s on the robot's clock, {elapsed:.0f} s elapsed, "
+            f"at most {max(0.0, left):.0f} s left"
         )
 
 
@@ -100,7 +110,7 @@ class PlainProgress:
 
     def view(self, session: Session) -> None:
         """See ``Progress``."""
-        self.event(view_words(session) + self._pace.left(scanned_share(session)))
+        self.event(view_words(session) + self._pace.words(session))
 
     def plan(self, session: Session) -> None:
         """See ``Progress``."""
@@ -128,7 +138,7 @@ class LiveProgress:
 
     def view(self, session: Session) -> None:
         """See ``Progress``."""
-        words = view_words(session) + self._pace.left(scanned_share(session))
+        words = view_words(session) + self._pace.words(session)
         self._console.print(words, markup=False)
         self.event("planning")
 

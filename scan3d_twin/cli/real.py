@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json as json_module
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions, Watch
@@ -87,16 +88,17 @@ def real(
             taps=taps,
         )
         return
-    run(
-        effective,
-        REAL,
-        opening,
-        options.out,
-        as_json=options.json,
-        taps=taps,
-        resume=resume,
-        watch=Watch(options),
-    )
+    with begun(REAL, options.out) if resume is None else nullcontext(resume.folder) as folder:
+        run(
+            effective,
+            REAL,
+            opening,
+            folder,
+            as_json=options.json,
+            taps=taps,
+            resume=resume,
+            watch=Watch(options),
+        )
 
 
 def resolve(options: RealOptions, sections: Options) -> Settings:

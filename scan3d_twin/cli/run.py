@@ -23,7 +23,7 @@ from scan3d_twin.core.errors import FileError, HazardError, LinkError, ScanError
 from scan3d_twin.core.observer import Observer, Observers
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.closed_loop import Loop, Opening, close_loop
-from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
+from scan3d_twin.recording.folder import release_folder
 from scan3d_twin.recording.recorder import Recorder, SerialTaps
 from scan3d_twin.recording.report import Effort, Report, failure, report_json
 from scan3d_twin.recording.settings import Settings
@@ -51,20 +51,20 @@ def run(
     settings: Settings,
     name: str,
     opening: Opening,
-    out: Path | None,
+    folder: Path,
     *,
     as_json: bool,
     taps: SerialTaps | None = None,
     resume: Resume | None = None,
     watch: Watch = UNWATCHED,
 ) -> None:
-    """Digitise with the robot of ``opening``, save the results in ``out`` and print the report.
+    """Digitise with the robot of ``opening``, save the results in ``folder``, print the report.
 
     Args:
         settings: The effective ones.
         name: Of the scene, for people.
         opening: Closed, with the wheels stopped, before anything is computed or saved.
-        out: Folder for the results; None makes one under ``runs``.
+        folder: Claimed for the results.
         as_json: Print the report as JSON.
         taps: On the serial lines of a real robot, to be recorded too.
         resume: The run to go on with, in its own folder.
@@ -74,10 +74,6 @@ def run(
         TwinError: The scan failed or was stopped; what was scanned by then is saved and printed.
         KeyboardInterrupt: Likewise.
     """
-    if resume is not None:
-        folder = resume.folder
-    else:
-        folder = claim_folder(default_folder(name) if out is None else out)
     outcome = run_in(settings, name, opening, folder, taps=taps, resume=resume, watch=watch)
     report = outcome.report
     print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
@@ -207,8 +203,3 @@ def _peak_memory() -> float:
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     (peak,) = (line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))
     return 1024.0 * int(peak)
-
-
-def default_folder(scene: str) -> Path:
-    """Return a new folder under ``runs`` for a run in ``scene``."""
-    return free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")

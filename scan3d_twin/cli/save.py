@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from scan3d_twin.core.evaluate import Distances, Truth, evaluate, mesh_accuracy, shows_target
+from scan3d_twin.core.evaluate import (
+    Distances,
+    Reference,
+    Truth,
+    evaluate,
+    mesh_accuracy,
+    shows_target,
+)
 from scan3d_twin.core.mesh import build_mesh
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.model import Sighting, joined, sightings
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.folder import write_file
 from scan3d_twin.recording.ply import ply_bytes
@@ -35,10 +43,11 @@ def save_run(
     The truth is asked only about the target it knows. ``scene_picture`` is a PNG of the scene, or
     why there is none; empty where nobody can have one.
     """
-    model = build_model(session)
-    if truth is not None and not (len(model) and shows_target(session, truth)):
-        truth = None
-    evaluation = None if truth is None else evaluate(session, truth)
+    seen = sightings(session)
+    model = joined([each.cleaned for each in seen])
+    known = truth is not None and len(model) and shows_target(session, truth)
+    reference = Reference.of(session, truth) if truth is not None and known else None
+    evaluation = None if reference is None else evaluate(session, model, reference)
     report = build_report(
         scene,
         settings,
@@ -47,7 +56,7 @@ def save_run(
         effort,
         len(model),
         evaluation,
-        None if truth is None else _mesh_accuracy(session, truth),
+        None if reference is None else _mesh_accuracy(session, seen, reference),
     )
     for index, each in enumerate(session.views):
         write_file(view_path(folder, index), view_bytes(each))
@@ -79,12 +88,14 @@ def _remove_views_from(count: int, folder: Path) -> None:
         count += 1
 
 
-def _mesh_accuracy(session: Session, truth: Truth) -> Distances | None:
+def _mesh_accuracy(
+    session: Session, seen: Sequence[Sighting], reference: Reference
+) -> Distances | None:
     """Return the distance of the target's mesh to the truth; None if it has no triangles."""
-    mesh = build_mesh(session)
+    mesh = build_mesh(session, seen)
     if len(mesh.faces) == 0:
         return None
-    return mesh_accuracy(mesh, session, truth, np.random.default_rng(session.seed))
+    return mesh_accuracy(mesh, reference, np.random.default_rng(session.seed))
 
 
 def _title(report: Report) -> str:

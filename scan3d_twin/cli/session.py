@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from scan3d_twin.recording.load import Recorded
     from scan3d_twin.recording.report import Report
 
-app = App(name="session", help="Look at, save and change what a run has recorded.")
+app = App(
+    name="session", help_format="markdown", help="Look at, save and change what a run has recorded."
+)
 
 
 @app.command

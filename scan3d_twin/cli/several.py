@@ -7,8 +7,9 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
+from scan3d_twin.cli.begin import default_folder
 from scan3d_twin.cli.progress import make_progress
-from scan3d_twin.cli.run import Outcome, default_folder, end, run_in
+from scan3d_twin.cli.run import Outcome, end, run_in
 from scan3d_twin.cli.summary import summary
 from scan3d_twin.cli.viewing import Watch
 from scan3d_twin.core.errors import ConfigError

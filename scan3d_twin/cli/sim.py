@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import ScanOptions, env, stated_options
 from scan3d_twin.cli.viewing import ViewOptions, Watch
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from scan3d_twin.cli.resume import Resume
+    from scan3d_twin.recording.closed_loop import Opening
     from scan3d_twin.sim.scene import Scene
 
     DottedOptions = Any
@@ -58,38 +61,38 @@ def sim(
     Raises:
         TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
     """
-    from scan3d_twin.cli.run import run
-    from scan3d_twin.cli.several import run_each
-    from scan3d_twin.sim.robot import open_sim
-
     given = {} if dotted is None else stated(dotted)
     if options.resume is None:
         resume, (effective, scene) = None, resolve(options, given)
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
-    opened = open_sim(scene, effective.run.seed, effective.twin)
     watch = Watch(options, SPEED, lambda: picture_of(scene, effective.twin.robot))
     if options.targets is not None:
+        from scan3d_twin.cli.several import run_each
+
         run_each(
             effective,
             scene.name,
-            opened,
+            _opened(scene, effective),
             options.out,
             options.targets,
             as_json=options.json,
             watch=watch,
         )
         return
-    run(
-        effective,
-        scene.name,
-        opened,
-        options.out,
-        as_json=options.json,
-        resume=resume,
-        watch=watch,
-    )
+    with begun(scene.name, options.out) if resume is None else nullcontext(resume.folder) as folder:
+        from scan3d_twin.cli.run import run
+
+        run(
+            effective,
+            scene.name,
+            _opened(scene, effective),
+            folder,
+            as_json=options.json,
+            resume=resume,
+            watch=watch,
+        )
 
 
 def picture_of(scene: Scene, robot: RobotName) -> bytes | str:
@@ -102,6 +105,13 @@ def picture_of(scene: Scene, robot: RobotName) -> bytes | str:
         return png_bytes(render(scene, robot))
     except ConfigError as error:
         return str(error)
+
+
+def _opened(scene: Scene, effective: Settings) -> Opening:
+    """Return what opens the twin in ``scene``."""
+    from scan3d_twin.sim.robot import open_sim
+
+    return open_sim(scene, effective.run.seed, effective.twin)
 
 
 def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:

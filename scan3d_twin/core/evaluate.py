@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.mesh import Mesh
-from scan3d_twin.core.model import build_model, voxel_thin
+from scan3d_twin.core.model import Model, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, rms
@@ -129,38 +129,88 @@ class Evaluation:
     pairs: tuple[PairError, ...]
 
 
-def evaluate(session: Session, truth: Truth) -> Evaluation:
-    """Compare ``session`` with the truth.
+@dataclass(frozen=True)
+class Surface:
+    """A surface by samples, each of which stands for a small flat patch.
+
+    Attributes:
+        points: The samples (n, 3) [m].
+        normals: Theirs (n, 3).
+        spacing: Their distance [m].
+        tree: Over ``points``.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    spacing: float
+    tree: cKDTree
+
+    @staticmethod
+    def of(points: FloatArray, normals: FloatArray, spacing: float) -> Surface:
+        """Return the surface of those samples."""
+        return Surface(points, normals, spacing, cKDTree(points))
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return the distance (m,) [m] of ``points`` (m, 3) to the nearest samples' patches.
+
+        The patches are flat, so that the sampling adds no distance of its own.
+        """
+        _, index = nearest(self.tree, points)
+        offset, normals = points - self.points[index], self.normals[index]
+        along = np.sum(offset * normals, axis=1)
+        across = np.linalg.norm(offset - along[:, None] * normals, axis=1)
+        beside = np.maximum(0.0, across - self.spacing / np.sqrt(2))
+        return np.asarray(np.hypot(along, beside))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The truth of one session, worked out once for all that is measured against it.
+
+    Attributes:
+        truth: What it is from.
+        poses: True ``T_map_scan`` of each view.
+        T_map_world: Lays the model on the truth by its first pose alone.
+        surface: The target's, in ``map``.
+    """
+
+    truth: Truth
+    poses: tuple[Pose2, ...]
+    T_map_world: Pose2
+    surface: Surface
+
+    @staticmethod
+    def of(session: Session, truth: Truth) -> Reference:
+        """Return the reference for ``session``, which has views."""
+        poses = tuple(true_pose(view, truth) for view in session.views)
+        T_map_world = poses[0] @ session.views[0].T_world_scan.inverse()
+        return Reference(truth, poses, T_map_world, _sampled(truth))
+
+
+def evaluate(session: Session, model: Model, reference: Reference) -> Evaluation:
+    """Compare ``session`` and its ``model``, not fused, with the truth.
 
     Raises:
         ScanError: No view shows anything of the target.
     """
     if not any(len(view.target) for view in session.views):
         raise ScanError("no view shows anything of the target: there is no model to evaluate")
-    T_map_world = map_of_world(session, truth)
-    model = build_model(session)
-    points = T_map_world.apply(model.points)
-    surface, normals, spacing = _samples(truth)
-    coverable = coverable_surface(surface, normals, truth, session.config)
-    to_truth = surface_distance(points, surface, normals, spacing)
-    by_view = _distance_by_view(points, model.view, len(session.views), surface[coverable])
-    to_model = by_view[-1]
-    covered = tuple(float(np.mean(each <= COVERAGE_DISTANCE)) for each in by_view)
+    surface, points = reference.surface, reference.T_map_world.apply(model.points)
+    coverable = coverable_surface(surface.points, surface.normals, reference.truth, session.config)
+    wanted = surface.points[coverable]
+    to_model, _ = nearest(cKDTree(points), wanted)
+    covered = _coverage_by_view(points, model.view, len(session.views), wanted)
     return Evaluation(
         coverage=covered[-1],
         coverage_by_view=covered,
-        accuracy=Distances.of(to_truth),
+        accuracy=Distances.of(surface.distance(points)),
         completeness=Distances.of(to_model),
         f_score={
-            d: _f_score(
-                surface_distance(voxel_thin(points, d / 2), surface, normals, spacing), to_model, d
-            )
+            d: _f_score(surface.distance(voxel_thin(points, d / 2)), to_model, d)
             for d in F_DISTANCES
         },
         coverable_share=float(np.mean(coverable)),
-        pairs=tuple(
-            _pair_error(k, session, truth, T_map_world) for k in range(1, len(session.views))
-        ),
+        pairs=tuple(_pair_error(k, session, reference) for k in range(1, len(session.views))),
     )
 
 
@@ -171,9 +221,7 @@ def shows_target(session: Session, truth: Truth) -> bool:
     return bool(np.median(nearest(cKDTree(surface[:, :2]), hint)[0]) <= HINT_DISTANCE)
 
 
-def mesh_accuracy(
-    mesh: Mesh, session: Session, truth: Truth, rng: np.random.Generator
-) -> Distances:
+def mesh_accuracy(mesh: Mesh, reference: Reference, rng: np.random.Generator) -> Distances:
     """Return the distances of ``MESH_SAMPLES`` points spread over ``mesh`` to the true surface.
 
     Raises:
@@ -182,9 +230,7 @@ def mesh_accuracy(
     points = mesh.sample(MESH_SAMPLES, rng)
     if len(points) == 0:
         raise ScanError("the mesh has no triangles: there is nothing to evaluate")
-    surface, normals, spacing = _samples(truth)
-    on_truth = map_of_world(session, truth).apply(points)
-    return Distances.of(surface_distance(on_truth, surface, normals, spacing))
+    return Distances.of(reference.surface.distance(reference.T_map_world.apply(points)))
 
 
 def map_of_world(session: Session, truth: Truth) -> Pose2:
@@ -192,15 +238,21 @@ def map_of_world(session: Session, truth: Truth) -> Pose2:
     return true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
 
 
-def _distance_by_view(
+def _coverage_by_view(
     points: FloatArray, view: IntArray, n_views: int, surface: FloatArray
-) -> FloatArray:
-    """Return the distance of ``surface`` (n, 3) to the views up to each one (n_views, n) [m]."""
-    distances = np.full((n_views, len(surface)), np.inf)
+) -> tuple[float, ...]:
+    """Return the share of ``surface`` (n, 3) covered by the first view, the first two and so on.
+
+    Only what the views before left open is looked at, and only nearby: the rest of a surface is
+    far from a view of a part of it, and far neighbours are slow to find.
+    """
+    covered, shares = np.zeros(len(surface), dtype=bool), []
     for k in range(n_views):
-        if len(seen := points[view == k]):
-            distances[k], _ = nearest(cKDTree(seen), surface)
-    return np.asarray(np.minimum.accumulate(distances, axis=0))
+        left = np.flatnonzero(~covered)
+        distance, _ = nearest(cKDTree(points[view == k]), surface[left], 2 * COVERAGE_DISTANCE)
+        covered[left] = distance <= COVERAGE_DISTANCE
+        shares.append(float(np.mean(covered)))
+    return tuple(shares)
 
 
 def true_pose(view: View, truth: Truth) -> Pose2:
@@ -217,28 +269,30 @@ def displacement(points: FloatArray, a: Pose2, b: Pose2) -> float:
     return rms(a.apply(points) - b.apply(points))
 
 
-def _pair_error(k: int, session: Session, truth: Truth, T_map_world: Pose2) -> PairError:
+def _pair_error(k: int, session: Session, reference: Reference) -> PairError:
     """Return the errors of view ``k``; over all its points when it shows nothing of the target."""
     previous, view = session.views[k - 1], session.views[k]
     points = view.target.points if len(view.target) else view.sweep.points
-    true = true_pose(previous, truth).inverse() @ true_pose(view, truth)
+    true = reference.poses[k - 1].inverse() @ reference.poses[k]
     registered = previous.T_world_scan.inverse() @ view.T_world_scan
     odometry = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     return PairError(
         view=k,
         error=displacement(points, registered, true),
-        pose_error=displacement(points, T_map_world @ view.T_world_scan, true_pose(view, truth)),
+        pose_error=displacement(
+            points, reference.T_map_world @ view.T_world_scan, reference.poses[k]
+        ),
         odometry_error=displacement(points, odometry, true),
     )
 
 
-def _samples(truth: Truth) -> tuple[FloatArray, FloatArray, float]:
-    """Return samples of the true surface, their normals and their distance [m]."""
-    surface, normals = truth.surface(SPACING)
-    if len(surface) <= MOST_SAMPLES:
-        return surface, normals, SPACING
-    spacing = SPACING * float(np.sqrt(len(surface) / MOST_SAMPLES))
-    return *truth.surface(spacing), spacing
+def _sampled(truth: Truth) -> Surface:
+    """Return the true surface."""
+    points, normals = truth.surface(SPACING)
+    if len(points) <= MOST_SAMPLES:
+        return Surface.of(points, normals, SPACING)
+    spacing = SPACING * float(np.sqrt(len(points) / MOST_SAMPLES))
+    return Surface.of(*truth.surface(spacing), spacing)
 
 
 def surface_distance(
@@ -246,14 +300,9 @@ def surface_distance(
 ) -> FloatArray:
     """Return the distance (n,) [m] of ``points`` (n, 3) to a surface sampled every ``spacing`` [m].
 
-    The nearest sample stands for a small flat patch with its normal, so that the sampling adds no
-    distance of its own.
+    For a single question; see ``Surface``.
     """
-    _, index = nearest(cKDTree(surface), points)
-    offset = points - surface[index]
-    along = np.sum(offset * normals[index], axis=1)
-    across = np.linalg.norm(offset - along[:, None] * normals[index], axis=1)
-    return np.asarray(np.hypot(along, np.maximum(0.0, across - spacing / np.sqrt(2))))
+    return Surface.of(surface, normals, spacing).distance(points)
 
 
 def _f_score(to_truth: FloatArray, to_model: FloatArray, distance: float) -> float:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d_twin.core.model import Model, oriented
+from scan3d_twin.core.model import Model, Sighting
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.smoothing import smooth
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
 
 LONGEST_EDGE = 4.0
@@ -54,29 +54,33 @@ class Mesh:
         return np.asarray(a + u * (b - a) + v * (c - a))
 
 
-def build_mesh(session: Session) -> Mesh:
+def build_mesh(session: Session, seen: Sequence[Sighting]) -> Mesh:
     """Return the target's surface: the views' triangles, each place from the view that saw it best.
 
     Readings that are missing or were filled in, and depth edges, leave holes. Where two views
     overlap the one with the smaller standard deviation is kept; seams are not sewn.
+
+    Args:
+        session: The views.
+        seen: What each of them shows of the target, as ``sightings`` gives it.
     """
-    models = [oriented(view, k) for k, view in enumerate(session.views)]
+    models = [each.model for each in seen]
+    trees = [cKDTree(model.points) for model in models]
     kept = [
-        _best_seen(k, triangulate(view, model), models)
-        for k, (view, model) in enumerate(zip(session.views, models, strict=True))
+        _best_seen(k, triangulate(view, each), models, trees)
+        for k, (view, each) in enumerate(zip(session.views, seen, strict=True))
     ]
     return _compact(_joined(kept))
 
 
-def triangulate(view: View, model: Model) -> Mesh:
+def triangulate(view: View, seen: Sighting) -> Mesh:
     """Return a view's target as triangles between neighbouring beams of neighbouring lines.
 
     Args:
         view: The view; its readings are smoothed within surfaces.
-        model: The same points, as ``oriented`` gives them.
+        seen: What it shows of the target.
     """
-    target = view.target
-    vertices = view.T_world_scan.apply(target.on(smooth(view.image)).points)
+    target, vertices = view.target, seen.smoothed
     grid = np.full(view.image.ranges.shape, -1, dtype=np.int64)
     measured = view.image.codes[target.lines, target.beams] == VALID
     grid[target.lines[measured], target.beams[measured]] = np.flatnonzero(measured)
@@ -86,8 +90,8 @@ def triangulate(view: View, model: Model) -> Mesh:
         [np.stack(each, axis=-1).reshape(-1, 3) for each in ((a, d, c), (a, c, b))]
     )
     faces = corners[(corners >= 0).all(axis=1)]
-    faces = faces[_is_surface(faces, vertices, view, model)]
-    return Mesh(vertices, faces, model.view)
+    faces = faces[_is_surface(faces, vertices, view, seen.model)]
+    return Mesh(vertices, faces, seen.model.view)
 
 
 def _is_surface(faces: IntArray, vertices: FloatArray, view: View, model: Model) -> BoolArray:
@@ -105,17 +109,24 @@ def _is_surface(faces: IntArray, vertices: FloatArray, view: View, model: Model)
     return whole
 
 
-def _best_seen(k: int, mesh: Mesh, models: list[Model]) -> Mesh:
-    """Return ``mesh`` of view ``k`` without the triangles that another view saw better."""
+def _best_seen(k: int, mesh: Mesh, models: Sequence[Model], trees: Sequence[cKDTree]) -> Mesh:
+    """Return ``mesh`` of view ``k`` without the triangles that another view saw better.
+
+    Args:
+        k: The view.
+        mesh: Its triangles.
+        models: Of all views.
+        trees: Of the points of ``models``.
+    """
     if len(mesh.faces) == 0:
         return mesh
     centres = mesh.vertices[mesh.faces].mean(axis=1)
     own = models[k].sigma[mesh.faces].mean(axis=1)
     keep = np.ones(len(mesh.faces), dtype=bool)
-    for other, model in enumerate(models):
+    for other, (model, tree) in enumerate(zip(models, trees, strict=True)):
         if other == k or len(model) == 0:
             continue
-        _, index = nearest(cKDTree(model.points), centres, SAME_SURFACE)
+        _, index = nearest(tree, centres, SAME_SURFACE)
         near = index < len(model)
         theirs = model.sigma[np.minimum(index, len(model) - 1)]
         keep &= ~(near & ((theirs < own) | ((theirs == own) & (other < k))))

@@ -59,13 +59,38 @@ class Model:
         return Model(*(getattr(self, each.name)[mask] for each in fields(self)))
 
 
+@dataclass(frozen=True)
+class Sighting:
+    """What one view shows of the target.
+
+    Attributes:
+        model: All its target points, outliers among them.
+        smoothed: The same points on the smoothed surface (n, 3) in ``world`` [m].
+        supported: Which of them are no outliers (n,); see ``supported``.
+    """
+
+    model: Model
+    smoothed: FloatArray
+    supported: BoolArray
+
+    @property
+    def cleaned(self) -> Model:
+        """Its points without outliers."""
+        return self.model.select(self.supported)
+
+
 def build_model(session: Session, voxel: float = 0.0) -> Model:
     """Return the target's points of all views without outliers.
 
     Fused in voxels of side ``voxel`` [m] unless it is 0.
     """
-    model = joined([cleaned(view, k) for k, view in enumerate(session.views)])
+    model = joined([each.cleaned for each in sightings(session)])
     return fuse_voxels(model, voxel) if voxel > 0 else model
+
+
+def sightings(session: Session) -> list[Sighting]:
+    """Return what each view shows of the target."""
+    return [sight(view, k) for k, view in enumerate(session.views)]
 
 
 def joined(models: Sequence[Model]) -> Model:
@@ -77,17 +102,12 @@ def joined(models: Sequence[Model]) -> Model:
     )
 
 
-def cleaned(view: View, index: int = 0) -> Model:
-    """Return a view's target points without outliers, as view ``index``.
-
-    Not the points that lie far apart, which are what a flat view of a surface gives, but those of
-    which no surface passes through their neighbours on the grid of lines and beams.
-    """
-    return oriented(view, index).select(supported(view))
-
-
 def supported(view: View) -> BoolArray:
-    """Tell which target points (n,) of a view are no outliers; see ``cleaned``."""
+    """Tell which target points (n,) of a view are no outliers.
+
+    Those are not the points that lie far apart, which are what a flat view of a surface gives, but
+    those of which no surface passes through their neighbours on the grid of lines and beams.
+    """
     enough = _neighbours_on_surface(view.image) >= SUPPORT
     return np.asarray(enough[view.target.lines, view.target.beams])
 
@@ -109,7 +129,7 @@ def _neighbours_on_surface(image: RangeImage) -> IntArray:
     return count
 
 
-def oriented(view: View, index: int = 0) -> Model:
+def sight(view: View, index: int = 0) -> Sighting:
     """Return a view's target points with normals and standard deviations, as view ``index``.
 
     The variance of a reading at range r and incidence i is s(r)^2 + (r b tan i)^2: the noise that
@@ -128,18 +148,19 @@ def oriented(view: View, index: int = 0) -> Model:
     cosine = np.clip(cosine, math.cos(GRAZING), 1.0)
     spread = r * beam * np.sqrt(1.0 - cosine**2) / cosine
     sigma = np.hypot(known[0] + known[1] * r, spread)
-    return Model(
+    model = Model(
         view.T_world_scan.apply(target.points),
         view.T_world_scan.rotate(normals),
         sigma,
         np.full(len(target), index),
     )
+    return Sighting(model, view.T_world_scan.apply(smoothed), supported(view))
 
 
 def _eyes(view: View) -> FloatArray:
     """Return where the lidar was for each target point, in ``scan`` (n, 3) [m]."""
     image, lines, beams = view.image, view.target.lines, view.target.beams
-    offset = image.ranges[lines, beams, None] * image.directions[lines, beams]
+    offset = image.ranges[lines, beams, None] * image.directions_at(lines, beams)
     return np.asarray(view.target.points - offset)
 
 

@@ -248,6 +248,21 @@ class RangeImage:
             np.add(lever, ranges * beam, out=result[..., i])
         return result
 
+    def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
+        """Return the ``points`` of some readings (n, 3) [m], by their lines (n,) and beams (n,)."""
+        c, s = np.cos(yaws := self.yaws[lines, beams]), np.sin(yaws)
+        lever = np.stack(_rotated(self.T_base_lidar[:3, 3], c, s), axis=-1)
+        return np.asarray(lever + self.ranges[lines, beams, None] * self._turned(beams, c, s))
+
+    def directions_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
+        """Return the ``directions`` of some readings (n, 3), by their lines (n,) and beams (n,)."""
+        yaws = self.yaws[lines, beams]
+        return self._turned(beams, np.cos(yaws), np.sin(yaws))
+
+    def _turned(self, beams: IntArray, c: FloatArray, s: FloatArray) -> FloatArray:
+        """Return directions (n, 3) of ``beams`` (n,), the base turned by angles of c and s (n,)."""
+        return np.stack(_rotated(self._beams[beams], c, s), axis=-1)
+
     @property
     def _beams(self) -> FloatArray:
         """Beam directions in ``base`` (n_beams, 3)."""
@@ -319,8 +334,8 @@ class Scan3D:
 
     def on(self, image: RangeImage) -> Scan3D:
         """Return the same lines and beams with the points of another ``image`` of the sweep."""
-        points = image.points[self.lines, self.beams]
-        return Scan3D(points, self.lines, self.beams, self.n_lines)
+        lines, beams = self.lines, self.beams
+        return Scan3D(image.points_at(lines, beams), lines, beams, self.n_lines)
 
     def select(self, mask: BoolArray) -> Scan3D:
         """Return the points where ``mask`` (n,) is True."""
@@ -358,7 +373,7 @@ class _PointsOf:
 
     def unfold(self) -> FloatArray:
         """Return the points (n, 3) [m], which refuse writes."""
-        points = self.image.points[self.lines.unfold(), self.beams.unfold()]
+        points = self.image.points_at(self.lines.unfold(), self.beams.unfold())
         points.flags.writeable = False
         return points
 

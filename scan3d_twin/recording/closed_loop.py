@@ -11,7 +11,6 @@ import numpy as np
 
 from scan3d_twin.core import evaluate
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.hal import DriveBase, Robot
 from scan3d_twin.core.motion import travelled
 from scan3d_twin.core.observer import Observer, Observers, Unobserved
@@ -19,7 +18,7 @@ from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.recording.report import Journey
-from scan3d_twin.recording.settings import Settings
+from scan3d_twin.recording.settings import NAME_OR_PLACE, Settings, stated_place
 
 Timer = Callable[[], float]
 """Returns the computer's time [s] since some moment."""
@@ -186,12 +185,7 @@ def _target(text: str, truth: Truth | None) -> tuple[float, float] | None:
         return None
     if "," not in text and truth is not None:
         return truth.locate(text)
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        choice = "x,y in metres" if truth is None else "a name or x,y in metres"
-        raise ConfigError(f"--target must be {choice}, got {text!r}") from None
-    return x, y
+    return stated_place(text, "x,y in metres" if truth is None else NAME_OR_PLACE)
 
 
 def _words(error: BaseException) -> str:

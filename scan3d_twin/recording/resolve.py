@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.planning import check_planner
 from scan3d_twin.core.presets import preset
-from scan3d_twin.recording.settings import Options, Settings, settings, world_options
+from scan3d_twin.recording.settings import (
+    NAME_OR_PLACE,
+    Options,
+    Settings,
+    settings,
+    stated_place,
+    world_options,
+)
 from scan3d_twin.sim.scene import Scene, load_scene
 
 
@@ -18,12 +26,21 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
     effective = settings([*_named(given), given])
     check_planner(effective.config.planner, truth_known=True)
     scene = load_scene(effective.run.scene, effective.run.mesh_scale)
+    _check_target(effective.run.target, scene)
     return settings_for(scene, given), scene
 
 
 def settings_for(scene: Scene, given: Options) -> Settings:
     """Return the effective settings in ``scene`` for what is ``given``."""
     return settings([_of_scene(scene), *_named(given), given])
+
+
+def _check_target(text: str, scene: Scene) -> None:
+    """Refuse a target that is neither a place nor one of ``scene``; empty is what stands out."""
+    if "," in text:
+        stated_place(text, NAME_OR_PLACE)
+    elif text and text not in scene.targets:
+        raise UnknownNameError("target", text, scene.targets)
 
 
 def _named(given: Options) -> list[Options]:

@@ -180,3 +180,20 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value):
         return {key(f.name): _plain(getattr(value, f.name)) for f in fields(value)}
     return value
+
+
+NAME_OR_PLACE = "a name or x,y in metres"
+"""What a target of the twin can be stated as."""
+
+
+def stated_place(text: str, choice: str) -> tuple[float, float]:
+    """Return the place of a target stated as x,y [m].
+
+    Raises:
+        ConfigError: ``text`` is no place; ``choice`` says what it could have been.
+    """
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"--target must be {choice}, got {text!r}") from None
+    return x, y

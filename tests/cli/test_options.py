@@ -31,7 +31,7 @@ def sections():
 @pytest.mark.parametrize(("section", "cls"), sections(), ids=lambda each: str(each))
 def test_every_field_is_a_documented_option(section, cls):
     names = {field.name for field in fields(dotted_options(Config, TwinConfig))}
-    docs = field_docs(cls)
+    docs = field_docs(cls.__module__)[cls.__name__]
     for field in fields(cls):
         assert f"{section}__{field.name}" in names
         assert docs[field.name].endswith((".", ",", "..."))

@@ -70,3 +70,30 @@ def test_lists_are_one_document_with_json(twin):
 
 def test_the_help_names_the_exit_codes(twin):
     assert "130 interrupted" in " ".join(twin("--help").out.split())
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    program = "import sys, scan3d_twin; print(*sys.modules)"
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = {name.partition(".")[0] for name in done.stdout.split()}
+    assert "scan3d_twin" in found
+    assert not found & {*HEAVY, "cyclopts", "rich"}
+
+
+def test_a_run_of_the_twin_tells_what_it_does_before_it_loads_what_it_computes_with(tmp_path):
+    program = """
+import sys
+from scan3d_twin.cli import main, sim
+def begun(scene, out):
+    print(scene, *sys.modules)
+    sys.exit()
+sim.begun = begun
+main(sys.argv[1:])
+"""
+    command = [sys.executable, "-c", program, "sim", "--out", tmp_path / "run"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    scene, *found = done.stdout.split()
+    assert scene == "three_boxes"
+    assert "mujoco" in found
+    assert not {"scipy", "rosbags", "scan3d_twin.cli.run"} & set(found)

@@ -5,12 +5,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from synthetic import Box, cast, observe
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.evaluate import (
+    COVERAGE_DISTANCE,
+    SPACING,
     Distances,
+    Evaluation,
+    Reference,
     coverable_surface,
     displacement,
     evaluate,
@@ -18,7 +23,7 @@ from scan3d_twin.core.evaluate import (
     surface_distance,
     true_pose,
 )
-from scan3d_twin.core.model import voxel_thin
+from scan3d_twin.core.model import build_model, voxel_thin
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2
 
@@ -78,6 +83,25 @@ def session_of(*odometry: Pose2, true: tuple[Pose2, ...] = (FIRST, SECOND)) -> S
     return session
 
 
+def evaluated(session: Session) -> Evaluation:
+    reference = Reference.of(session, BoxTruth((FIRST, SECOND)))
+    return evaluate(session, build_model(session), reference)
+
+
+def test_coverage_grows_view_by_view_to_that_of_the_whole_model() -> None:
+    session = session_of(FIRST, SECOND)
+    result = evaluated(session)
+    alone = evaluated(replace(session, views=session.views[:1]))
+    assert result.coverage_by_view[0] == alone.coverage
+    assert result.coverage_by_view[0] < result.coverage_by_view[1] == result.coverage
+    truth = BoxTruth((FIRST, SECOND))
+    reference = Reference.of(session, truth)
+    points = reference.T_map_world.apply(build_model(session).points)
+    surface, normals = truth.surface(SPACING)
+    wanted = surface[coverable_surface(surface, normals, truth, session.config)]
+    assert result.coverage == np.mean(cKDTree(points).query(wanted)[0] <= COVERAGE_DISTANCE)
+
+
 def test_the_true_pose_is_that_of_the_middle_line() -> None:
     session = session_of(FIRST)
     pose = true_pose(session.views[0], BoxTruth((FIRST,)))
@@ -90,7 +114,7 @@ def test_a_perfect_run_is_accurate_and_covers_what_it_saw() -> None:
         replace(view, T_world_scan=pose)
         for view, pose in zip(session.views, (FIRST, SECOND), strict=True)
     )
-    result = evaluate(replace(session, views=exact), BoxTruth((FIRST, SECOND)))
+    result = evaluated(replace(session, views=exact))
     assert result.accuracy.p95 < 0.002
     assert result.pairs[0].error == pytest.approx(0.0, abs=1e-9)
     assert result.pairs[0].odometry_error == pytest.approx(0.0, abs=1e-9)
@@ -111,10 +135,7 @@ def test_the_error_of_a_pair_is_that_of_its_relative_pose() -> None:
     session = session_of(FIRST, SECOND)
     first, second = session.views
     off = replace(second, T_world_scan=SECOND @ Pose2(-0.02, 0.0, 0.0))
-    result = evaluate(
-        replace(session, views=(replace(first, T_world_scan=FIRST), off)),
-        BoxTruth((FIRST, SECOND)),
-    )
+    result = evaluated(replace(session, views=(replace(first, T_world_scan=FIRST), off)))
     assert result.pairs[0].error == pytest.approx(0.02, abs=1e-6)
     assert result.pairs[0].pose_error == pytest.approx(0.02, abs=1e-6)
     assert result.pairs[0].odometry_error == pytest.approx(0.0, abs=1e-9)
@@ -126,7 +147,7 @@ def test_the_first_pose_is_the_gauge() -> None:
     session = session_of(FIRST, SECOND)
     placed = zip(session.views, (FIRST, SECOND), strict=True)
     moved = tuple(replace(view, T_world_scan=shift @ pose) for view, pose in placed)
-    result = evaluate(replace(session, views=moved), BoxTruth((FIRST, SECOND)))
+    result = evaluated(replace(session, views=moved))
     assert result.accuracy.p95 < 0.002
     assert result.pairs[0].pose_error == pytest.approx(0.0, abs=1e-9)
 

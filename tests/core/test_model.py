@@ -10,11 +10,10 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.model import (
     Model,
     build_model,
-    cleaned,
     fuse_voxels,
     joined,
-    oriented,
     scanned_share,
+    sight,
 )
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, read_only
@@ -38,7 +37,7 @@ def model_of(points, sigma=0.005, view=0):
 
 
 def test_normals_are_those_of_the_boxes_and_face_the_lidar(session):
-    model = oriented(session.views[0])
+    model = sight(session.views[0]).model
     front = (np.abs(model.points[:, 0] - 0.65) < 0.02) & (model.points[:, 2] < 0.6)
     front &= (model.points[:, 1] > -1.1) & (model.points[:, 1] < -0.3)
     assert front.sum() > 500
@@ -54,7 +53,7 @@ def test_oblique_readings_are_worth_less_than_square_ones():
         Session(Config(), 0, np.array([[1.0, 0.0]]), np.array([-1.0, 0.0])),
         synthetic.observe(Pose2(), wall, room=False, width=math.radians(150)),
     ).views[0]
-    model = oriented(view)
+    model = sight(view).model
     bearing = np.abs(np.arctan2(model.points[:, 1], model.points[:, 0]))
     square, oblique = model.sigma[bearing < 0.1], model.sigma[bearing > 1.2]
     assert len(oblique) > 20
@@ -63,16 +62,17 @@ def test_oblique_readings_are_worth_less_than_square_ones():
 
 def test_a_stray_reading_is_an_outlier_and_a_surface_seen_flat_is_not(session):
     view = session.views[0]
-    assert len(cleaned(view)) > 0.98 * len(view.target)
+    assert len(sight(view).cleaned) > 0.98 * len(view.target)
     lines, beams = view.target.lines[::50], view.target.beams[::50]
     ranges = np.array(view.image.ranges)
     ranges[lines, beams] -= 0.3
     moved = replace(view.image, ranges=read_only(ranges))
     strayed = replace(view, image=moved, target=view.target.on(moved))
-    assert len(view.target) - len(cleaned(strayed)) >= 0.95 * len(lines)
+    assert len(view.target) - len(sight(strayed).cleaned) >= 0.95 * len(lines)
     flat = np.broadcast_to(0.3 / np.cos(np.radians(78) + view.image.yaws / 100), ranges.shape)
     wall = replace(view.image, ranges=read_only(np.array(flat)))
-    assert len(cleaned(replace(view, image=wall, target=view.target.on(wall)))) == len(view.target)
+    square = replace(view, image=wall, target=view.target.on(wall))
+    assert len(sight(square).cleaned) == len(view.target)
 
 
 def test_a_voxel_weighs_its_points_by_their_variance():

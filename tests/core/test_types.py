@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import synthetic
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -78,3 +79,11 @@ def test_hazards_are_named_in_words() -> None:
         "bump left",
         "wheel drop right",
     )
+
+
+def test_some_readings_lie_where_they_lie_among_all() -> None:
+    image = synthetic.observe(Pose2(-0.4, 0.2, 0.1)).image
+    rng = np.random.default_rng(0)
+    lines, beams = (rng.integers(0, n, 500) for n in image.ranges.shape)
+    assert np.array_equal(image.points_at(lines, beams), image.points[lines, beams], equal_nan=True)
+    assert np.array_equal(image.directions_at(lines, beams), image.directions[lines, beams])

@@ -7,7 +7,8 @@ import pytest
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import evaluate
+from scan3d_twin.core.evaluate import Reference, evaluate
+from scan3d_twin.core.model import build_model
 from scan3d_twin.core.motion import turn_by
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -27,7 +28,12 @@ def digitised(opener, link, config, seed=0, start=0.0):
         began = robot.clock.now()
         planner = make_planner(config.planner)
         session = digitize(robot, planner, config, seed, Unobserved())
-        return session, evaluate(session, truth), robot.lidar, began
+        return (
+            session,
+            evaluate(session, build_model(session), Reference.of(session, truth)),
+            robot.lidar,
+            began,
+        )
 
 
 @pytest.mark.timeout(300)

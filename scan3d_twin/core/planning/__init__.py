@@ -9,27 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import entry_points
-from typing import Any, Protocol
-
-import numpy as np
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Protocol
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.core.evaluate import Truth
-from scan3d_twin.core.planning.curvature import CurvaturePlanner
-from scan3d_twin.core.planning.fisher import FisherPlanner
-from scan3d_twin.core.planning.fixed import FixedPlanner
-from scan3d_twin.core.planning.frontier2d import Frontier2dPlanner
-from scan3d_twin.core.planning.ig import IgPlanner
-from scan3d_twin.core.planning.oracle import OraclePlanner
-from scan3d_twin.core.planning.pito import PitoPlanner
-from scan3d_twin.core.planning.random_view import RandomPlanner
-from scan3d_twin.core.planning.roberts import RobertsPlanner
-from scan3d_twin.core.planning.see import SeePlanner
-from scan3d_twin.core.planning.siicp import SiicpPlanner
-from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Plan
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from scan3d_twin.core.evaluate import Truth
+    from scan3d_twin.core.session import Session
+    from scan3d_twin.core.types import Plan
 
 ENTRY_POINTS = "scan3d_twin.planners"
 """Entry point group in which other packages offer planners."""
@@ -68,26 +59,23 @@ class Entry:
         return Entry(build, summary, bool(getattr(build, "needs_truth", False)))
 
 
-def _fixed(percent: int) -> Entry:
-    return Entry(partial(FixedPlanner, percent / 100), f"An overlap of {percent} %, always.")
-
-
-_OWN: dict[str, Entry] = {
-    "curvature": Entry.of(CurvaturePlanner),
-    "fisher": Entry.of(FisherPlanner),
-    "fixed": Entry.of(FixedPlanner),
-    "fixed20": _fixed(20),
-    "fixed50": _fixed(50),
-    "fixed80": _fixed(80),
-    "frontier2d": Entry.of(Frontier2dPlanner),
-    "ig": Entry.of(IgPlanner),
-    "oracle": Entry.of(OraclePlanner),
-    "pito": Entry.of(PitoPlanner),
-    "random": Entry.of(RandomPlanner),
-    "roberts": Entry.of(RobertsPlanner),
-    "see": Entry.of(SeePlanner),
-    "siicp": Entry.of(SiicpPlanner),
+_OWN = {
+    "curvature": "curvature:CurvaturePlanner",
+    "fisher": "fisher:FisherPlanner",
+    "fixed": "fixed:FixedPlanner",
+    "fixed20": "fixed:fixed20",
+    "fixed50": "fixed:fixed50",
+    "fixed80": "fixed:fixed80",
+    "frontier2d": "frontier2d:Frontier2dPlanner",
+    "ig": "ig:IgPlanner",
+    "oracle": "oracle:OraclePlanner",
+    "pito": "pito:PitoPlanner",
+    "random": "random_view:RandomPlanner",
+    "roberts": "roberts:RobertsPlanner",
+    "see": "see:SeePlanner",
+    "siicp": "siicp:SiicpPlanner",
 }
+"""Our own planners by name, loaded when they are wanted: module in this package, and what in it."""
 
 
 def planner_names() -> tuple[str, ...]:
@@ -107,6 +95,8 @@ def check_planner(name: str, *, truth_known: bool) -> None:
         UnknownNameError: There is none of this name.
         ConfigError: It needs the truth, or cannot be loaded.
     """
+    if truth_known and name in _OWN:
+        return
     if _entry(name).needs_truth and not truth_known:
         raise ConfigError(
             f"planner {name} plans on the truth, which only the twin knows; "
@@ -132,7 +122,7 @@ def make_planner(name: str, truth: Truth | None = None) -> Planner:
 
 def _entry(name: str) -> Entry:
     if name in _OWN:
-        return _OWN[name]
+        return Entry.of(resolve_name(f"{__name__}.{_OWN[name]}"))
     others = _others()
     if name not in others:
         raise UnknownNameError("planner", name, planner_names())

@@ -27,3 +27,18 @@ class FixedPlanner:
         if overlap is None:
             overlap = session.config.baselines.fixed_overlap
         return step(situation, overlap, f"fixed overlap: {overlap:.0%}")
+
+
+def fixed20() -> FixedPlanner:
+    """An overlap of 20 %, always."""
+    return FixedPlanner(0.2)
+
+
+def fixed50() -> FixedPlanner:
+    """An overlap of 50 %, always."""
+    return FixedPlanner(0.5)
+
+
+def fixed80() -> FixedPlanner:
+    """An overlap of 80 %, always."""
+    return FixedPlanner(0.8)

@@ -4,14 +4,14 @@ import trimesh
 
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.mesh import Mesh, build_mesh
-from scan3d_twin.core.model import Model, build_model
+from scan3d_twin.core.model import Model, build_model, sightings
 from scan3d_twin.recording.colours import rgb
 from scan3d_twin.recording.export.meshes import MESHES, TRUSTED, poisson, write_mesh
 
 
 @pytest.fixture(scope="module")
 def mesh(session) -> Mesh:
-    return build_mesh(session)
+    return build_mesh(session, sightings(session))
 
 
 @pytest.mark.parametrize("name", MESHES)
