@@ -6,6 +6,8 @@ cd "$(dirname "$0")/.." || exit 1
 
 UV_VERSION=0.13.9
 export UV_PYTHON_DOWNLOADS=never UV_PROJECT_ENVIRONMENT=.venv PIP_DISABLE_PIP_VERSION_CHECK=1
+# Otherwise the first run compiles every module it imports.
+export UV_COMPILE_BYTECODE=1
 export PIP_RETRIES="${PIP_RETRIES:-1}" UV_HTTP_RETRIES="${UV_HTTP_RETRIES:-1}"
 unset VIRTUAL_ENV PYTHONHOME PYTHONPATH
 python=${PYTHON:-python3}
