@@ -7,7 +7,7 @@ did not arrive are scanned again (the data-loss check of the paper's Fig. 5).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,8 +47,30 @@ Lines = list[tuple[ScanLine, FloatArray]]
 """Lines with each beam's heading relative to the middle of the sweep (n_beams,) [rad]."""
 
 
+Reader = Callable[[Robot, float, float], Iterable[ScanLine]]
+"""Gives the lines of the time between two times [s], the first one after it included."""
+
+
+def read_lines(robot: Robot, since: float, until: float) -> Iterator[ScanLine]:
+    """Yield the lines of the time from ``since`` to ``until`` [s], each as it arrives.
+
+    A line arrives a turn of the mirror or more after it was measured, so its own time counts.
+    """
+    timeout = PATIENCE * robot.lidar.spec.line_period
+    stamp = -math.inf
+    while stamp < until and robot.clock.now() < until + timeout:
+        line = robot.lidar.read_line(timeout)
+        stamp = line.stamp
+        if stamp >= since:
+            yield line
+
+
 def sweep(
-    robot: Robot, yaw: float, config: Config, on_line: Callable[[ScanLine], None]
+    robot: Robot,
+    yaw: float,
+    config: Config,
+    on_line: Callable[[ScanLine], None],
+    read: Reader = read_lines,
 ) -> Observation:
     """Scan ``config.sweep.width`` and margins around the heading ``yaw`` in ``odom`` [rad].
 
@@ -58,13 +80,18 @@ def sweep(
     """
     half, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
     started = robot.clock.now()
-    lines = _scan(robot, _Sector(yaw, half, rate, LOST_LINE), config, on_line)
+    lines = _scan(robot, _Sector(yaw, half, rate, LOST_LINE), config, on_line, read)
     spacing = rate * robot.lidar.spec.line_period
     kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
     return corrected(_observation(robot, kept, yaw, started), config.mount)
 
 
-def look_around(robot: Robot, config: Config, on_line: Callable[[ScanLine], None]) -> Observation:
+def look_around(
+    robot: Robot,
+    config: Config,
+    on_line: Callable[[ScanLine], None],
+    read: Reader = read_lines,
+) -> Observation:
     """Scan one full turn coarsely from where the robot stands; a few lost lines do not matter.
 
     The robot turns half a turn back before and after, so that an error of its wheel base, which
@@ -76,7 +103,7 @@ def look_around(robot: Robot, config: Config, on_line: Callable[[ScanLine], None
     started = robot.clock.now()
     yaw = robot.base.odometry().T_odom_base.yaw
     sector = _Sector(yaw, math.pi, config.sweep.look_rate, LOOK_GAP, rightwards=False)
-    lines = _scan(robot, sector, config, on_line)
+    lines = _scan(robot, sector, config, on_line, read)
     turn_by(robot, -math.pi, config.motion)
     turn_to(robot, yaw, config.motion)
     return corrected(_observation(robot, lines, yaw, started), config.mount)
@@ -118,20 +145,24 @@ class _Sector:
 
 
 def _scan(
-    robot: Robot, sector: _Sector, config: Config, on_line: Callable[[ScanLine], None]
+    robot: Robot,
+    sector: _Sector,
+    config: Config,
+    on_line: Callable[[ScanLine], None],
+    read: Reader,
 ) -> Lines:
     """Return the lines of ``sector`` and somewhat beyond, those that were lost scanned again."""
     half, spacing = sector.half, sector.rate * robot.lidar.spec.line_period
     heading = wrap(robot.base.odometry().T_odom_base.yaw - sector.yaw)
     rightwards = heading >= 0 if sector.rightwards is None else sector.rightwards
     ends = (half, -half) if rightwards else (-half, half)
-    lines = _pass(robot, sector, ends, config, on_line)
+    lines = _pass(robot, sector, ends, config, on_line, read)
     for _ in range(config.sweep.retries):
         missing = find_missing(_front_yaws(lines), half, spacing, sector.gap)
         if not missing:
             break
         for left, right in missing:
-            again = _pass(robot, sector, (left, right), config, on_line)
+            again = _pass(robot, sector, (left, right), config, on_line, read)
             inside = [item for item in again if right < _front_yaw(item[1]) < left]
             lines.extend(inside)
     missing = find_missing(_front_yaws(lines), half, spacing, sector.gap)
@@ -149,6 +180,7 @@ def _pass(
     ends: tuple[float, float],
     config: Config,
     on_line: Callable[[ScanLine], None],
+    read: Reader,
 ) -> Lines:
     """Turn from ``ends[0]`` to ``ends[1]`` (relative to the sector's middle); return the lines.
 
@@ -167,7 +199,7 @@ def _pass(
     with stopping(robot.base):
         robot.base.set_velocity(0.0, direction * rate)
         try:
-            for line in _lines(robot, started, started + duration):
+            for line in read(robot, started, started + duration):
                 on_line(line)
                 lines.append(line)
         except LinkTimeoutError:
@@ -177,20 +209,6 @@ def _pass(
     if away:
         robot.lidar.read_line(timeout=OUTAGE)
     return headed
-
-
-def _lines(robot: Robot, since: float, until: float) -> Iterator[ScanLine]:
-    """Yield the lines of the time from ``since`` to ``until`` [s].
-
-    A line arrives a turn of the mirror or more after it was measured, so its own time counts.
-    """
-    timeout = PATIENCE * robot.lidar.spec.line_period
-    stamp = -math.inf
-    while stamp < until and robot.clock.now() < until + timeout:
-        line = robot.lidar.read_line(timeout)
-        stamp = line.stamp
-        if stamp >= since:
-            yield line
 
 
 def _deskew(robot: Robot, lines: list[ScanLine], started: float, yaw: float, first: float) -> Lines:

@@ -108,6 +108,16 @@ class SimLidar:
         self._last = turns[-1]
         return tuple(self._lines(turns))
 
+    def read_waiting(self) -> tuple[ScanLine, ...]:
+        """Return the lines that have arrived, computed at once: the same bits as by ``read_line``.
+
+        Only the last ``UNREAD_LINES`` wait.
+        """
+        turns = list(self._unread)
+        self._unread.clear()
+        self._last = turns[-1] if turns else self._last
+        return tuple(self._lines(turns))
+
     def evidence(self) -> Evidence | None:
         """Return what lay behind the line read last, for evaluation; None before the first."""
         if self._last is None:
@@ -116,8 +126,8 @@ class SimLidar:
 
     def _lines(self, turns: list[Revolution]) -> list[ScanLine]:
         """Return the lines of ``turns``, a few at once where nothing else moves."""
-        size = 1 if len(turns[0].qpos) else CHUNK
         lines = []
+        size = 1 if turns and len(turns[0].qpos) else CHUNK
         for first in range(0, len(turns), size):
             chunk = turns[first : first + size]
             readings = self._measure(chunk)
