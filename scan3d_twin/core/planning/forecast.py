@@ -22,17 +22,21 @@ import numpy as np
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.placing import motion_prior, odometry_scale, surfels_of
 from scan3d_twin.core.planning.situation import Situation, readings_of
-from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible_from
+from scan3d_twin.core.planning.visibility import NextSweep, Visible, ranges_here, visible_from
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.algebra import find_determined, marginalise
 from scan3d_twin.core.registration.edges import edge_equations
-from scan3d_twin.core.registration.point_to_plane import Equations, spurious_information
-from scan3d_twin.core.registration.pose_prior import PLANAR, spread
-from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, N, X
+from scan3d_twin.core.registration.point_to_plane import (
+    Equations,
+    pair_derivatives,
+    spurious_information,
+)
+from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, displacement
+from scan3d_twin.core.registration.surfel_grid import Sample
+from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, X
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
-    IntArray,
     Pose2,
 )
 
@@ -85,27 +89,38 @@ class Forecast:
         seen = visible_from(rows, self._ranges, viewpoint, self._sweep, config.target.max_range)
         if np.count_nonzero(self._sampled_target[seen.index]) < MIN_SEEN:
             return math.inf
-        O2 = np.array([viewpoint.x, viewpoint.y, 0.0])
-        a, n = rows[seen.index, X] - O2, rows[seen.index, N]
-        variance = rows[seen.index, VARIANCE] * (1.0 + _cosine_ratio(n, a, rows[seen.index, X], t))
+        again = self._sample.columns.take(seen.index, axis=1)
+        a = again[:3] - np.array([[viewpoint.x], [viewpoint.y], [0.0]])
+        ratio = _cosine_ratio(again[3:6], a, again[:3], t[2, 3])
+        variance = again[VARIANCE] * (1.0 + ratio)
         w = self._area * seen.density / (variance * self.grid.inflation)
-        w[rows[seen.index, NORMAL_VARIANCE] > MOST_NORMAL_VARIANCE] = 0.0
-        equations = self._equations(seen.index, seen.yaws, a, n, w)
+        w[again[NORMAL_VARIANCE] > MOST_NORMAL_VARIANCE] = 0.0
+        equations = self._equations(seen, again, a, w)
         covariance = self._covariance(equations, viewpoint)
-        points = viewpoint.rotate(rows[self._sampled_target, X])
-        return config.planning.calibration * spread(points, covariance)
+        return config.planning.calibration * displacement(
+            self._target.turned(viewpoint.yaw), covariance
+        )
 
     @cached_property
+    def _target(self) -> Moments:
+        """Moments of the target's points in the frame of the latest view."""
+        return Moments.of(self._rows[self._sampled_target, X])
+
+    @cached_property
+    def _sample(self) -> Sample:
+        return self.grid.sample(max(2, round(math.sqrt(self.grid.count / WANTED))))
+
+    @property
     def _stride(self) -> int:
-        return self.grid.sample(max(2, round(math.sqrt(self.grid.count / WANTED)))).stride
+        return self._sample.stride
 
     @cached_property
     def _area(self) -> float:
         return float(self._stride**2)
 
-    @cached_property
+    @property
     def _rows(self) -> FloatArray:
-        return self.grid.sample(self._stride).rows
+        return self._sample.rows
 
     @cached_property
     def _ranges(self) -> FloatArray:
@@ -124,24 +139,30 @@ class Forecast:
         return NextSweep.like(self.grid, sweep.width / 2 + sweep.margin)
 
     def _equations(
-        self, index: IntArray, yaws: FloatArray, a: FloatArray, n: FloatArray, w: FloatArray
+        self, seen: Visible, again: FloatArray, a: FloatArray, w: FloatArray
     ) -> Equations:
         """Return the normal equations that perfect pairs would give; their gradient is 0.
 
         Noise of the normals of one scan adds F = sum w nu (B B^T - J J^T), the mean normals of a
         pair of scans half of it: what pairs will show is H - F + F / 2.
+
+        Args:
+            seen: What O2 sees again.
+            again: Its surfels (8, k).
+            a: Their lever arms (3, k) [m].
+            w: Their weights (k,).
         """
-        rows, here = self._rows[index], self.grid.sample(self._stride).yaws[index]
-        swing = n[:, 1] * a[:, 0] - n[:, 0] * a[:, 1]
-        g = yaws * swing - here * (n[:, 1] * rows[:, 0] - n[:, 0] * rows[:, 1])
-        J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
-        information = (J * w[:, None]).T @ J
-        nu = rows[:, NORMAL_VARIANCE] + self.grid.noise.tilt_variance
-        spurious = spurious_information(w * nu, a, J[:, :6]) / 2
+        n, here = again[3:6], self._sample.yaws[seen.index]
+        J = pair_derivatives(a, n)
+        swing = J[5]
+        g = seen.yaws * swing - here * (n[1] * again[0] - n[0] * again[1])
+        J = np.concatenate([J, g[None]])
+        information = (J * w) @ J.T
+        nu = again[NORMAL_VARIANCE] + self.grid.noise.tilt_variance
+        spurious = spurious_information(w * nu, a, J[:6]) / 2
         information[:6, :6] -= spurious
-        return Equations(
-            information, self._lost(yaws, w, swing, J), np.zeros(7), spurious, len(a), 0.0
-        )
+        lost = self._lost(seen.yaws, w, swing, J)
+        return Equations(information, lost, np.zeros(7), spurious, len(w), 0.0)
 
     def _lost(
         self, yaws: FloatArray, w: FloatArray, swing: FloatArray, J: FloatArray
@@ -153,9 +174,9 @@ class Forecast:
         line = np.round(yaws / (self._stride * self.grid.line_spacing)).astype(np.int64)
         line -= line.min()
         c = sigma * swing
-        sums = np.zeros((line.max() + 1, 8))
-        np.add.at(sums, line, np.concatenate([J, c[:, None]], axis=1) * (w * c)[:, None])
-        return np.asarray((sums[:, :7] / (self._stride + sums[:, 7:])).T @ sums[:, :7])
+        columns = np.concatenate([J, c[None]]) * (w * c)
+        sums = np.stack([np.bincount(line, column) for column in columns])
+        return np.asarray((sums[:7] / (self._stride + sums[7])) @ sums[:7].T)
 
     def _covariance(self, equations: Equations, viewpoint: Pose2) -> FloatArray:
         """Return the covariance (6, 6) about O2 of a planar registration."""
@@ -203,11 +224,19 @@ class Forecast:
         )
 
 
-def _cosine_ratio(n: FloatArray, a: FloatArray, here: FloatArray, T: FloatArray) -> FloatArray:
-    """Return the squared ratio (k,) of the incidence cosines from O2 and from here."""
-    eye = np.array([0.0, 0.0, T[2, 3]])
+def _cosine_ratio(n: FloatArray, a: FloatArray, here: FloatArray, height: float) -> FloatArray:
+    """Return the squared ratio (k,) of the incidence cosines from O2 and from here.
 
-    def square(rays: FloatArray) -> FloatArray:
-        return np.asarray(np.sum(n * rays, axis=1) ** 2 / np.sum(rays * rays, axis=1))
+    Args:
+        n: Normals (3, k).
+        a: Points from O2 (3, k) [m].
+        here: The same from here.
+        height: Of the lidar [m].
+    """
 
-    return square(a - eye) / np.maximum(square(here - eye), 1e-4)
+    def square(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        facing = n[0] * x + n[1] * y + n[2] * z
+        return np.asarray(facing * facing / (x * x + y * y + z * z))
+
+    there = square(a[0], a[1], a[2] - height)
+    return there / np.maximum(square(here[0], here[1], here[2] - height), 1e-4)

@@ -8,7 +8,7 @@ import numpy as np
 
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.projection import Projection
-from scan3d_twin.core.registration.surfels import N, X
+from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage, read_only
 
 MIN_COSINE = 0.10
@@ -86,16 +86,22 @@ def visible_from(
         sweep: The sweep to come.
         most: Longest range that is trusted [m].
     """
+    x, y, z, nx, ny, nz = rows[:, :6].T
+    height = sweep.image.T_base_lidar[2, 3]
+
+    # As seen from there
     back = viewpoint.inverse()
-    points, normals = back.apply(rows[:, X]), back.rotate(rows[:, N])
+    points = back.apply(rows[:, X])
     ranges = sweep.ranges(points)
-    eye = np.array([0.0, 0.0, sweep.image.T_base_lidar[2, 3]])
-    cosines = -np.sum(normals * (points - eye), axis=1) / ranges
+    facing = nx * (viewpoint.x - x) + ny * (viewpoint.y - y) + nz * (height - z)
+    cosines = facing / ranges
     index, cell = sweep.cells(points)
     inside = (index >= 0) & (ranges < most)
-    seen = inside & (cosines > MIN_COSINE) & ~_hidden(cell, ranges, inside)
-    kept = np.flatnonzero(seen)
-    here_cosines = -np.sum(rows[kept, N] * (rows[kept, X] - eye), axis=1) / here_ranges[kept]
+    kept = np.flatnonzero(inside & (cosines > MIN_COSINE) & ~_hidden(cell, ranges, inside))
+
+    # Against now
+    facing_here = -(nx * x + ny * y + nz * (z - height))[kept]
+    here_cosines = facing_here / here_ranges[kept]
     ratio = cosines[kept] / np.maximum(here_cosines, MIN_COSINE)
     density = np.minimum(ratio * (here_ranges[kept] / ranges[kept]) ** 2, MOST_DENSE)
     yaws = np.arctan2(points[kept, 1], points[kept, 0])

@@ -26,7 +26,11 @@ from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.algebra import find_determined, invert_information
 from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Criteria, Dof
 from scan3d_twin.core.registration.native import ByteArray, engine
-from scan3d_twin.core.registration.point_to_plane import MIN_NORMAL_COSINE, spurious_information
+from scan3d_twin.core.registration.point_to_plane import (
+    MIN_NORMAL_COSINE,
+    pair_derivatives,
+    spurious_information,
+)
 from scan3d_twin.core.registration.pose_prior import (
     PLANAR,
     PosePrior,
@@ -219,11 +223,11 @@ class _Pair:
         a, n, e, tilt = self._pairs(T, gate)
         scale = max(MIN_SPREAD, 1.4826 * float(np.median(np.abs(e - np.median(e)))))
         w = (ROBUST**2 / (ROBUST**2 + (e / scale) ** 2)) ** 2 / (2 * scale**2)
-        J = np.concatenate([n, np.cross(a, n)], axis=1)
+        J = pair_derivatives(a.T, n.T)
         dims = PLANAR if self.dof == "planar" else tuple(range(6))
         rows, block = list(dims), np.ix_(dims, dims)
-        H, g = ((J * w[:, None]).T @ J)[block], (J.T @ (w * e))[rows]
-        spurious = spurious_information(w * tilt * scale**2, a, J)[block]
+        H, g = ((J * w) @ J.T)[block], (J @ (w * e))[rows]
+        spurious = spurious_information(w * tilt * scale**2, a.T, J)[block]
         reach = math.sqrt(float(np.mean(np.sum(a * a, axis=1))))
         kept, honest, dropped = find_determined(H, spurious, reach)
         prior, pull = self._prior(T, dims)

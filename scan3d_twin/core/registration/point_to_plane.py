@@ -125,14 +125,20 @@ def spurious_information(weights: FloatArray, a: FloatArray, J: FloatArray) -> F
 
     Args:
         weights: w nu of each pair (n,).
-        a: Lever arms (n, 3) [m].
-        J: Derivatives (n, 6).
+        a: Lever arms (3, n) [m].
+        J: Derivatives (6, n).
     """
     result = np.zeros((6, 6))
     result[:3, :3] = np.eye(3) * weights.sum()
-    x, y, z = weights @ a
+    x, y, z = a @ weights
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     result[3:, :3], result[:3, 3:] = cross, cross.T
-    outer = (a * weights[:, None]).T @ a
+    outer = (a * weights) @ a.T
     result[3:, 3:] = np.eye(3) * np.trace(outer) - outer
-    return result - (J * weights[:, None]).T @ J
+    return result - (J * weights) @ J.T
+
+
+def pair_derivatives(a: FloatArray, n: FloatArray) -> FloatArray:
+    """Return (n, a x n) (6, m) of lever arms ``a`` and normals ``n`` (3, m)."""
+    (ax, ay, az), (nx, ny, nz) = a, n
+    return np.stack([nx, ny, nz, ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx])

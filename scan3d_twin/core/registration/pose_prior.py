@@ -116,17 +116,28 @@ class Moments(NamedTuple):
         """Return the moments of ``points`` (n, 3)."""
         return Moments(points.sum(axis=0) / len(points), points.T @ points / len(points))
 
+    def turned(self, yaw: float) -> Moments:
+        """Return the moments of the points turned by ``yaw`` [rad] about z."""
+        R = Pose2(0.0, 0.0, yaw).matrix()[:3, :3]
+        return Moments(R @ self.first, R @ self.second @ R.T)
 
-def spread(points: FloatArray, covariance: FloatArray) -> float:
+
+def displacement(points: Moments, covariance: FloatArray) -> float:
     """Return the expected RMS displacement [m] of points under a covariance (6, 6).
 
     E |d + r x p|^2 = tr D + tr S tr M - tr S M + 2 a . E(d x r), with a and M the moments of p and
     D and S the covariances of d and r.
 
     Args:
-        points: Relative to the place the covariance is about (n, 3) [m].
+        points: Relative to the place the covariance is about.
         covariance: In the order x y z rx ry rz.
     """
-    first, second = Moments.of(points)
-    covariance = np.ascontiguousarray(covariance)
-    return float(engine.displacement(first, np.ascontiguousarray(second), covariance))
+    first, second, C = (
+        np.ascontiguousarray(part) for part in (points.first, points.second, covariance)
+    )
+    return float(engine.displacement(first, second, C))
+
+
+def spread(points: FloatArray, covariance: FloatArray) -> float:
+    """Return the expected RMS displacement [m] of ``points`` (n, 3): see ``displacement``."""
+    return displacement(Moments.of(points), covariance)
