@@ -104,27 +104,22 @@ static void read_columns(const Sweep *sweep, int64_t line, const uint8_t *keep, 
     }
 }
 
-/* Write moments and area of the windows of `half` beams to either side around the readings. */
+/* Write moments and area of the windows of `half` beams to either side around the readings, run by
+ * run of neighbouring beams. */
 static void sum_windows(const double *restrict above, const double *restrict below, int64_t margin,
                         int64_t width, int64_t half, int64_t n_lines, int64_t n_beams,
                         Columns *restrict w) {
-    int64_t n = w->count, left = margin - half, right = left + 2 * half + 1;
-    int in_a_row = w->beam[n - 1] - w->beam[0] == n - 1;
-    for (int m = 0; m < MOMENTS; m++) {
-        const double *a = above + m * width, *b = below + m * width;
-        double *out = w->moments[m];
-        if (in_a_row) {
-            const double *al = a + w->beam[0] + left, *ar = a + w->beam[0] + right;
-            const double *bl = b + w->beam[0] + left, *br = b + w->beam[0] + right;
-            for (int64_t k = 0; k < n; k++) out[k] = (br[k] - ar[k]) - (bl[k] - al[k]);
-        } else {
-            for (int64_t k = 0; k < n; k++) {
-                int64_t l = w->beam[k] + left, r = w->beam[k] + right;
-                out[k] = (b[r] - a[r]) - (b[l] - a[l]);
-            }
+    for (int64_t first = 0, end; first < w->count; first = end) {
+        for (end = first + 1; end < w->count && w->beam[end] == w->beam[end - 1] + 1;) end++;
+        int64_t n = end - first, left = margin + w->beam[first] - half, right = left + 2 * half + 1;
+        for (int m = 0; m < MOMENTS; m++) {
+            const double *a = above + m * width, *b = below + m * width;
+            double *out = w->moments[m] + first;
+            for (int64_t k = 0; k < n; k++)
+                out[k] = (b[right + k] - a[right + k]) - (b[left + k] - a[left + k]);
         }
     }
-    for (int64_t k = 0; k < n; k++) {
+    for (int64_t k = 0; k < w->count; k++) {
         int64_t low = w->beam[k] > half ? w->beam[k] - half : 0;
         int64_t high = w->beam[k] + half + 1 < n_beams ? w->beam[k] + half + 1 : n_beams;
         w->area[k] = (double)(n_lines * (high - low));
