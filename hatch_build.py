@@ -54,12 +54,12 @@ class EngineBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         """Compile, and say where the library belongs."""
         folder = Path(self.root) / PACKAGE
         if version == "editable":
-            _compile(folder, folder / "engine.so")
+            _compile(folder, folder / "libengine.so.1")
             return
         self._built = tempfile.TemporaryDirectory()
-        library = Path(self._built.name) / "engine.so"
+        library = Path(self._built.name) / "libengine.so.1"
         _compile(folder, library)
-        build_data["force_include"][str(library)] = f"{PACKAGE}/engine.so"
+        build_data["force_include"][str(library)] = f"{PACKAGE}/libengine.so.1"
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{_platform_tag()}"
 
@@ -136,11 +136,11 @@ def _compile(folder: Path, library: Path) -> None:
             ]
         for job in jobs:
             job.result()
-        linked = f"{scratch}/engine.so"
+        linked = f"{scratch}/libengine.so.1"
         _run([*compiler, "-shared", "-s", "-o", linked, *commands, "-lm"])
         # In one step, so that a process that runs keeps the library it has loaded.
-        shutil.copy(linked, library.with_suffix(".part"))
-        library.with_suffix(".part").replace(library)
+        shutil.copy(linked, library.with_name("libengine.part"))
+        library.with_name("libengine.part").replace(library)
 
 
 def _run(command: list[str]) -> None:

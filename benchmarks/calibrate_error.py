@@ -31,8 +31,7 @@ import numpy as np
 
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.evaluate import Reference, evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.evaluate import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.presets import preset
@@ -97,7 +96,7 @@ def steps(seed: int, name: str, factor: float | None) -> list[Step]:
             if watcher.session is None:
                 return []
             session = watcher.session
-        pairs = evaluate(session, build_model(session), Reference.of(session, truth)).pairs
+        pairs = evaluate(session, truth).pairs
     return [_step(session, seed, pair) for pair in pairs]
 
 

@@ -22,8 +22,7 @@ import numpy as np
 from scan3d_twin.core.alignment import placed, solve
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.evaluate import Evaluation, Reference, evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.evaluate import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.presets import preset
@@ -68,9 +67,7 @@ def tour(scene: str, seed: int) -> Tour:
             return Tour(scene, seed, session.stop_reason, len(session.views))
         alignment = solve(session)
         aligned = placed(replace(session), alignment)
-        before, after = (
-            figures(evaluate(s, build_model(s), Reference.of(s, truth))) for s in (session, aligned)
-        )
+        before, after = (figures(evaluate(s, truth)) for s in (session, aligned))
     links, misfits = len(alignment.links), len(alignment.misfits)
     return Tour(scene, seed, session.stop_reason, len(session.views), links, misfits, before, after)
 

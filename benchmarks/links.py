@@ -17,8 +17,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import Reference, evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.evaluate import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.presets import preset
@@ -49,7 +48,7 @@ def run(scene: str, link: str, config: Config, seed: int, *, wired: bool, start:
         robot.clock.sleep(start - robot.clock.now())
         began = robot.clock.now()
         session = digitize(robot, make_planner(config.planner), config, seed, Unobserved())
-        found = evaluate(session, build_model(session), Reference.of(session, truth))
+        found = evaluate(session, truth)
     errors = tuple(pair.error for pair in found.pairs)
     return Run(len(session.views), errors, found.accuracy.median, found.coverage, began)
 

@@ -21,8 +21,7 @@ import numpy as np
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.evaluate import Reference, evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.evaluate import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.sim.robot import open_sim
@@ -61,7 +60,7 @@ def run(scene: str, seed: int, base: Config) -> Run:
             session = digitize(robot, make_planner("siicp"), config, seed, Unobserved())
         except TwinError as error:
             return Run(scene, seed, f"{type(error).__name__}: {error}")
-        result = evaluate(session, build_model(session), Reference.of(session, truth))
+        result = evaluate(session, truth)
         sim_time = robot.clock.now()
     places = [view.T_world_scan for view in session.views]
     made = [plan for plan in session.plans if plan.viewpoint is not None]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import Reference, evaluate
+from scan3d_twin.core.evaluate import evaluate
 from scan3d_twin.core.model import build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -23,7 +23,7 @@ def main(folder: Path) -> None:
     with open_sim("three_boxes", SEED) as (robot, truth):
         session = digitize(robot, make_planner("siicp"), config, SEED, Unobserved())
         model = build_model(session)
-        result = evaluate(session, model, Reference.of(session, truth))
+        result = evaluate(session, truth)
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.ply").write_bytes(ply_bytes(model.points, model.view))

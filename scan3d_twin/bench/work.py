@@ -15,7 +15,7 @@ from scan3d_twin.bench.features import feature_before
 from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.evaluate import Evaluation, Reference, evaluate
+from scan3d_twin.core.evaluate import Evaluation, Reference, evaluate_model
 from scan3d_twin.core.model import Model, build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
@@ -60,7 +60,9 @@ def perform(task: Task) -> Done:
         raise loop.ended
     seen = any(len(view.target) for view in loop.session.views)
     model = build_model(loop.session)
-    evaluation = evaluate(loop.session, model, Reference.of(loop.session, truth)) if seen else None
+    evaluation = (
+        evaluate_model(loop.session, model, Reference.of(loop.session, truth)) if seen else None
+    )
     record = _filled(task.blank(), loop, model, evaluation)
     picture = _picture(task, record, loop.session, model) if task.picture and seen else None
     return Done(_signed(record, wall, cpu), picture)

@@ -11,7 +11,7 @@ from scan3d_twin.core.evaluate import (
     Distances,
     Reference,
     Truth,
-    evaluate,
+    evaluate_model,
     mesh_accuracy,
     shows_target,
 )
@@ -47,7 +47,7 @@ def save_run(
     model = joined([each.cleaned for each in seen])
     known = truth is not None and len(model) and shows_target(session, truth)
     reference = Reference.of(session, truth) if truth is not None and known else None
-    evaluation = None if reference is None else evaluate(session, model, reference)
+    evaluation = None if reference is None else evaluate_model(session, model, reference)
     report = build_report(
         scene,
         settings,

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.mesh import Mesh
-from scan3d_twin.core.model import Model, voxel_thin
+from scan3d_twin.core.model import Model, build_model, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, rms
@@ -187,8 +187,17 @@ class Reference:
         return Reference(truth, poses, T_map_world, _sampled(truth))
 
 
-def evaluate(session: Session, model: Model, reference: Reference) -> Evaluation:
-    """Compare ``session`` and its ``model``, not fused, with the truth.
+def evaluate(session: Session, truth: Truth) -> Evaluation:
+    """Compare ``session`` with the truth.
+
+    Raises:
+        ScanError: No view shows anything of the target.
+    """
+    return evaluate_model(session, build_model(session), Reference.of(session, truth))
+
+
+def evaluate_model(session: Session, model: Model, reference: Reference) -> Evaluation:
+    """Compare ``session`` and its ``model``, not fused, with what ``reference`` holds of the truth.
 
     Raises:
         ScanError: No view shows anything of the target.

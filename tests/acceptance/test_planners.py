@@ -8,8 +8,7 @@ import pytest
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import Reference, evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.evaluate import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.presets import preset
@@ -33,9 +32,7 @@ def run(name: str, max_views: int) -> tuple[Session, float]:
     with open_sim(scene, 3) as (robot, truth):
         planner = make_planner(name, truth)
         session = digitize(robot, planner, effective, 3, Unobserved())
-        return session, evaluate(
-            session, build_model(session), Reference.of(session, truth)
-        ).coverage
+        return session, evaluate(session, truth).coverage
 
 
 @pytest.mark.parametrize("name", RIVALS)

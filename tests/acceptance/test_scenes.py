@@ -11,8 +11,7 @@ import pytest
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import Evaluation, Reference, evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.evaluate import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
@@ -34,7 +33,7 @@ def run(
     with open_sim(scene, seed, twin) as (robot, truth):
         session = digitize(robot, make_planner("siicp"), config, seed, Unobserved())
         assert robot.base.hazards().active() == ()
-        return session, evaluate(session, build_model(session), Reference.of(session, truth))
+        return session, evaluate(session, truth)
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -407,7 +407,7 @@ def test_all_levels_of_the_processor_give_the_same_bits(monkeypatch: pytest.Monk
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 def test_another_build_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without optimisation every operation is carried out as it is written."""
-    library, digest = tmp_path / "engine.so", native.digest_sources()
+    library, digest = tmp_path / "libengine.so.1", native.digest_sources()
     flags = ["-std=gnu11", "-O0", "-fPIC", "-shared", "-ffp-contract=off", "-Wno-psabi"]
     sources = [str(NATIVE / "engine.c"), str(NATIVE / "levels.c")]
     defined = ["-DLEVEL=v1", f'-DDIGEST="{digest}"']
@@ -457,7 +457,7 @@ def test_a_library_built_from_other_sources_is_refused(
 
 def test_a_missing_library_is_one_line_with_its_cure(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="make setup") as error:
-        Engine(tmp_path / "engine.so").library  # noqa: B018
+        Engine(tmp_path / "libengine.so.1").library  # noqa: B018
     assert "\n" not in str(error.value)
 
 

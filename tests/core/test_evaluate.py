@@ -18,7 +18,7 @@ from scan3d_twin.core.evaluate import (
     Reference,
     coverable_surface,
     displacement,
-    evaluate,
+    evaluate_model,
     shows_target,
     surface_distance,
     true_pose,
@@ -85,7 +85,7 @@ def session_of(*odometry: Pose2, true: tuple[Pose2, ...] = (FIRST, SECOND)) -> S
 
 def evaluated(session: Session) -> Evaluation:
     reference = Reference.of(session, BoxTruth((FIRST, SECOND)))
-    return evaluate(session, build_model(session), reference)
+    return evaluate_model(session, build_model(session), reference)
 
 
 def test_coverage_grows_view_by_view_to_that_of_the_whole_model() -> None:

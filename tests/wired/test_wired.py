@@ -7,8 +7,7 @@ import pytest
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import Reference, evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.evaluate import evaluate
 from scan3d_twin.core.motion import turn_by
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -30,7 +29,7 @@ def digitised(opener, link, config, seed=0, start=0.0):
         session = digitize(robot, planner, config, seed, Unobserved())
         return (
             session,
-            evaluate(session, build_model(session), Reference.of(session, truth)),
+            evaluate(session, truth),
             robot.lidar,
             began,
         )

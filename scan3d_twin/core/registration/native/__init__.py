@@ -24,7 +24,7 @@ import numpy.typing as npt
 from scan3d_twin.core.errors import FileError
 
 FOLDER = Path(__file__).parent
-LIBRARY = FOLDER / "engine.so"
+LIBRARY = FOLDER / "libengine.so.1"
 CURE = "run `make setup` in a checkout, or install the package again"
 
 ByteArray = npt.NDArray[np.uint8]
