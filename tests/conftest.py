@@ -1,4 +1,8 @@
-import pytest
+from scan3d_twin.cli.arithmetic import fix_arithmetic
+
+fix_arithmetic()  # before anything loads NumPy: the tests compare bits with those of the program
+
+import pytest  # noqa: E402
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

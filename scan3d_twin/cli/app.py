@@ -14,6 +14,7 @@ from typing import NoReturn
 
 from cyclopts import App, CycloptsError, Parameter
 
+from scan3d_twin.cli.arithmetic import fix_arithmetic
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
 from scan3d_twin.core.errors import TwinError
 
@@ -80,6 +81,7 @@ app.command(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``twin`` with ``arguments``, by default the process's own, and return its exit code."""
+    fix_arithmetic()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _interrupt)
     tokens = sys.argv[1:] if arguments is None else list(arguments)
