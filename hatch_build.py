@@ -1,8 +1,8 @@
 """Compiles the engine of the registration: into the wheel, or beside its sources for a checkout.
 
 The compiler is ``$CC``, else ``cc``, ``gcc`` or ``clang``; where none works, the C compiler of the
-package ``ziglang`` is installed for the build alone. ``$SCAN3D_TWIN_TARGET`` builds for another
-platform by that one, for example ``aarch64-linux-gnu.2.28``: see docs/development.md.
+package ``ziglang`` is installed for the build alone. ``$SCAN3D_TWIN_TARGET`` builds by that one for
+any platform, for example ``aarch64-linux-gnu.2.28``: see CONTRIBUTING.md.
 """
 
 from __future__ import annotations
@@ -110,22 +110,34 @@ def _builds(compiler: list[str]) -> bool:
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
-def _compiler() -> list[str]:
+def _compile_command() -> list[str]:
+    """Return the compiler's command; zig without a target compiles for this processor alone."""
     system = _system_compiler()
     if system:
         return system
-    target = ["-target", _target()] if _target() else []
-    return [sys.executable, "-m", "ziglang", "cc", *target]
+    libc = "gnu.2.28" if platform.libc_ver()[0] == "glibc" else "musl"
+    target = _target() or f"{_architecture()}-linux-{libc}"
+    return [sys.executable, "-m", "ziglang", "cc", "-target", target]
+
+
+def _spelled_for(compiler: list[str], flags: tuple[str, ...]) -> list[str]:
+    """Return ``flags`` in the compiler's spelling: zig 0.17 knows no CPU x86-64-v3."""
+    zig = "ziglang" in compiler
+    return [flag.replace("x86-64-", "x86_64_") if zig else flag for flag in flags]
 
 
 def _compile(folder: Path, library: Path) -> None:
     """Compile each level of the engine and link them to ``library``."""
     sources = sorted([*folder.glob("*.c"), *folder.glob("*.h")])
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
-    compiler = _compiler()
+    compiler = _compile_command()
     with tempfile.TemporaryDirectory() as scratch:
         commands = {
-            f"{scratch}/{level}.o": [*flags, f"-DLEVEL={level}", str(folder / "engine.c")]
+            f"{scratch}/{level}.o": [
+                *_spelled_for(compiler, flags),
+                f"-DLEVEL={level}",
+                str(folder / "engine.c"),
+            ]
             for level, flags in _levels().items()
         }
         commands[f"{scratch}/levels.o"] = [f'-DDIGEST="{digest}"', str(folder / "levels.c")]
