@@ -9,11 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
-from mcap.writer import CompressionType, Writer
 
 from scan3d_twin import __version__
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording import ros
+from scan3d_twin.recording.mcap_writer import McapWriter
 
 FLUSH_PERIOD = 0.5
 """Longest time, on the robot's clock and on ours, for which messages are held back [s]."""
@@ -84,9 +84,6 @@ class Sink:
         """Return the size of the file [bytes]."""
         return self._size
 
-    def flush(self) -> None:
-        """Nothing is held back here."""
-
     def sync(self) -> None:
         """Wait until the disk has everything, so that not even a power cut loses it.
 
@@ -147,12 +144,8 @@ class McapFile:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._flushed = (0.0, wall())
-        self._writer = Writer(
-            self.sink,  # type: ignore[arg-type]
-            chunk_size=CHUNK_SIZE,
-            compression=CompressionType.ZSTD,
-        )
-        self._writer.start(profile=Profile.ROS2, library=f"scan3d_twin {__version__}")
+        library = f"scan3d_twin {__version__}"
+        self._writer = McapWriter(self.sink, CHUNK_SIZE, Profile.ROS2, library)
 
     def write(
         self, topic: str, stamp: float, message: ros.Message, *, latched: bool = False
@@ -174,30 +167,26 @@ class McapFile:
         """Add an encoded message of type ``name``."""
         if topic not in self._channels:
             self._channels[topic] = self._channel(topic, name, latched=latched)
-        self._writer.add_message(self._channels[topic], nanoseconds, data, nanoseconds)
+        self._writer.add_message(self._channels[topic], nanoseconds, data)
 
     def metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Add text by name; what is said last of a ``name`` holds."""
-        self._writer.add_metadata(name, dict(entries))
+        self._writer.add_metadata(name, entries)
 
     def flush(self, stamp: float) -> None:
         """Hand everything to the operating system: a killed program loses nothing of it."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._writer.flush()
         self._flushed = (stamp, self._wall())
 
     def finish(self) -> None:
         """Write the index, which makes the file whole, and close it."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._writer.finish()
         self.sink.sync()
         self.sink.close()
 
     def _channel(self, topic: str, name: str, *, latched: bool) -> int:
         if name not in self._schemas:
             text, _ = ros.typestore().generate_msgdef(name, ros_version=2)
-            self._schemas[name] = self._writer.register_schema(
-                name, SchemaEncoding.ROS2, text.encode()
-            )
+            self._schemas[name] = self._writer.add_schema(name, SchemaEncoding.ROS2, text.encode())
         quality = {"offered_qos_profiles": LATCHED} if latched else {}
-        return self._writer.register_channel(
-            topic, MessageEncoding.CDR, self._schemas[name], quality
-        )
+        return self._writer.add_channel(topic, MessageEncoding.CDR, self._schemas[name], quality)

@@ -78,28 +78,26 @@ def mix(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> M
     total /= len(distances)
     if len(edge) == 0:
         return Mixed(mean, total, edge, edge)
-    coarse, fine = (_phasor(safe[:, edge], power[:, edge], k) for k in WAVE_NUMBERS)
-    mean[edge], total[edge] = coarse
-    return Mixed(mean, total, edge, _codes(coarse, fine, config))
+    phasors = _phasors(safe[:, edge], power[:, edge])
+    (mean[edge], _), (total[edge], _) = phasors
+    return Mixed(mean, total, edge, _codes(*phasors, config))
 
 
-def _phasor(distances: FloatArray, power: FloatArray, wave: float) -> tuple[FloatArray, FloatArray]:
-    """Return distance (n,) [m] and power (n,) of the sum of the sub-rays."""
+def _phasors(distances: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return distance (2, n) [m] and power (2, n) of the sum of the sub-rays, by modulation."""
+    waves = np.array(WAVE_NUMBERS)[:, None]
     first = distances[np.argmax(power, axis=0), np.arange(distances.shape[1])]
-    phase = wave * (distances - first)
-    real, imaginary = (power * np.cos(phase)).mean(axis=0), (power * np.sin(phase)).mean(axis=0)
-    return first + np.arctan2(imaginary, real) / wave, np.hypot(real, imaginary)
+    phases = waves[:, :, None] * (distances - first)
+    count = len(distances)
+    real, imaginary = ((power * part(phases)).sum(axis=1) / count for part in (np.cos, np.sin))
+    return first + np.arctan2(imaginary, real) / waves, np.hypot(real, imaginary)
 
 
-def _codes(
-    coarse: tuple[FloatArray, FloatArray],
-    fine: tuple[FloatArray, FloatArray],
-    config: LidarModelConfig,
-) -> IntArray:
-    """Return the error codes (n,) of beams whose two modulations gave ``coarse`` and ``fine``."""
-    codes = np.full(len(coarse[0]), VALID)
-    apart: BoolArray = np.abs(coarse[0] - fine[0]) > config.mixed_phase
+def _codes(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> IntArray:
+    """Return the error codes (n,) of beams whose modulations gave these (2, n)."""
+    codes = np.full(distances.shape[1], VALID)
+    apart: BoolArray = np.abs(distances[0] - distances[1]) > config.mixed_phase
     codes[apart] = urg04lx.OTHER_ERROR
-    weak, strong = np.minimum(coarse[1], fine[1]), np.maximum(coarse[1], fine[1])
+    weak, strong = np.minimum(*power), np.maximum(*power)
     codes[strong > config.mixed_amplitude * weak] = urg04lx.AMPLITUDES_DIFFER
     return codes

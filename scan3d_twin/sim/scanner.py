@@ -124,7 +124,7 @@ class Scanner:
         self._fan = self._sub_beams()
 
     def _sub_beams(self) -> FloatArray:
-        """Return the sub-rays that pass the robot, in the lidar's frame (K, n_free, 3)."""
+        """Return the sub-rays that pass the robot, in the lidar's frame (3, K, n_free)."""
         along, across = offsets(self.config).T[:, :, None]
         angles = self.spec.elevations[self._free] + along
         fan = np.stack(
@@ -132,8 +132,7 @@ class Scanner:
                 np.cos(across) * np.cos(angles),
                 np.broadcast_to(np.sin(across), angles.shape),
                 np.cos(across) * np.sin(angles),
-            ],
-            axis=-1,
+            ]
         )
         return read_only(fan)
 
@@ -159,16 +158,12 @@ class Scanner:
         """
         m, free, fan = len(positions), self._free, self._fan
         at = positions[:, free]
-        ahead, left, up = (rotations[:, free, :, k] for k in range(3))
-        rays = fan[:, None, :, 0, None] * ahead + fan[:, None, :, 2, None] * up
-        if len(fan) > 1:
-            rays += fan[:, None, :, 1, None] * left
-        directions = rays.reshape(-1, 3)
-        origins = np.broadcast_to(at, rays.shape).reshape(-1, 3)
+        shape = (fan.shape[1], at.shape[0] * at.shape[1])
+        directions = self._directions(rotations[:, free]).reshape(-1, 3)
+        origins = np.broadcast_to(at.reshape(1, -1), (shape[0], at.size)).reshape(-1, 3)
         hits = self.caster.cast(qpos, origins, directions)
         cosines = np.abs(np.einsum("ni,ni->n", hits.normals, directions))
         power = self.materials.power(hits.geoms, cosines, hits.distances)
-        shape = (len(fan), at.shape[0] * at.shape[1])
         mixed = mix(hits.distances.reshape(shape), power.reshape(shape), self.config)
         middle = slice(0, shape[1])
         bias = self.surface_bias.take(hits.geoms[middle])
@@ -181,6 +176,22 @@ class Scanner:
         behind = Hits(hits.distances[middle], hits.normals[middle], hits.geoms[middle])
         kept = self._evidence(light, behind, positions, rotations)
         return Readings(ranges, codes, kept)
+
+    def _directions(self, rotations: FloatArray) -> FloatArray:
+        """Return the sub-rays in ``map`` (K, m, n_free, 3) for ``rotations`` (m, n_free, 3, 3).
+
+        Components come first while they are worked out: loops over 3 numbers take thrice as long.
+        """
+        ahead, left, up = np.ascontiguousarray(rotations.transpose(3, 2, 0, 1))[:, :, None]
+        along, across, upwards = self._fan[:, :, None]
+        rays = along * ahead
+        rays += upwards * up
+        if len(along) > 1:
+            rays += across * left
+        result = np.empty((*rays.shape[1:], 3))
+        for component, values in enumerate(rays):
+            result[..., component] = values
+        return result
 
     def _with_housing(self, m: int, *arrays: FloatArray) -> Light:
         """Return ``arrays`` (m * n_free,) of the free beams as (m, n_beams), with the robot's."""

@@ -31,6 +31,20 @@ def test_help_needs_nothing_heavy(arguments):
     assert done.stdout.splitlines()[-1] == "[] 0"
 
 
+@pytest.mark.parametrize(("asked", "used"), [(None, "1"), ("3", "3")])
+def test_a_run_computes_on_one_thread_unless_told_otherwise(monkeypatch, asked, used):
+    name = "OPENBLAS_NUM_THREADS"
+    monkeypatch.delenv(name, raising=False)
+    if asked is not None:
+        monkeypatch.setenv(name, asked)
+    told = f"print(os.environ[{name!r}])"
+    program = f"import os; from scan3d_twin.cli import main; main(['--help']); {told}"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == used
+
+
 def test_the_version_names_the_package_and_what_it_computes_with(twin):
     found = dict(line.split(None, 1) for line in twin("--version").out.splitlines())
     assert found["scan3d_twin"] == __version__
