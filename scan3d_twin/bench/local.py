@@ -15,7 +15,7 @@ from scan3d_twin.bench.task import Task
 from scan3d_twin.bench.work import Done, perform
 from scan3d_twin.core.errors import ConfigError
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """One thread per worker: the arrays are small, and more only get into each other's way."""
 
 

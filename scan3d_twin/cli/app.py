@@ -84,8 +84,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fix_arithmetic()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _interrupt)
-    # Before numpy is loaded: the arrays are small, and more threads of it only wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
         app(tokens, exit_on_error=False, print_error=False)
