@@ -126,8 +126,14 @@ class Costmap:
         return bool(np.all(self.passable[cells[:, 0], cells[:, 1]]))
 
     def _cell_of(self, x: float, y: float) -> tuple[int, int]:
-        i, j = (x - self.origin[0]) / RESOLUTION, (y - self.origin[1]) / RESOLUTION
-        return math.floor(i), math.floor(j)
+        left, low = self._corner
+        return math.floor((x - left) / RESOLUTION), math.floor((y - low) / RESOLUTION)
+
+    @cached_property
+    def _corner(self) -> tuple[float, float]:
+        """The origin as plain numbers: viewpoints are weighed by the hundred."""
+        x, y = self.origin.tolist()
+        return x, y
 
     def _cell(self, point: FloatArray) -> IntArray:
         return np.floor((point - self.origin) / RESOLUTION).astype(np.int64)

@@ -47,14 +47,18 @@ def eroded(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
         radius: In the unit of ``cell``.
         cell: Side of a cell.
     """
-    inside = np.zeros_like(grid)
-    rows, columns = np.flatnonzero(grid.any(axis=1)), np.flatnonzero(grid.any(axis=0))
-    if len(rows):
-        part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        inside[part] = ~dilated(np.pad(~grid[part], 1, constant_values=True), radius, cell)[
-            1:-1, 1:-1
-        ]
+    inside, part = np.zeros_like(grid), _occupied(grid)
+    outside = np.pad(~grid[part], 1, constant_values=True)
+    inside[part] = ~dilated(outside, radius, cell)[1:-1, 1:-1]
     return inside
+
+
+def _occupied(grid: BoolArray) -> tuple[slice, slice]:
+    """Return the smallest box of ``grid`` (nx, ny) that holds all its cells."""
+    rows, columns = np.flatnonzero(grid.any(axis=1)), np.flatnonzero(grid.any(axis=0))
+    if len(rows) == 0:
+        return np.s_[:0, :0]
+    return np.s_[int(rows[0]) : int(rows[-1]) + 1, int(columns[0]) : int(columns[-1]) + 1]
 
 
 @lru_cache(64)
@@ -68,8 +72,11 @@ def _disc(radius: float, cell: float) -> tuple[tuple[int, int], ...]:
 
 def connected(grid: BoolArray, start: tuple[int, int]) -> BoolArray:
     """Return the cells (nx, ny) of ``grid`` that can be reached from ``start``, one of them."""
-    labels, _ = ndimage.label(grid, structure=_EIGHT)
-    return np.asarray(labels == labels[start])
+    part = _occupied(grid)
+    labels, _ = ndimage.label(grid[part], structure=_EIGHT)
+    reached = np.zeros_like(grid)
+    reached[part] = labels == labels[start[0] - part[0].start, start[1] - part[1].start]
+    return reached
 
 
 def shortest_ways(

@@ -241,9 +241,14 @@ def _piece_sizes(image: RangeImage, scan: Scan3D) -> IntArray:
 
     Readings lie on every second place of a grid, and on those between them what joins two.
     """
-    n, m = image.ranges.shape
+    if len(scan) == 0:
+        return np.zeros(0, dtype=np.int64)
+    line, beam = int(scan.lines[0]), int(scan.beams.min())
+    lines, beams = scan.lines - line, scan.beams - beam
+    n, m = int(lines[-1]) + 1, int(beams.max()) + 1
+    ranges = image.ranges[line : line + n, beam : beam + m]
     there = np.zeros((n, m), dtype=bool)
-    there[scan.lines, scan.beams] = True
+    there[lines, beams] = True
     grid = np.zeros((2 * n - 1, 2 * m - 1), dtype=bool)
     grid[::2, ::2] = there
     for between, a, b in (
@@ -251,7 +256,7 @@ def _piece_sizes(image: RangeImage, scan: Scan3D) -> IntArray:
         (np.s_[::2, 1::2], np.s_[:, :-1], np.s_[:, 1:]),
     ):
         with np.errstate(invalid="ignore"):
-            joined = np.abs(image.ranges[a] - image.ranges[b]) < DEPTH_EDGE
+            joined = np.abs(ranges[a] - ranges[b]) < DEPTH_EDGE
         grid[between] = joined & there[a] & there[b]
-    labels = ndimage.label(grid)[0][2 * scan.lines, 2 * scan.beams]
+    labels = ndimage.label(grid)[0][2 * lines, 2 * beams]
     return np.asarray(np.bincount(labels)[labels], dtype=np.int64)

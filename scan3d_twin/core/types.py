@@ -339,7 +339,9 @@ class Scan3D:
 
     def select(self, mask: BoolArray) -> Scan3D:
         """Return the points where ``mask`` (n,) is True."""
-        return Scan3D(self.points[mask], self.lines[mask], self.beams[mask], self.n_lines)
+        kept = np.flatnonzero(mask)
+        points = self.points.take(kept, axis=0)
+        return Scan3D(points, self.lines.take(kept), self.beams.take(kept), self.n_lines)
 
     def first_lines(self, k: int) -> Scan3D:
         """Return the points of the first ``k`` occupied lines."""

@@ -306,7 +306,8 @@ def _along(contour: Contour, first: int, onwards: FloatArray, length: float) -> 
 
 def angle_between(a: FloatArray, b: FloatArray) -> float:
     """Return the angle from ``a`` (2,) to ``b`` (2,), counter-clockwise [rad]."""
-    return math.atan2(float(_cross(a, b)), float(a @ b))
+    (ax, ay), (bx, by) = a.tolist(), b.tolist()
+    return math.atan2(ax * by - ay * bx, float(a @ b))
 
 
 def limit(normal: FloatArray, reference: FloatArray, most: float) -> FloatArray:
@@ -327,4 +328,4 @@ def clockwise(vector: FloatArray) -> FloatArray:
 
 
 def _unit(vector: FloatArray) -> FloatArray:
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
+    return np.asarray(vector / max(math.sqrt(float(vector @ vector)), 1e-12))

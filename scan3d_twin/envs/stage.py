@@ -16,8 +16,8 @@ from scan3d_twin.sim.random_scenes import SceneRanges, random_scene
 from scan3d_twin.sim.scene import Scene, load_scene
 from scan3d_twin.sim.truth import Truth
 
-KEPT = 256
-"""Scenes that a process keeps loaded; some megabytes each."""
+KEPT = 4
+"""Scenes that a process keeps loaded beside those in use; some megabytes each."""
 SPACING = 0.02
 """Distance of the surface samples by which environments judge coverage [m], the distance that
 counts as covered; ``evaluate`` takes a quarter of it."""

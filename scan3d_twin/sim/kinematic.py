@@ -210,15 +210,14 @@ class KinematicRobot:
         angles = true.yaw + yaws
         c, s = np.cos(angles), np.sin(angles)
         ahead, up = default_mount()[0, 3], default_mount()[2, 3]
-        positions = np.stack([true.x + ahead * c, true.y + ahead * s, np.full_like(c, up)], axis=-1)
-        rotations = np.zeros((m, n, 3, 3))
-        rotations[..., 0, 0] = rotations[..., 1, 1] = c
-        rotations[..., 1, 0], rotations[..., 0, 1] = s, -s
-        rotations[..., 2, 2] = 1.0
+        positions = np.empty((m, n, 3))
+        positions[..., 0], positions[..., 1] = true.x + ahead * c, true.y + ahead * s
+        positions[..., 2] = up
         draws = Draws(
             self._rng.standard_normal((m, n), dtype=np.float32),
             self._rng.standard_normal((m, n)),
             self._rng.random((m, n)),
         )
-        readings = self._scanner.measure(np.empty(0), positions, rotations, draws, np.zeros(m))
+        still = np.zeros(m)
+        readings = self._scanner.measure_upright(np.empty(0), positions, (c, s), draws, still)
         return readings.ranges, readings.codes

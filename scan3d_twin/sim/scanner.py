@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -156,26 +156,53 @@ class Scanner:
             drift: Error of each whole line (m,) [m].
             evidence: Keep what lay behind the readings, for evaluation.
         """
-        m, free, fan = len(positions), self._free, self._fan
-        at = positions[:, free]
-        shape = (fan.shape[1], at.shape[0] * at.shape[1])
-        directions = self._directions(rotations[:, free]).reshape(-1, 3)
-        origins = np.broadcast_to(at.reshape(1, -1), (shape[0], at.size)).reshape(-1, 3)
+        rays = self._directions(rotations[:, self._free])
+        light, hits, readings = self._read(qpos, positions[:, self._free], rays, draws, drift)
+        if not evidence:
+            return readings
+        return replace(readings, evidence=self._evidence(light, hits, positions, rotations))
+
+    def measure_upright(
+        self,
+        qpos: FloatArray,
+        positions: FloatArray,
+        heading: tuple[FloatArray, FloatArray],
+        draws: Draws,
+        drift: FloatArray,
+    ) -> Readings:
+        """Return what ``measure`` does for a lidar that stands upright.
+
+        Its ``heading`` at each beam's time is given by cosine and sine (m, n_beams).
+        """
+        c, s = (part[:, self._free] for part in heading)
+        x, y, z = self._fan[:, :, None]
+        rays = np.empty((len(x), *c.shape, 3))
+        rays[..., 0], rays[..., 1], rays[..., 2] = x * c - y * s, x * s + y * c, z
+        return self._read(qpos, positions[:, self._free], rays, draws, drift)[2]
+
+    def _read(
+        self, qpos: FloatArray, at: FloatArray, rays: FloatArray, draws: Draws, drift: FloatArray
+    ) -> tuple[Light, Hits, Readings]:
+        """Cast ``rays`` (K, m, n_free, 3) from ``at`` (m, n_free, 3) and read what comes back.
+
+        Returns:
+            The light of each beam, what the middle of each free beam hit, and the readings.
+        """
+        directions = rays.reshape(-1, 3)
+        origins = np.broadcast_to(at, rays.shape).reshape(-1, 3)
         hits = self.caster.cast(qpos, origins, directions)
         cosines = np.abs(np.einsum("ni,ni->n", hits.normals, directions))
         power = self.materials.power(hits.geoms, cosines, hits.distances)
+        shape = (len(rays), at.shape[0] * at.shape[1])
         mixed = mix(hits.distances.reshape(shape), power.reshape(shape), self.config)
         middle = slice(0, shape[1])
         bias = self.surface_bias.take(hits.geoms[middle])
-        light = self._with_housing(m, mixed.distances, mixed.power, cosines[middle], bias)
+        light = self._with_housing(len(at), mixed.distances, mixed.power, cosines[middle], bias)
         row, column = np.divmod(mixed.broken, at.shape[1])
-        broken = (row, np.arange(self.spec.n_beams)[free][column])
+        broken = (row, np.arange(self.spec.n_beams)[self._free][column])
         ranges, codes = read(light, (broken, mixed.codes), draws, drift, self.config)
-        if not evidence:
-            return Readings(ranges, codes, ())
         behind = Hits(hits.distances[middle], hits.normals[middle], hits.geoms[middle])
-        kept = self._evidence(light, behind, positions, rotations)
-        return Readings(ranges, codes, kept)
+        return light, behind, Readings(ranges, codes, ())
 
     def _directions(self, rotations: FloatArray) -> FloatArray:
         """Return the sub-rays in ``map`` (K, m, n_free, 3) for ``rotations`` (m, n_free, 3, 3).

@@ -1,6 +1,8 @@
 """The environments keep gymnasium's rules, tell the truth in infos only, and repeat themselves."""
 
+import gc
 import warnings
+import weakref
 
 import numpy as np
 import pytest
@@ -230,3 +232,24 @@ def test_pictures(make, capsys):
     other.reset(seed=0)
     assert other.render() is None
     assert "\u2580" in capsys.readouterr().out
+
+
+def test_episodes_that_are_over_leave_nothing_behind(make):
+    env = make(scene="random")
+    stages, casters, episodes = (weakref.WeakSet() for _ in range(3))
+    for seed in range(14):
+        env.reset(seed=seed)
+        episodes.add(env.episode)
+        stages.add(env.episode.stage)
+        casters.add(env.episode.stage.caster)
+    gc.collect()
+    assert len(episodes) == 1
+    assert len(stages) <= 5
+    assert len(casters) <= 5
+
+
+def test_a_scene_that_comes_again_is_loaded_once(make):
+    one, two = make(), make()
+    one.reset(seed=0)
+    two.reset(seed=1)
+    assert one.episode.stage is two.episode.stage

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,18 +8,14 @@ from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
 from scan3d_twin.core.types import VALID
 from scan3d_twin.sim.config import IDEAL_ROBOT, LidarModelConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scanner import beam_directions, lidar_spec, own_housing
+from scan3d_twin.sim.scanner import CHUNK, beam_directions, lidar_spec, own_housing
 
 MOUNT = np.array([0.05, 0.0, 0.30])
 
 
 def drain(robot):
     """Forget the unread lines."""
-    while True:
-        try:
-            robot.lidar.read_line(0.0)
-        except LinkTimeoutError:
-            return
+    one_by_one(robot)
 
 
 def expected(robot, truth, stamps):
@@ -30,6 +27,16 @@ def expected(robot, truth, stamps):
         origins.append(pose.apply(MOUNT))
         directions.append(pose.rotate(beam))
     return truth.first_hits(np.array(origins), np.array(directions))
+
+
+def one_by_one(robot):
+    """Return the unread lines."""
+    lines = []
+    while True:
+        try:
+            lines.append(robot.lidar.read_line(0.0))
+        except LinkTimeoutError:
+            return lines
 
 
 @pytest.mark.parametrize(
@@ -288,3 +295,26 @@ def test_the_evidence_behind_a_line():
     assert evidence.positions[0] == pytest.approx([-0.85, 0, 0.3], abs=0.001)
     assert np.linalg.norm(evidence.directions, axis=1) == pytest.approx(1.0)
     assert (evidence.intensity[valid] > 0).all()
+
+
+@pytest.mark.parametrize("latency", [LidarModelConfig().latency, 0.08])
+def test_lines_that_wait_are_the_same_bits_as_lines_read_one_by_one(latency):
+    twin = replace(TwinConfig(), lidar=replace(LidarModelConfig(), latency=latency))
+
+    def as_they_come(robot):
+        return [robot.lidar.read_line(1.0) for _ in range(len(waiting))]
+
+    def lines_of(read, seconds):
+        with open_sim("three_boxes", 4, twin) as (robot, _):
+            robot.base.set_velocity(0.0, math.radians(20))
+            robot.clock.sleep(seconds)
+            return read(robot)
+
+    waiting = lines_of(lambda robot: robot.lidar.read_waiting(), 1.45)
+    assert len(waiting) > CHUNK
+    assert not np.array_equal(waiting[0].ranges, waiting[-1].ranges, equal_nan=True)
+    for single in (lines_of(one_by_one, 1.45), lines_of(as_they_come, 0.0)):
+        assert [line.stamp for line in single] == [line.stamp for line in waiting]
+        for a, b in zip(waiting, single, strict=True):
+            assert np.array_equal(a.ranges, b.ranges, equal_nan=True)
+            assert np.array_equal(a.codes, b.codes)

@@ -152,7 +152,7 @@ class Situation:
         """Whether the robot has looked around since the latest view."""
         return any(taken == len(self.session.views) for taken, _ in self.session.looks)
 
-    @property
+    @cached_property
     def n_lines(self) -> int:
         """The paper's n: lines of P."""
         return len(self.P.occupied_lines)
@@ -169,8 +169,7 @@ class Situation:
         if self.foreseen is not None and not self.ends:
             segment = foreseen_segment(self.contour, n_Q, S1, self.foreseen.points)
         else:
-            bend = contour_bend(self.contour) if config.planning.bend == "contour" else BEND
-            segment = next_segment(self.contour, n_Q, S1, beyond, ends=self.ends, bend=bend)
+            segment = next_segment(self.contour, n_Q, S1, beyond, ends=self.ends, bend=self._bend)
         if config.tour == "front":
             segment = replace(segment, normal=limit(segment.normal, self._front, FRONT_SIDE))
         viewpoint, wanted = place(segment, config, self.feasible)
@@ -217,7 +216,13 @@ class Situation:
             return self._beside_front() and self.ends
         return self._closed()
 
-    @property
+    @cached_property
+    def _bend(self) -> float:
+        """Angle by which the contour is expected to bend where it ends in view [rad]."""
+        wanted = self.session.config.planning.bend
+        return contour_bend(self.contour) if wanted == "contour" else BEND
+
+    @cached_property
     def _front(self) -> FloatArray:
         """Outward unit normal (2,) in ``scan`` of the target's front as the robot first saw it."""
         return self.view.T_world_scan.inverse().rotate(self.session.front)
