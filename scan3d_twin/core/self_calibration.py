@@ -310,10 +310,11 @@ def _largest(points: FloatArray, normals: FloatArray, free: IntArray) -> IntArra
         if np.count_nonzero(best) < LEAST:
             return None
         centre = P[best].mean(axis=0)
-        _, values, axes = np.linalg.svd(P[best] - centre, full_matrices=False)
-        normal = axes[2] * np.sign(axes[2] @ n[best].mean(axis=0))
+        Q = P[best] - centre
+        squares, axes = np.linalg.eigh(Q.T @ Q)
+        normal = axes[:, 0] * np.sign(axes[:, 0] @ n[best].mean(axis=0))
         best = (np.abs((P - centre) @ normal) < gate) & (n @ normal > ALIKE)
-    extent = values[1] / math.sqrt(np.count_nonzero(best)) * math.sqrt(12.0)
+    extent = math.sqrt(12.0 * squares[1] / np.count_nonzero(best))
     return free[best] if np.count_nonzero(best) >= LEAST and extent > EXTENT else None
 
 
