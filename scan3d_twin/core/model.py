@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.mixed_pixels import steepest_step
 from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.registration.clouds import Tree
 from scan3d_twin.core.registration.scan_noise import estimate_range_noise
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.smoothing import smooth
@@ -172,15 +173,11 @@ def estimate_normals(points: FloatArray, towards: FloatArray) -> FloatArray:
         towards: Directions (n, 3) on whose side the normals are to lie.
 
     Returns:
-        The direction of least variance (Hoppe et al., SIGGRAPH 1992); NaN for fewer than 3 points.
+        The direction of least variance; NaN for fewer than 3 points.
     """
     if len(points) < 3:
         return np.full((len(points), 3), np.nan)
-    _, index = cKDTree(points).query(points, k=min(PATCH, len(points)))
-    patch = points[index]
-    patch = patch - patch.mean(axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch))
-    normals = vectors[:, :, 0]
+    _, normals, _ = Tree.of(np.ascontiguousarray(points)).fit_planes(min(PATCH, len(points)))
     inward = np.sum(normals * towards, axis=1) < 0
     return np.asarray(np.where(inward[:, None], -normals, normals))
 

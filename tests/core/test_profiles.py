@@ -20,7 +20,7 @@ BESIDE = Pose2(0.3, 1.0, math.radians(-40.0))
 def seen(boxes: tuple[Box, ...], pose: Pose2, sigma: float = 0.004, seed: int = 4) -> Profile:
     """Return the profile of a view from ``pose`` at the height of the lidar."""
     view = session_at(boxes, poses=(pose,), sigma=sigma, seed=seed).views[-1]
-    return Profile.of(view, 0.30, 0.15)
+    return Profile.through(view, [0.30], 0.15)[0]
 
 
 def in_world(profile: Profile, pose: Pose2) -> list[Edge]:
@@ -108,6 +108,6 @@ def test_the_outline_of_a_curved_body_is_no_edge(radius: float) -> None:
 
 def test_a_slice_without_readings_has_no_places() -> None:
     view = session_at(BOX).views[-1]
-    profile = Profile.of(view, 3.0, 0.15)
+    profile = Profile.through(view, [3.0], 0.15)[0]
     assert not profile.on_target.any()
     assert list(profile.edges()) == []

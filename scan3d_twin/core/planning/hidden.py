@@ -163,7 +163,7 @@ class Hidden:
     @cached_property
     def _profiles(self) -> list[list[Profile]]:
         """Of each view, one for each slice."""
-        return [[Profile.of(v, z, THICKNESS) for z in HEIGHTS] for v in self.session.views]
+        return [Profile.through(view, HEIGHTS, THICKNESS) for view in self.session.views]
 
     @cached_property
     def faces(self) -> Faces:

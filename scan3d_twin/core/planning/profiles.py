@@ -9,7 +9,7 @@ them are wanted, exact to a line or two.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,21 +71,24 @@ class Profile:
     on_target: BoolArray
 
     @staticmethod
-    def of(view: View, height: float, thickness: float) -> Profile:
-        """Return the profile of ``view`` in the slice about ``height`` [m]."""
+    def through(view: View, heights: Sequence[float], thickness: float) -> list[Profile]:
+        """Return the profiles of ``view`` in the slices about ``heights`` [m]."""
         points = view.image.points
-        with np.errstate(invalid="ignore"):
-            within = np.abs(points[..., 2] - height) <= thickness / 2
-        within &= readings_of(view.sweep, view.image)
-        away = np.where(within, np.hypot(points[..., 0], points[..., 1]), np.inf)
-        count = within.sum(axis=1)
-        lines = np.arange(len(points))
-        middle: IntArray = np.maximum(count - 1, 0) // 2
-        beams = np.argsort(away, axis=1)[lines, middle]
-        enough = count >= MIN_BEAMS
-        places = np.where(enough[:, None], points[lines, beams, :2], np.nan)
-        on_target = enough & readings_of(view.target, view.image)[lines, beams]
-        return Profile(places, on_target & ~_beside_ends(np.linalg.norm(places, axis=1)))
+        ahead, left, up = np.ascontiguousarray(np.moveaxis(points, 2, 0))
+        swept, target = (readings_of(scan, view.image) for scan in (view.sweep, view.target))
+        away = np.where(swept, np.hypot(ahead, left), np.inf)
+        lines, found = np.arange(len(points)), []
+        for height in heights:
+            with np.errstate(invalid="ignore"):
+                within = swept & (np.abs(up - height) <= thickness / 2)
+            count = within.sum(axis=1)
+            middle: IntArray = np.maximum(count - 1, 0) // 2
+            beams = np.argsort(np.where(within, away, np.inf), axis=1)[lines, middle]
+            enough = count >= MIN_BEAMS
+            places = np.where(enough[:, None], points[lines, beams, :2], np.nan)
+            ends = _beside_ends(np.linalg.norm(places, axis=1))
+            found.append(Profile(places, enough & target[lines, beams] & ~ends))
+        return found
 
     def edges(self) -> Iterator[Edge]:
         """Yield where the target ends, towards the right first."""

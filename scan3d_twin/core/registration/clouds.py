@@ -88,6 +88,20 @@ class Tree:
         )  # fmt: skip
         return squares, indices
 
+    def fit_planes(self, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fit a plane to the k nearest of each of the tree's points, itself among them.
+
+        Returns:
+            Centroids (n, 3) [m], unit normals (n, 3) of either sign, the directions of least
+            variance (Hoppe et al., SIGGRAPH 1992), and the two smaller variances (n, 2) [m2].
+        """
+        n = len(self.points)
+        centroids, normals, variances = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 2))
+        engine.neighbourhoods(
+            self.points, self.order, self.axes, n, k, centroids, normals, variances
+        )
+        return centroids, normals, variances
+
 
 @dataclass(frozen=True)
 class Cloud:
@@ -123,11 +137,8 @@ def prepare_cloud(points: FloatArray) -> Cloud:
         raise RegistrationError(
             f"the cloud has {len(points)} finite points, {MIN_POINTS} are needed"
         )
-    tree, n = Tree.of(points), len(points)
-    centroids, normals, variances = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 2))
-    engine.neighbourhoods(
-        tree.points, tree.order, tree.axes, n, NEIGHBOURS, centroids, normals, variances
-    )
+    tree = Tree.of(points)
+    centroids, normals, variances = tree.fit_planes(NEIGHBOURS)
     normals *= np.where(np.sum(normals * points, axis=1) > 0, -1.0, 1.0)[:, None]
     tilt = 1.0 / (NEIGHBOURS * np.maximum(variances[:, 1] - variances[:, 0], 1e-9))
     return Cloud(points, centroids, normals, tilt, tree)
