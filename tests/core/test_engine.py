@@ -26,7 +26,7 @@ import reference.surfels
 import reference.survey
 import synthetic
 
-from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
 from scan3d_twin.core.registration.clouds import Tree, prepare_cloud
@@ -315,6 +315,15 @@ def test_nearest_neighbours_are_those_of_a_full_search() -> None:
     few = Tree.of(points[:3]).nearest(wanted, 5)
     assert np.isinf(few[0][:, 3:]).all()
     assert (few[1][:, 3:] == -1).all()
+
+
+@pytest.mark.parametrize("k", [0, 65])
+def test_more_neighbours_than_there_is_room_for_are_refused(k: int) -> None:
+    tree = Tree.of(np.zeros((100, 3)))
+    with pytest.raises(ConfigError, match="1 to 64"):
+        tree.nearest(np.zeros((1, 3)), k)
+    with pytest.raises(ConfigError, match="1 to 64"):
+        tree.fit_planes(k)
 
 
 def test_planes_of_a_cloud_are_those_of_its_neighbours() -> None:

@@ -25,7 +25,7 @@ import numpy as np
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.algebra import find_determined, invert_information
 from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Criteria, Dof
-from scan3d_twin.core.registration.native import ByteArray, engine
+from scan3d_twin.core.registration.native import MOST_NEIGHBOURS, ByteArray, engine
 from scan3d_twin.core.registration.point_to_plane import (
     MIN_NORMAL_COSINE,
     pair_derivatives,
@@ -79,8 +79,12 @@ class Tree:
     def nearest(self, points: FloatArray, k: int) -> tuple[FloatArray, SmallIntArray]:
         """Return squared distances [m2] and indices (m, k) of the k nearest of each point (m, 3).
 
-        Nearest first; infinity and -1 where there are fewer. k is at most 64.
+        Nearest first; infinity and -1 where there are fewer.
+
+        Raises:
+            ConfigError: k is not 1 to 64.
         """
+        _check_neighbours(k)
         squares, indices = np.empty((len(points), k)), np.empty((len(points), k), np.int32)
         engine.nearest(
             self.points, self.order, self.axes, len(self.points), np.ascontiguousarray(points),
@@ -94,13 +98,23 @@ class Tree:
         Returns:
             Centroids (n, 3) [m], unit normals (n, 3) of either sign, the directions of least
             variance (Hoppe et al., SIGGRAPH 1992), and the two smaller variances (n, 2) [m2].
+
+        Raises:
+            ConfigError: k is not 1 to 64.
         """
+        _check_neighbours(k)
         n = len(self.points)
         centroids, normals, variances = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 2))
         engine.neighbourhoods(
             self.points, self.order, self.axes, n, k, centroids, normals, variances
         )
         return centroids, normals, variances
+
+
+def _check_neighbours(k: int) -> None:
+    """Refuse what the engine has no room for."""
+    if not 1 <= k <= MOST_NEIGHBOURS:
+        raise ConfigError(f"1 to {MOST_NEIGHBOURS} neighbours can be asked for, got {k}")
 
 
 @dataclass(frozen=True)
