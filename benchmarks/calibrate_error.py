@@ -31,14 +31,14 @@ import numpy as np
 
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.evaluate import evaluate
+from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.presets import preset
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.settings import settings
+from scan3d_twin.run.settings import settings
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.scenes.scene import load_scene
 
 ALPHA = 0.10
 """Share of the steps whose error may exceed k times the prediction."""

@@ -19,16 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from scan3d_twin.core.alignment import placed, solve
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.evaluate import Evaluation, evaluate
+from scan3d_twin.core.mapping.loop_closure import placed, solve
+from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.presets import preset
-from scan3d_twin.recording.settings import settings
+from scan3d_twin.run.settings import settings
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.scenes.scene import load_scene
 
 EPSILON = 0.010
 """Wanted registration error [m], as in the paper."""

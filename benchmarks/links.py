@@ -17,11 +17,11 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import evaluate
+from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.presets import preset
-from scan3d_twin.recording.settings import settings
+from scan3d_twin.run.settings import settings
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import open_wired

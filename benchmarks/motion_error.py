@@ -1,7 +1,8 @@
 """Fit the motion-error constants to the `typical` robot of the twin.
 
-Those of eq. (2), those of the motion prior of a turn, a drive and a turn (``core/placing.py``:
-lambda, gamma and drift), and those of the robot without physics (``sim/drift.py``: creep and slip).
+Those of eq. (2), those of the motion prior of a turn, a drive and a turn
+(``core/mapping/scan_matching.py``: lambda, gamma and drift), and those of the robot without physics
+(``sim/base/motion_errors.py``: creep and slip).
 
 Each robot makes moves from one viewpoint to the next as the planner asks for: turn, drive, turn.
 The error of a move is its odometry against the truth, in the frame of the start:
@@ -28,15 +29,15 @@ import numpy as np
 from scipy.optimize import minimize
 
 from scan3d_twin.core.config import MotionConfig, PlanningConfig
-from scan3d_twin.core.motion import drive_to, turn_to
-from scan3d_twin.core.placing import motion_prior
+from scan3d_twin.core.mapping.scan_matching import motion_prior
+from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.types import FloatArray, Pose2, wrap
+from scan3d_twin.sim.base.motion_errors import CREEP, SLIP_XY, SLIP_YAW, true_move
+from scan3d_twin.sim.base.profiles import CREATE2
 from scan3d_twin.sim.config import RobotErrorConfig
-from scan3d_twin.sim.drift import CREEP, SLIP_XY, SLIP_YAW, true_move
-from scan3d_twin.sim.profiles import CREATE2
 from scan3d_twin.sim.robot import draw_robot, open_sim
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.scenes.scene import load_scene
 from scan3d_twin.sim.world import RobotErrors
 
 MOVES_PER_ROBOT = 4

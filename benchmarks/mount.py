@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from scan3d_twin.core.config import Config, SweepConfig
-from scan3d_twin.core.self_calibration import Calibration, calibrate, calibrate_look
-from scan3d_twin.core.sweep import look_around, sweep
+from scan3d_twin.core.scanning.extrinsic_calibration import Calibration, calibrate, calibrate_look
+from scan3d_twin.core.scanning.sweep import look_around, sweep
 from scan3d_twin.core.types import RangeImage
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim

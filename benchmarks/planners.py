@@ -21,17 +21,17 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize, unplanned
-from scan3d_twin.core.evaluate import Truth
+from scan3d_twin.core.mapping.scan_matching import kept_surfels
+from scan3d_twin.core.model.evaluation import Truth
 from scan3d_twin.core.observer import Unobserved
-from scan3d_twin.core.placing import kept_surfels
 from scan3d_twin.core.planning import Planner, make_planner, planner_names
-from scan3d_twin.core.planning.situation import Situation, finish
+from scan3d_twin.core.planning.context import Situation, finish
 from scan3d_twin.core.presets import preset
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
-from scan3d_twin.recording.settings import settings
+from scan3d_twin.run.settings import settings
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.scenes.scene import load_scene
 
 PEER, SHARED = "siicp8", "place"
 TWICE = ("fixed", "fixed50", "fixed80")

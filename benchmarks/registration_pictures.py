@@ -14,7 +14,7 @@ from registration_data import FloatArray, Noise, pair, wall
 from registration_data import scan as take
 from ring import SIGMA_XY, SIGMA_YAW, chain, make_ring
 
-from scan3d_twin.core.alignment import align_grids
+from scan3d_twin.core.mapping.loop_closure import align_grids
 from scan3d_twin.core.registration import PosePrior, ScanNoise, SurfelGrid, prepare, register
 from scan3d_twin.core.registration.free_space import contradiction
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X

@@ -33,7 +33,7 @@ import open3d as o3d
 from registration_data import FloatArray, Noise, Scene, box, merge, polygon, scan
 from registration_peers import PEERS, Peer
 
-from scan3d_twin.core.alignment import align_grids
+from scan3d_twin.core.mapping.loop_closure import align_grids
 from scan3d_twin.core.registration import PosePrior, prepare
 from scan3d_twin.core.types import Pose2, RangeImage
 

@@ -35,9 +35,9 @@ from scipy.stats import spearmanr
 
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.placing import motion_prior
-from scan3d_twin.core.planning.forecast import Forecast
-from scan3d_twin.core.planning.simulate import Simulation, displaced
+from scan3d_twin.core.mapping.scan_matching import motion_prior
+from scan3d_twin.core.planning.error_prediction import Forecast
+from scan3d_twin.core.planning.simulated_registration import Simulation, displaced
 from scan3d_twin.core.registration import SurfelGrid, prepare, register
 from scan3d_twin.core.registration.multistart import AMBIGUOUS
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage

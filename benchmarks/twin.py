@@ -27,12 +27,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import mujoco
 import numpy as np
 
-from scan3d_twin.sim.casters import MujocoCaster, choose_caster
 from scan3d_twin.sim.config import LidarModelConfig, TwinConfig
-from scan3d_twin.sim.noise import Draws
+from scan3d_twin.sim.lidar.noise import Draws
+from scan3d_twin.sim.lidar.scanner import CHUNK, Scanner, lidar_spec
+from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scanner import CHUNK, Scanner, lidar_spec
-from scan3d_twin.sim.scene import Scene, load_scene
+from scan3d_twin.sim.scenes.scene import Scene, load_scene
 
 LINES = 40
 """Lines per turn of the closed loops; 4 s of simulated time."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import evaluate
-from scan3d_twin.core.model import build_model
+from scan3d_twin.core.model.evaluation import evaluate
+from scan3d_twin.core.model.fused_cloud import build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.recording.ply import ply_bytes

@@ -13,7 +13,7 @@ from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.scenes.scene import load_scene
 
 SEED = 0
 

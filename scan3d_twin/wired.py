@@ -7,16 +7,16 @@ from contextlib import contextmanager, suppress
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import Clock, Robot
-from scan3d_twin.emulator.create import CreateEmulator
-from scan3d_twin.emulator.line import Wire
-from scan3d_twin.emulator.urg import UrgEmulator
-from scan3d_twin.emulator.urg_profile import UrgProfile
-from scan3d_twin.protocols import oi
-from scan3d_twin.protocols.urg04lx import LINKS
+from scan3d_twin.devices.create import codec as oi
+from scan3d_twin.devices.create.emulator import CreateEmulator
+from scan3d_twin.devices.links.line_model import Wire
+from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulator import UrgEmulator
+from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scene import Scene
+from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.truth import Truth
 
 

@@ -8,7 +8,7 @@ from bisect import bisect_right
 import numpy as np
 
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.core.odometry import arc
+from scan3d_twin.core.navigation.odometry import arc
 from scan3d_twin.core.types import Hazards, Odometry, Pose2
 
 CREATE2 = BaseSpec("create2", 0.165, 0.235, 0.072, 508.8, 0.5, 0.015)

@@ -14,16 +14,16 @@ from contextlib import closing, contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from scan3d_twin.cli.commands.real import SMALL_COMPUTER
 from scan3d_twin.cli.memory import give_back_memory
-from scan3d_twin.cli.real import SMALL_COMPUTER
 from scan3d_twin.cli.run import run
 from scan3d_twin.core.presets import preset
-from scan3d_twin.protocols.urg04lx import LINKS
+from scan3d_twin.devices.links.transport import Tapped
+from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
-from scan3d_twin.real.transport import Tapped
-from scan3d_twin.recording.folder import claim_folder
 from scan3d_twin.recording.recorder import SerialTaps
-from scan3d_twin.recording.settings import REAL, settings
+from scan3d_twin.run.folder import claim_folder
+from scan3d_twin.run.settings import REAL, settings
 
 LINES = ("base", "lidar")
 

@@ -11,10 +11,10 @@ from kinematic import JumpingClock, KinematicBase
 
 from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.motion import drive_to
+from scan3d_twin.core.navigation.motion_control import drive_to
 from scan3d_twin.core.types import VALID, ScanLine
 from scan3d_twin.recording.recorder import Recorder
-from scan3d_twin.recording.settings import Settings
+from scan3d_twin.run.settings import Settings
 
 LINES = 12
 """Lines of each view."""

@@ -4,10 +4,10 @@ import time
 
 from kinematic import JumpingClock, KinematicBase
 
-from scan3d_twin.emulator.create import CreateEmulator
-from scan3d_twin.emulator.line import Line
-from scan3d_twin.emulator.pty import PtyPort
-from scan3d_twin.emulator.serve import serve
+from scan3d_twin.devices.create.emulator import CreateEmulator
+from scan3d_twin.devices.links.line_model import Line
+from scan3d_twin.devices.links.pty import PtyPort
+from scan3d_twin.devices.links.serve import serve
 
 
 class Road:

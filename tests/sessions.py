@@ -11,7 +11,7 @@ from synthetic import Box, observe
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Observation, Pose2
+from scan3d_twin.core.types import Observation, Plan, Pose2
 
 WALL = (Box((1.0, -5.0, 0.0), (1.2, 5.0, 1.5)),)
 PILASTERS = tuple(
@@ -58,3 +58,14 @@ def with_baselines(session: Session, **changes: object) -> Session:
     """Return ``session`` with other options for the baselines."""
     baselines = replace(session.config.baselines, **changes)  # type: ignore[arg-type]
     return replace(session, config=replace(session.config, baselines=baselines))
+
+
+def two_planned_views() -> Session:
+    """Two views of three boxes in closed form; the second planned without a prediction."""
+    hint = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
+    session = Session(Config(), 7, hint, np.array([-1.0, 0.0]))
+    for y in (0.2, 0.0):
+        session = integrate(session, observe(Pose2(-0.4, y, 0.0)))
+        plan = Plan(Pose2(-0.4, 0.0, 0.0), 0.8, math.nan, True, (), "the default")
+        session = session.with_plan(plan)
+    return session.ended("enough")

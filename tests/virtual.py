@@ -4,7 +4,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import LinkTimeoutError
 from scan3d_twin.core.types import VALID, LidarSpec, ScanLine, read_only
-from scan3d_twin.protocols import urg04lx
+from scan3d_twin.devices.urg import model as urg04lx
 
 STEPS = range(urg04lx.FIRST_STEP, urg04lx.LAST_STEP + 1)
 PHASE = 0.037

@@ -1,6 +1,6 @@
 """Mutation testing: break the code in small ways and see whether the tests notice.
 
-    python tools/mutate.py [scan3d_twin/protocols/scip.py ...] [--sample 20]
+    python tools/mutate.py [scan3d_twin/devices/urg/codec.py ...] [--sample 20]
 
 Works in a copy of the checkout, on the codecs and the drivers if no modules are named. Prints one
 line for each mutant the tests did not notice; docstrings and type hints are left alone. The same
@@ -29,33 +29,40 @@ import pytest
 import serial  # noqa: F401
 
 ROOT = Path(__file__).resolve().parent.parent
-PROTOCOLS, REAL = Path("scan3d_twin/protocols"), Path("scan3d_twin/real")
+DEVICES, REAL = Path("scan3d_twin/devices"), Path("scan3d_twin/real")
 GOLDEN = "tests/golden"
-URG = ["tests/real/test_urg_mode.py", "tests/real/test_urg_lines.py", "tests/real/test_urg.py"]
-CREATE = ["tests/real/test_create.py", "-k", "not million"]
+URG = [
+    "tests/devices/urg/test_scan_modes.py",
+    "tests/devices/urg/test_lines.py",
+    "tests/devices/urg/test_driver.py",
+]
+CREATE = ["tests/devices/create/test_driver.py", "-k", "not million"]
 TESTS = {
-    PROTOCOLS / "oi.py": [GOLDEN, "tests/protocols/test_oi.py"],
-    PROTOCOLS / "oi_packets.py": [GOLDEN, "tests/protocols"],
-    PROTOCOLS / "scip.py": ["tests/protocols"],
-    PROTOCOLS / "scip_replies.py": ["tests/protocols", GOLDEN],
-    PROTOCOLS / "urg04lx.py": [GOLDEN, "tests/protocols"],
+    DEVICES / "create/codec.py": [GOLDEN, "tests/devices/create/test_codec.py"],
+    DEVICES / "create/packets.py": [GOLDEN, "tests/devices"],
+    DEVICES / "urg/codec.py": ["tests/devices"],
+    DEVICES / "urg/replies.py": ["tests/devices", GOLDEN],
+    DEVICES / "urg/model.py": [GOLDEN, "tests/devices"],
     REAL / "clock.py": ["tests/real/test_clock.py"],
-    REAL / "create.py": CREATE,
-    REAL / "create_hazards.py": ["tests/real/test_create_hazards.py"],
-    REAL / "create_link.py": ["tests/real/test_create_link.py", *CREATE],
-    REAL / "create_reckoning.py": ["tests/real/test_create_reckoning.py"],
-    REAL / "create_sieve.py": ["tests/real/test_create_sieve.py"],
-    REAL / "guard.py": ["tests/real/test_guard.py"],
-    REAL / "guard_process.py": ["tests/real/test_guard.py"],
+    DEVICES / "create/driver.py": CREATE,
+    DEVICES / "create/hazards.py": ["tests/devices/create/test_hazards.py"],
+    DEVICES / "create/link.py": ["tests/devices/create/test_link.py", *CREATE],
+    DEVICES / "create/dead_reckoning.py": ["tests/devices/create/test_dead_reckoning.py"],
+    DEVICES / "create/reading_filter.py": ["tests/devices/create/test_reading_filter.py"],
+    DEVICES / "create/guard.py": ["tests/devices/create/test_guard.py"],
+    DEVICES / "create/guard_process.py": ["tests/devices/create/test_guard.py"],
     REAL / "ports.py": ["tests/real/test_ports.py"],
-    REAL / "robot.py": ["tests/contract", "tests/real/test_unplugged.py"],
-    REAL / "transport.py": ["tests/real/test_transport.py", "tests/real/test_unplugged.py"],
-    REAL / "urg.py": URG,
-    REAL / "urg_clock.py": ["tests/real/test_urg_clock.py", *URG],
-    REAL / "urg_connect.py": URG,
-    REAL / "urg_lines.py": ["tests/real/test_urg_lines.py", *URG],
-    REAL / "urg_link.py": URG,
-    REAL / "urg_mode.py": ["tests/real/test_urg_mode.py", *URG],
+    REAL / "robot.py": ["tests/contract", "tests/devices/links/test_unplugged.py"],
+    DEVICES / "links/transport.py": [
+        "tests/devices/links/test_transport.py",
+        "tests/devices/links/test_unplugged.py",
+    ],
+    DEVICES / "urg/driver.py": URG,
+    DEVICES / "urg/clock_sync.py": ["tests/devices/urg/test_clock_sync.py", *URG],
+    DEVICES / "urg/connect.py": URG,
+    DEVICES / "urg/lines.py": ["tests/devices/urg/test_lines.py", *URG],
+    DEVICES / "urg/link.py": URG,
+    DEVICES / "urg/scan_modes.py": ["tests/devices/urg/test_scan_modes.py", *URG],
 }
 """Which tests are to notice, by module; the quick ones first."""
 PATIENCE = 5.0
@@ -200,7 +207,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("modules", nargs="*", type=Path, default=list(TESTS))
     parser.add_argument(
-        "--sample", type=int, default=0, help="at most this many of a module, evenly spread; 0 is all"
+        "--sample",
+        type=int,
+        default=0,
+        help="at most this many of a module, evenly spread; 0 is all",
     )
     options = parser.parse_args()
     unknown = [str(module) for module in options.modules if module not in TESTS]

@@ -10,7 +10,7 @@ from scan3d_twin.bench.engine import Engine, run
 from scan3d_twin.bench.journal import PATTERN, Journal, read_journals
 from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.task import Task
-from scan3d_twin.recording.folder import write_file
+from scan3d_twin.run.folder import write_file
 
 PICTURES = "top_views"
 """Folder of the top views of each variant's first seed."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from scan3d_twin.core.planning.curvature import feature_score
-from scan3d_twin.core.planning.situation import MIN_LINES, Situation
-from scan3d_twin.core.planning.surface import eye_height, patches_of
+from scan3d_twin.core.planning.context import MIN_LINES, Situation
+from scan3d_twin.core.planning.planners.curvature import feature_score
+from scan3d_twin.core.planning.surface_patches import eye_height, patches_of
 from scan3d_twin.core.session import Session
 
 SHARE = 0.5

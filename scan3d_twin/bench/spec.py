@@ -34,8 +34,8 @@ from typing import Any
 
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.recording.resolve import resolve_sim
-from scan3d_twin.recording.settings import Options, merge, read_settings
+from scan3d_twin.run.resolve import resolve_sim
+from scan3d_twin.run.settings import Options, merge, read_settings
 
 SUITES = files("scan3d_twin.bench") / "suites"
 

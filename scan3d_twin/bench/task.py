@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from scan3d_twin.bench.record import Record
-from scan3d_twin.recording.settings import Settings, settings_toml
+from scan3d_twin.run.settings import Settings, settings_toml
 
 
 @dataclass(frozen=True)

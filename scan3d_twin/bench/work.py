@@ -15,13 +15,13 @@ from scan3d_twin.bench.features import feature_before
 from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.evaluate import Evaluation, Reference, evaluate_model
-from scan3d_twin.core.model import Model, build_model
+from scan3d_twin.core.model.evaluation import Evaluation, Reference, evaluate_model
+from scan3d_twin.core.model.fused_cloud import Model, build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.closed_loop import Loop, close_loop
+from scan3d_twin.run.closed_loop import Loop, close_loop
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.scenes.scene import load_scene
 from scan3d_twin.viz.top_view import top_view
 
 COMPLETE = ("front complete", "contour complete")

@@ -34,7 +34,7 @@ COMMANDS = {
 
 
 def _version() -> str:
-    from scan3d_twin.cli.versions import version_text
+    from scan3d_twin.run.versions import version_text
 
     return version_text()
 
@@ -55,25 +55,32 @@ app = App(
     default_parameter=Parameter(negative=(), show_env_var=False),
 )
 for _name, _help in COMMANDS.items():
-    _place = f"scan3d_twin.cli.{_name}:{_name}"
+    _place = f"scan3d_twin.cli.commands.{_name}:{_name}"
     app.command(_place, name=_name, help=_help, help_format="markdown")
 app.command(
-    "scan3d_twin.cli.session:app", name="session", help="Look at and change what a run recorded."
+    "scan3d_twin.cli.commands.session:app",
+    name="session",
+    help="Look at and change what a run recorded.",
 )
 app.command(
-    "scan3d_twin.cli.listing:scenes", name="scenes", help="List the scenes.", help_format="markdown"
+    "scan3d_twin.cli.commands.listing:scenes",
+    name="scenes",
+    help="List the scenes.",
+    help_format="markdown",
 )
 app.command(
-    "scan3d_twin.cli.listing:planners",
+    "scan3d_twin.cli.commands.listing:planners",
     name="planners",
     help="List the planners.",
     help_format="markdown",
 )
 app.command(
-    "scan3d_twin.cli.bench:app", name="bench", help="Run planners against planners in the twin."
+    "scan3d_twin.cli.commands.bench:app",
+    name="bench",
+    help="Run planners against planners in the twin.",
 )
 app.command(
-    "scan3d_twin.cli.completion:install",
+    "scan3d_twin.cli.commands.completion:install",
     name="--install-completion",
     help="Complete commands and options in this shell.",
 )

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
-from scan3d_twin.recording.folder import claim_folder, free_folder, release_folder
+from scan3d_twin.run.folder import claim_folder, free_folder, release_folder
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 
 from cyclopts import Group, Parameter
 
-from scan3d_twin.recording.settings import key
+from scan3d_twin.run.settings import key
 
 GROUP = Group("Configuration in SI units and radians; also from --config FILE")
 ENVIRONMENT = "TWIN_"

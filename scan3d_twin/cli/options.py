@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from scan3d_twin.cli.dotted import ENVIRONMENT
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.recording.settings import Options, merge, read_settings
+from scan3d_twin.run.settings import Options, merge, read_settings
 
 
 def env(name: str) -> Parameter:

@@ -7,10 +7,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-from scan3d_twin.core.model import scanned_share
+from scan3d_twin.core.model.fused_cloud import scanned_share
+from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import ScanLine
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,28 +21,8 @@ if TYPE_CHECKING:
 _OUTLINE = {"front": "front", "full": "contour"}
 
 
-class Progress(Protocol):
-    """Where the steps of a run are told."""
-
-    def event(self, text: str) -> None:
-        """Tell what begins."""
-        ...
-
-    def line(self) -> None:
-        """Count a scan line."""
-        ...
-
-    def view(self, session: Session) -> None:
-        """Tell about the last view of ``session``."""
-        ...
-
-    def plan(self, session: Session) -> None:
-        """Tell about the last plan of ``session``."""
-        ...
-
-
 @contextmanager
-def make_progress() -> Iterator[Progress]:
+def make_progress() -> Iterator[Observer]:
     """Open the progress that fits standard error."""
     if not sys.stderr.isatty():
         yield PlainProgress()
@@ -80,7 +62,7 @@ class Pace:
         )
 
 
-def steps(progress: Progress, what: str, count: int) -> Callable[[int], None]:
+def steps(progress: Observer, what: str, count: int) -> Callable[[int], None]:
     """Return what is to be told the index of each of ``count`` steps that is done.
 
     It says how many are, and how long the others will take.
@@ -90,34 +72,31 @@ def steps(progress: Progress, what: str, count: int) -> Callable[[int], None]:
     def step(index: int) -> None:
         done = index + 1
         left = (time.monotonic() - started) / done * (count - done)
-        progress.event(f"{what} {done} of {count}" + (f", {left:.0f} s left" if left else ""))
+        progress.on_event(f"{what} {done} of {count}" + (f", {left:.0f} s left" if left else ""))
 
     return step
 
 
-class PlainProgress:
+class PlainProgress(Unobserved):
     """One line per step."""
 
     def __init__(self) -> None:
         self._pace = Pace()
 
-    def event(self, text: str) -> None:
-        """See ``Progress``."""
+    def on_event(self, text: str) -> None:
+        """See ``Observer``."""
         print(text, file=sys.stderr, flush=True)
 
-    def line(self) -> None:
-        """See ``Progress``; lines are too many to tell."""
+    def on_view(self, session: Session) -> None:
+        """See ``Observer``."""
+        self.on_event(view_words(session) + self._pace.words(session))
 
-    def view(self, session: Session) -> None:
-        """See ``Progress``."""
-        self.event(view_words(session) + self._pace.words(session))
-
-    def plan(self, session: Session) -> None:
-        """See ``Progress``."""
-        self.event(plan_words(session))
+    def on_plan(self, session: Session) -> None:
+        """See ``Observer``."""
+        self.on_event(plan_words(session))
 
 
-class LiveProgress:
+class LiveProgress(Unobserved):
     """One line per view and plan, and below them a line that moves."""
 
     def __init__(self, console: Console, status: Status) -> None:
@@ -126,24 +105,24 @@ class LiveProgress:
         self._doing, self._lines = "", 0
         self._pace = Pace()
 
-    def event(self, text: str) -> None:
-        """See ``Progress``."""
+    def on_event(self, text: str) -> None:
+        """See ``Observer``."""
         self._doing, self._lines = text, 0
         self._status.update(text)
 
-    def line(self) -> None:
-        """See ``Progress``."""
+    def on_line(self, line: ScanLine) -> None:
+        """See ``Observer``."""
         self._lines += 1
         self._status.update(f"{self._doing}: {self._lines} lines")
 
-    def view(self, session: Session) -> None:
-        """See ``Progress``."""
+    def on_view(self, session: Session) -> None:
+        """See ``Observer``."""
         words = view_words(session) + self._pace.words(session)
         self._console.print(words, markup=False)
-        self.event("planning")
+        self.on_event("planning")
 
-    def plan(self, session: Session) -> None:
-        """See ``Progress``."""
+    def on_plan(self, session: Session) -> None:
+        """See ``Observer``."""
         self._console.print(plan_words(session), markup=False)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scan3d_twin.recording.report import Report
+from scan3d_twin.run.report import Report
 
 _COLUMNS = (
     ("view", "view", "{}"),

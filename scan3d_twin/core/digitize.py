@@ -12,21 +12,21 @@ from typing import Protocol
 
 import numpy as np
 
-from scan3d_twin.core.alignment import closed, concluded
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.costmap import Costmap, build_costmap
-from scan3d_twin.core.driving import drive
+from scan3d_twin.core.drive_to_viewpoint import drive
 from scan3d_twin.core.errors import ScanError
-from scan3d_twin.core.gaps import fill_gaps
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.mixed_pixels import without_mixed_pixels
+from scan3d_twin.core.mapping.loop_closure import closed, concluded
+from scan3d_twin.core.mapping.scan_matching import place_view
+from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.observer import Observer
-from scan3d_twin.core.placing import place_view
 from scan3d_twin.core.planning import Planner
-from scan3d_twin.core.self_calibration import calibrate_look, suspicion, with_turning
+from scan3d_twin.core.scanning.extrinsic_calibration import calibrate_look, suspicion, with_turning
+from scan3d_twin.core.scanning.gap_filling import fill_gaps
+from scan3d_twin.core.scanning.mixed_pixels import without_mixed_pixels
+from scan3d_twin.core.scanning.sweep import look_around, sweep
+from scan3d_twin.core.scanning.target_extraction import all_points, extract_target, find_target
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.sweep import look_around, sweep
-from scan3d_twin.core.target import all_points, extract_target, find_target
 from scan3d_twin.core.types import (
     FloatArray,
     Observation,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scan3d_twin.core.folding import Folded, fold, foldable, is_folded
+from scan3d_twin.core.compression import Folded, fold, foldable, is_folded
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from scan3d_twin.core.planning.situation import in_world
+from scan3d_twin.core.planning.context import in_world
 from scan3d_twin.core.types import Candidate, Plan, Pose2, wrap
 from scan3d_twin.envs.base import Mask, Observation, ViewPlanEnv
 from scan3d_twin.envs.observations import FAR

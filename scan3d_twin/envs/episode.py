@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
-from scan3d_twin.core.costmap import Costmap
 from scan3d_twin.core.digitize import start, views
-from scan3d_twin.core.planning.situation import Situation
+from scan3d_twin.core.navigation.costmap import Costmap
+from scan3d_twin.core.planning.context import Situation
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.observations import sees_target

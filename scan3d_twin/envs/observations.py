@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from scan3d_twin.core.costmap import FREE, OBSTACLE, RESOLUTION, Costmap
-from scan3d_twin.core.planning.situation import Situation
+from scan3d_twin.core.navigation.costmap import FREE, OBSTACLE, RESOLUTION, Costmap
+from scan3d_twin.core.planning.context import Situation
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, wrap
 

@@ -14,13 +14,13 @@ from scan3d_twin.core.presets import preset as named_preset
 from scan3d_twin.envs.rewards import RewardWeights
 from scan3d_twin.envs.scouts import EpisodeScout, KinematicScout, PhysicsScout
 from scan3d_twin.envs.stage import Stage, named_stage, random_stage
-from scan3d_twin.recording.resolve import settings_for
-from scan3d_twin.recording.settings import Options, merge, settings
+from scan3d_twin.run.resolve import settings_for
+from scan3d_twin.run.settings import Options, merge, settings
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import Thinning, thin_config, thin_spec
-from scan3d_twin.sim.random_scenes import SceneRanges
-from scan3d_twin.sim.scanner import lidar_spec
-from scan3d_twin.sim.scene import scene_names
+from scan3d_twin.sim.lidar.scanner import lidar_spec
+from scan3d_twin.sim.scenes.random_scenes import SceneRanges
+from scan3d_twin.sim.scenes.scene import scene_names
 from scan3d_twin.sim.world import Solver
 
 Fidelity = Literal["physics", "lite", "kinematic"]

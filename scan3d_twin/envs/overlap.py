@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from scan3d_twin.core.planning.situation import Placement, in_world
+from scan3d_twin.core.planning.context import Placement, in_world
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.base import Mask, Observation, ViewPlanEnv
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from scan3d_twin.core.costmap import RESOLUTION
+from scan3d_twin.core.navigation.costmap import RESOLUTION
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap
 from scan3d_twin.envs.base import ViewPlanEnv
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from scan3d_twin.core.costmap import FREE, OBSTACLE, RESOLUTION, Costmap
+from scan3d_twin.core.navigation.costmap import FREE, OBSTACLE, RESOLUTION, Costmap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray
 

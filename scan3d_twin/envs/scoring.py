@@ -1,7 +1,7 @@
 """How well an episode goes, by the truth: coverage and registration errors, view by view.
 
-The same definitions as ``core.evaluate``, on coarser samples, and kept up to date instead of
-computed anew. It enters rewards and metrics, never an observation.
+The same definitions as ``core.model.evaluation``, on coarser samples, and kept up to date instead
+of computed anew. It enters rewards and metrics, never an observation.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d_twin.core.evaluate import (
+from scan3d_twin.core.model.evaluation import (
     COVERAGE_DISTANCE,
     Truth,
     displacement,
     surface_distance,
     true_pose,
 )
-from scan3d_twin.core.model import supported, voxel_thin
+from scan3d_twin.core.model.fused_cloud import supported, voxel_thin
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2

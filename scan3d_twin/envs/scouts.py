@@ -11,20 +11,20 @@ from itertools import pairwise
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.costmap import Costmap, build_costmap, extended
 from scan3d_twin.core.digitize import find_path
-from scan3d_twin.core.evaluate import Truth
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.motion import follow
+from scan3d_twin.core.model.evaluation import Truth
+from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extended
+from scan3d_twin.core.navigation.motion_control import follow
+from scan3d_twin.core.scanning.sweep import look_around, read_lines, sweep
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.sweep import look_around, read_lines, sweep
 from scan3d_twin.core.types import FloatArray, LidarSpec, Observation, Pose2, ScanLine
 from scan3d_twin.envs.stage import Stage
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import KinematicRobot, Thinning
-from scan3d_twin.sim.lidar import SimLidar
+from scan3d_twin.sim.lidar.lidar import SimLidar
+from scan3d_twin.sim.lidar.scanner import CHUNK
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scanner import CHUNK
 from scan3d_twin.sim.world import Solver
 
 

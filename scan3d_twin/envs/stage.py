@@ -8,12 +8,12 @@ from functools import lru_cache
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.evaluate import coverable_surface
+from scan3d_twin.core.model.evaluation import coverable_surface
 from scan3d_twin.core.types import BoolArray, FloatArray
-from scan3d_twin.sim.casters import RayCaster, choose_caster
 from scan3d_twin.sim.kinematic import KinematicWorld
-from scan3d_twin.sim.random_scenes import SceneRanges, random_scene
-from scan3d_twin.sim.scene import Scene, load_scene
+from scan3d_twin.sim.ray_casting import RayCaster, choose_caster
+from scan3d_twin.sim.scenes.random_scenes import SceneRanges, random_scene
+from scan3d_twin.sim.scenes.scene import Scene, load_scene
 from scan3d_twin.sim.truth import Truth
 
 KEPT = 4

@@ -8,13 +8,13 @@ from typing import Literal, Protocol
 
 from scan3d_twin.core.errors import LinkTimeoutError
 from scan3d_twin.core.hal import Clock, Robot
-from scan3d_twin.protocols.urg04lx import ScanMode
+from scan3d_twin.devices.create.driver import STOP, Guard, open_create
+from scan3d_twin.devices.create.guard import PortGuard
+from scan3d_twin.devices.create.link import HALF_DRIVE
+from scan3d_twin.devices.links.transport import Reopening, SerialTransport, Tapped, Transport
+from scan3d_twin.devices.urg.driver import UrgLidar
+from scan3d_twin.devices.urg.model import ScanMode
 from scan3d_twin.real.clock import RealClock
-from scan3d_twin.real.create import STOP, Guard, open_create
-from scan3d_twin.real.create_link import HALF_DRIVE
-from scan3d_twin.real.guard import PortGuard
-from scan3d_twin.real.transport import Reopening, SerialTransport, Tapped, Transport
-from scan3d_twin.real.urg import UrgLidar
 
 SLICE = 0.005
 """The ports are looked at this often while the robot's clock sleeps [s]."""

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from scan3d_twin.core.alignment import Alignment, align, placed
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.mapping.loop_closure import Alignment, align, placed
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording import ros_records
 from scan3d_twin.recording.load import Recorded, load_session, session_path
+from scan3d_twin.recording.mcap import ros_records
+from scan3d_twin.recording.mcap.reader import is_finished, is_sound, is_written
+from scan3d_twin.recording.mcap.reopen import keep_beside, latest_backup, reopen
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
 from scan3d_twin.recording.recorder import finish_file
-from scan3d_twin.recording.reopen import keep_beside, latest_backup, reopen
-from scan3d_twin.recording.salvage import is_finished, is_sound, is_written
 from scan3d_twin.recording.session_log import SessionLog
 
 

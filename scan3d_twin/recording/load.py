@@ -14,12 +14,12 @@ from mcap.records import Metadata
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, ScanLine
-from scan3d_twin.recording import ros
+from scan3d_twin.recording.mcap import ros_messages as ros
+from scan3d_twin.recording.mcap.reader import Delivered, contents, is_finished, is_written
+from scan3d_twin.recording.mcap.reopen import up_to_last_mark
 from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
-from scan3d_twin.recording.reopen import up_to_last_mark
-from scan3d_twin.recording.salvage import Delivered, contents, is_finished, is_written
 from scan3d_twin.recording.session_log import Mark, SessionState
-from scan3d_twin.recording.settings import Settings, settings
+from scan3d_twin.run.settings import Settings, settings
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,18 @@ from typing import Literal
 
 from scan3d_twin.core.errors import FileError, TwinError
 from scan3d_twin.core.hal import BaseSpec, DriveBase, Robot
-from scan3d_twin.core.motion import travelled
+from scan3d_twin.core.navigation.motion_control import travelled
 from scan3d_twin.core.observer import Command, attended
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
-from scan3d_twin.recording import cdr, ros, ros_records
 from scan3d_twin.recording.load import Recorded
-from scan3d_twin.recording.mcap_file import McapFile
+from scan3d_twin.recording.mcap import cdr, ros_records
+from scan3d_twin.recording.mcap import ros_messages as ros
+from scan3d_twin.recording.mcap.file import McapFile
+from scan3d_twin.recording.mcap.reopen import reopen
 from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
-from scan3d_twin.recording.reopen import reopen
 from scan3d_twin.recording.session_log import Mark, SessionLog
-from scan3d_twin.recording.settings import Settings, settings_toml
+from scan3d_twin.run.settings import Settings, settings_toml
 
 
 class SerialTaps:

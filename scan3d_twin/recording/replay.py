@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from scan3d_twin.core.alignment import concluded
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import ask, config_for, integrate
+from scan3d_twin.core.mapping.loop_closure import concluded
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Plan, Pose2, wrap
-from scan3d_twin.recording.exact import pack
+from scan3d_twin.recording.exact_json import pack
 
 Row = dict[str, Any]
 STOPPED = "stopped by the user"

@@ -9,7 +9,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.types import LidarSpec, RangeImage, read_only
-from scan3d_twin.protocols import urg04lx
+from scan3d_twin.devices.urg import model as urg04lx
 
 SCAN, BACK = "scan.npz", "scan_back.npz"
 """What ``twin scan`` writes: a sweep, and with --back the sweep to the other side."""

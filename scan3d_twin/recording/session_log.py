@@ -16,7 +16,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
-from scan3d_twin.recording.exact import Packed, pack, pack_fields, unpack, unpack_fields
+from scan3d_twin.recording.exact_json import Packed, pack, pack_fields, unpack, unpack_fields
 
 Record = tuple[str, int, Packed]
 """Kind, index among its kind, and the value."""

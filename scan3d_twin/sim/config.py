@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.protocols.urg04lx import LINKS
+from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.sim.checks import check, within
-from scan3d_twin.sim.lidar_config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelConfig
+from scan3d_twin.sim.lidar.config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelConfig
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
 

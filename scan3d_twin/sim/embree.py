@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray
-from scan3d_twin.sim.tessellation import KNOWN, geom_triangles
+from scan3d_twin.sim.scenes.tessellation import KNOWN, geom_triangles
 
 _GEOM = mujoco.mjtGeom
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID)

@@ -25,14 +25,14 @@ from scan3d_twin.core.types import (
     read_only,
     wrap,
 )
-from scan3d_twin.sim.casters import RayCaster
+from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, true_move, turn_scale
+from scan3d_twin.sim.base.profiles import PROFILES
 from scan3d_twin.sim.config import TwinConfig
-from scan3d_twin.sim.drift import SLIP_XY, SLIP_YAW, true_move, turn_scale
-from scan3d_twin.sim.noise import Draws
-from scan3d_twin.sim.profiles import PROFILES
+from scan3d_twin.sim.lidar.noise import Draws
+from scan3d_twin.sim.lidar.scanner import Scanner, lidar_spec
+from scan3d_twin.sim.ray_casting import RayCaster
 from scan3d_twin.sim.robot import Stream, draw_robot, stream
-from scan3d_twin.sim.scanner import Scanner, lidar_spec
-from scan3d_twin.sim.scene import Scene
+from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.truth import Truth
 
 TURNS = math.pi

@@ -10,14 +10,14 @@ import numpy as np
 
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.types import LidarSpec
-from scan3d_twin.sim.base import SimBase
-from scan3d_twin.sim.casters import MujocoCaster, choose_caster
+from scan3d_twin.sim.base.drive_base import SimBase
+from scan3d_twin.sim.base.profiles import PROFILES
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
-from scan3d_twin.sim.lidar import SimLidar
-from scan3d_twin.sim.profiles import PROFILES
-from scan3d_twin.sim.scanner import Scanner, lidar_spec
-from scan3d_twin.sim.scene import Scene, load_scene
+from scan3d_twin.sim.lidar.lidar import SimLidar
+from scan3d_twin.sim.lidar.scanner import Scanner, lidar_spec
+from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
+from scan3d_twin.sim.scenes.scene import Scene, load_scene
 from scan3d_twin.sim.trace import Trace
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model

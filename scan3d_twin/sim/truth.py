@@ -10,10 +10,10 @@ import numpy as np
 
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.sim.casters import RayCaster
-from scan3d_twin.sim.scanner import Evidence
-from scan3d_twin.sim.scene import Scene
-from scan3d_twin.sim.surface import corners, sample_geom
+from scan3d_twin.sim.lidar.scanner import Evidence
+from scan3d_twin.sim.ray_casting import RayCaster
+from scan3d_twin.sim.scenes.scene import Scene
+from scan3d_twin.sim.scenes.surface_samples import corners, sample_geom
 
 ON_FLOOR = 0.002
 """Faces that look down from less than this above the floor lie on it [m]."""

@@ -11,11 +11,11 @@ import numpy as np
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import FloatArray, IntArray, read_only
+from scan3d_twin.sim.base.profiles import PROFILES
+from scan3d_twin.sim.base.uneven_floor import lay_floor, uneven_floor
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
-from scan3d_twin.sim.floor import lay_floor, uneven_floor
-from scan3d_twin.sim.profiles import PROFILES
 from scan3d_twin.sim.resources import resource_dir
-from scan3d_twin.sim.scene import Scene
+from scan3d_twin.sim.scenes.scene import Scene
 
 PREFIX = "robot/"
 TIMESTEP = 0.002

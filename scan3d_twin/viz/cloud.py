@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from scan3d_twin.core.model import Model, voxel_thin
+from scan3d_twin.core.model.fused_cloud import Model, voxel_thin
 from scan3d_twin.core.png import png_bytes
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2

@@ -12,7 +12,7 @@ import numpy as np
 import viser
 
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.model import scanned_share
+from scan3d_twin.core.model.fused_cloud import scanned_share
 from scan3d_twin.core.observer import Command, attended
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, ScanLine

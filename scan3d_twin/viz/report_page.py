@@ -15,11 +15,11 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from scan3d_twin.core.evaluate import Evaluation
-from scan3d_twin.core.model import Model
+from scan3d_twin.core.model.evaluation import Evaluation
+from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.colours import colour
-from scan3d_twin.recording.report import Report
+from scan3d_twin.run.report import Report
 from scan3d_twin.viz import cloud, sections
 
 ROBOT_HEIGHT = 0.30

@@ -10,12 +10,12 @@ from dataclasses import replace
 from html import escape
 from typing import Any
 
-from scan3d_twin.core.evaluate import Evaluation
-from scan3d_twin.core.model import scanned_share
+from scan3d_twin.core.model.evaluation import Evaluation
+from scan3d_twin.core.model.fused_cloud import scanned_share
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.recording.colours import colour
-from scan3d_twin.recording.report import Report
+from scan3d_twin.run.report import Report
 from scan3d_twin.viz.charts import Chart, Dot, round_up, svg
 
 TALLEST = 5.0

@@ -7,7 +7,7 @@ from typing import Any
 
 import viser
 
-from scan3d_twin.core.model import scanned_share
+from scan3d_twin.core.model.fused_cloud import scanned_share
 from scan3d_twin.core.session import Session
 from scan3d_twin.viz.live import plan_table
 from scan3d_twin.viz.stage import Stage, add_looks

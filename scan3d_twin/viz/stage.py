@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from scan3d_twin.core.model import voxel_thin
+from scan3d_twin.core.model.fused_cloud import voxel_thin
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
 from scan3d_twin.recording.colours import rgb

@@ -11,13 +11,13 @@ import pytest
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.evaluate import Evaluation, evaluate
+from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.sim.config import LidarModelConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.scenes.scene import load_scene
 
 SCENES = {"three_boxes": 20, "sine_box": 20, "plain_wall": 6, "shiny_cylinder": 20}
 """Scenes and the most views to take; the wall is the same for 10 m."""

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from scan3d_twin.bench.compare import comparisons, regrets, views_to
-from scan3d_twin.bench.figures import figures_of, steps_of
-from scan3d_twin.bench.report import write_report
+from scan3d_twin.bench.reporting.compare import comparisons, regrets, views_to
+from scan3d_twin.bench.reporting.figures import figures_of, steps_of
+from scan3d_twin.bench.reporting.files import write_report
+from scan3d_twin.bench.reporting.summary import MEASURES, summarise, table
 from scan3d_twin.bench.store import RESULTS, read_results, write_parquet
-from scan3d_twin.bench.summary import MEASURES, summarise, table
 from scan3d_twin.core.errors import FileError
 
 CHROMIUM = shutil.which("chromium")

@@ -13,7 +13,7 @@ from scan3d_twin.bench.spec import (
     tasks,
 )
 from scan3d_twin.core.errors import ConfigError, FileError, SceneError, UnknownNameError
-from scan3d_twin.recording.settings import settings
+from scan3d_twin.run.settings import settings
 
 FILE = """
 description = "an example"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from scan3d_twin.bench.statistics import (
+from scan3d_twin.bench.reporting.statistics import (
     NOTHING,
     clustered_rate,
     discordant,

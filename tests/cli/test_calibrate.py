@@ -12,7 +12,7 @@ import pytest
 
 from scan3d_twin.cli.app import main
 from scan3d_twin.core.config import Config, SweepConfig
-from scan3d_twin.core.sweep import sweep
+from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.recording.image import image_bytes
 from scan3d_twin.recording.scans import BACK, SCAN
 from scan3d_twin.sim.config import TwinConfig

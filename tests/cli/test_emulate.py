@@ -6,9 +6,9 @@ import sys
 import pytest
 
 from scan3d_twin.cli.app import main
+from scan3d_twin.devices.links.transport import SerialTransport
+from scan3d_twin.devices.urg.driver import UrgLidar
 from scan3d_twin.real.clock import RealClock
-from scan3d_twin.real.transport import SerialTransport
-from scan3d_twin.real.urg import UrgLidar
 
 EMULATE = [sys.executable, "-m", "scan3d_twin.cli", "emulate"]
 

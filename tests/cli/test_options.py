@@ -6,8 +6,8 @@ from typing import get_type_hints
 import pytest
 
 from scan3d_twin.cli.app import app
+from scan3d_twin.cli.commands.sim import SimOptions, resolve
 from scan3d_twin.cli.dotted import dotted_options, field_docs, stated
-from scan3d_twin.cli.sim import SimOptions, resolve
 from scan3d_twin.core.config import Config, PlanningConfig
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.presets import PRESETS, preset

@@ -19,7 +19,9 @@ from scan3d_twin.cli.progress import (
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Plan, Pose2
+from scan3d_twin.core.types import Plan, Pose2, ScanLine
+
+LINE = ScanLine(0.0, np.full(1, np.nan), np.zeros(1, np.int64))
 
 
 def scan(tour="front"):
@@ -76,23 +78,23 @@ def test_live_progress_counts_lines_and_keeps_views_and_plans():
     console = Console(file=screen, force_terminal=True, width=120, highlight=False)
     with console.status("begin") as status:
         progress = LiveProgress(console, status)
-        progress.event("scanning")
-        progress.line()
-        progress.line()
+        progress.on_event("scanning")
+        progress.on_line(LINE)
+        progress.on_line(LINE)
         assert status.status == "scanning: 2 lines"
-        progress.view(session)
+        progress.on_view(session)
         assert status.status == "planning"
-        progress.plan(session)
+        progress.on_plan(session)
     assert view_words(session) in screen.getvalue()
     assert plan_words(session) in screen.getvalue()
 
 
 def tell(progress, session):
-    progress.event("scanning")
+    progress.on_event("scanning")
     for _ in range(3):
-        progress.line()
-    progress.view(session)
-    progress.plan(session)
+        progress.on_line(LINE)
+    progress.on_view(session)
+    progress.on_plan(session)
 
 
 def test_the_time_left_is_that_of_as_many_views_as_are_allowed():

@@ -11,10 +11,10 @@ from contextlib import closing, contextmanager
 import jsonschema
 import pytest
 
-from scan3d_twin.real.transport import SerialTransport
+from scan3d_twin.devices.links.transport import SerialTransport
 from scan3d_twin.recording.load import load_session
-from scan3d_twin.recording.report import report_schema
-from scan3d_twin.recording.salvage import contents
+from scan3d_twin.recording.mcap.reader import contents
+from scan3d_twin.run.report import report_schema
 
 TWIN = [sys.executable, "-m", "scan3d_twin.cli"]
 HEAVY = ("mujoco", "trimesh", "open3d", "matplotlib", "viser")

@@ -19,10 +19,11 @@ RESULTS = ("model.ply", "config.toml", "top_view.svg", "views/000.npz", "views/0
 
 TOLD = """
 import os, sys
-from scan3d_twin.cli import main, keeper
+from scan3d_twin.api.view_saver import ViewSaver
+from scan3d_twin.cli import main
 def on_line(self, line):
     os.write(2, f"line {line.stamp!r}\\n".encode())
-keeper.Keeper.on_line = on_line
+ViewSaver.on_line = on_line
 sys.exit(main(sys.argv[1:]))
 """
 """The program, but that it tells of each line as soon as the recorder has it."""

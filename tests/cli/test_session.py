@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 
 from scan3d_twin.recording.load import load_session
-from scan3d_twin.recording.report import report_schema
+from scan3d_twin.run.report import report_schema
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from scan3d_twin.recording.report import TIMINGS, report_schema
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.run.report import TIMINGS, report_schema
+from scan3d_twin.sim.scenes.scene import load_scene
 
 SCAN = ("sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100")
 

@@ -10,7 +10,7 @@ import pytest
 
 from scan3d_twin import __version__
 from scan3d_twin.core.planning import planner_names
-from scan3d_twin.sim.scene import scene_names
+from scan3d_twin.sim.scenes.scene import scene_names
 
 HEAVY = ("numpy", "scipy", "mujoco", "trimesh", "open3d")
 TWIN = [sys.executable, "-m", "scan3d_twin.cli"]
@@ -110,4 +110,4 @@ main(sys.argv[1:])
     scene, *found = done.stdout.split()
     assert scene == "three_boxes"
     assert "mujoco" in found
-    assert not {"scipy", "rosbags", "scan3d_twin.cli.run"} & set(found)
+    assert not {"scipy", "rosbags", "scan3d_twin.api.run"} & set(found)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from scan3d_twin.cli.sim import SimOptions, resolve
+from scan3d_twin.cli.commands.sim import SimOptions, resolve
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.recording.settings import read_settings, settings, settings_toml
+from scan3d_twin.run.settings import read_settings, settings, settings_toml
 from scan3d_twin.sim.config import WORLDS, TwinConfig
 
 

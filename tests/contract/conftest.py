@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 import pytest
 
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.protocols.urg04lx import LINKS
+from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.ports import choose_ports
 from scan3d_twin.real.robot import open_real
 from scan3d_twin.sim.config import TwinConfig

@@ -7,7 +7,7 @@ from kinematic import JumpingClock, KinematicBase
 from scan3d_twin.core.config import Config, MotionConfig
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.motion import drive_to
+from scan3d_twin.core.navigation.motion_control import drive_to
 from scan3d_twin.core.observer import Observers, Unobserved, attended
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import ScanLine

@@ -7,7 +7,7 @@ import pytest
 from synthetic import Box, observe
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.target import all_points, extract_target
+from scan3d_twin.core.scanning.target_extraction import all_points, extract_target
 from scan3d_twin.core.types import Pose2, RangeImage, Scan3D
 from scan3d_twin.core.viewpoints import (
     FRONT_SIDE,

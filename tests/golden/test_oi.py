@@ -2,8 +2,8 @@
 
 import pytest
 
-from scan3d_twin.protocols.oi import BAUD_CODES, CREATE1, CREATE2, MODELS, CommandParser
-from scan3d_twin.protocols.oi_packets import (
+from scan3d_twin.devices.create.codec import BAUD_CODES, CREATE1, CREATE2, MODELS, CommandParser
+from scan3d_twin.devices.create.packets import (
     GROUPS,
     BumpsDrops,
     ChargingSources,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from scan3d_twin.protocols import urg04lx
+from scan3d_twin.devices.urg import model as urg04lx
 
 
 @pytest.mark.parametrize(

@@ -1,22 +1,10 @@
-import math
-
-import numpy as np
 import pytest
-import synthetic
+from sessions import two_planned_views
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Plan, Pose2
 
 
 @pytest.fixture(scope="session")
 def session() -> Session:
     """Two views of three boxes in closed form; the second planned without a prediction."""
-    hint = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
-    session = Session(Config(), 7, hint, np.array([-1.0, 0.0]))
-    for y in (0.2, 0.0):
-        session = integrate(session, synthetic.observe(Pose2(-0.4, y, 0.0)))
-        plan = Plan(Pose2(-0.4, 0.0, 0.0), 0.8, math.nan, True, (), "the default")
-        session = session.with_plan(plan)
-    return session.ended("enough")
+    return two_planned_views()

@@ -12,8 +12,8 @@ from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 from scan3d_twin.recording.edit import drop_view, recover, undo, without_view
+from scan3d_twin.recording.mcap.reader import is_finished
 from scan3d_twin.recording.recorder import Recorder
-from scan3d_twin.recording.salvage import is_finished
 
 PLACES = (0.2, 0.0, -0.2)
 

@@ -11,9 +11,9 @@ from rosbags.highlevel import AnyReader
 from same import same
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.recording import mcap_file
 from scan3d_twin.recording.load import commands, lines, load_session
-from scan3d_twin.recording.mcap_file import FLUSH_PERIOD
+from scan3d_twin.recording.mcap import file as mcap_file
+from scan3d_twin.recording.mcap.file import FLUSH_PERIOD
 from scan3d_twin.recording.recorder import Recorder, SerialTaps
 
 TOPICS = {

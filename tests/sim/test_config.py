@@ -69,7 +69,7 @@ def test_ideal_has_no_errors():
 
 def test_importing_it_costs_nothing():
     code = (
-        "import sys, scan3d_twin.sim.config, scan3d_twin.protocols.urg04lx\n"
+        "import sys, scan3d_twin.sim.config, scan3d_twin.devices.urg.model\n"
         "print(sorted({'numpy', 'mujoco', 'trimesh', 'scipy'} & set(sys.modules)))"
     )
     result = subprocess.run(

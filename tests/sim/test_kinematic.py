@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.evaluate import surface_distance, true_pose
-from scan3d_twin.core.motion import drive_to, turn_to
+from scan3d_twin.core.model.evaluation import surface_distance, true_pose
+from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.types import Pose2, wrap
-from scan3d_twin.sim.casters import choose_caster
+from scan3d_twin.sim.base.motion_errors import CREEP, SLIP_XY, SLIP_YAW, true_move
+from scan3d_twin.sim.base.profiles import CREATE2
 from scan3d_twin.sim.config import TwinConfig
-from scan3d_twin.sim.drift import CREEP, SLIP_XY, SLIP_YAW, true_move
 from scan3d_twin.sim.kinematic import (
     KinematicRobot,
     KinematicWorld,
@@ -19,10 +19,10 @@ from scan3d_twin.sim.kinematic import (
     thin_config,
     thin_spec,
 )
-from scan3d_twin.sim.profiles import CREATE2
+from scan3d_twin.sim.lidar.scanner import lidar_spec
+from scan3d_twin.sim.ray_casting import choose_caster
 from scan3d_twin.sim.robot import draw_robot, open_sim
-from scan3d_twin.sim.scanner import lidar_spec
-from scan3d_twin.sim.scene import load_scene
+from scan3d_twin.sim.scenes.scene import load_scene
 
 SCENE = load_scene("three_boxes")
 CASTER = choose_caster(SCENE.model)

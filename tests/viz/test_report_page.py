@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pixels import share_of
 
-from scan3d_twin.core.evaluate import Distances, Evaluation, PairError
-from scan3d_twin.core.model import Model, build_model
+from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
+from scan3d_twin.core.model.fused_cloud import Model, build_model
 from scan3d_twin.recording.colours import colour
-from scan3d_twin.recording.report import Effort, Journey, build_report
-from scan3d_twin.recording.settings import Settings, settings_toml
+from scan3d_twin.run.report import Effort, Journey, build_report
+from scan3d_twin.run.settings import Settings, settings_toml
 from scan3d_twin.viz.report_page import Pictures, report_page
 from scan3d_twin.viz.top_view import top_view
 

@@ -5,9 +5,9 @@ import json
 import pytest
 from lockstep import far_drivers
 
-from scan3d_twin.emulator.create import CreateEmulator
-from scan3d_twin.emulator.line import Wire
-from scan3d_twin.emulator.urg import UrgEmulator
+from scan3d_twin.devices.create.emulator import CreateEmulator
+from scan3d_twin.devices.links.line_model import Wire
+from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import Unhindered
 

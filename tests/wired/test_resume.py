@@ -9,19 +9,19 @@ import pytest
 from scan3d_twin.core.config import Config, SweepConfig
 from scan3d_twin.core.observer import Observers, Unobserved
 from scan3d_twin.core.types import rms
-from scan3d_twin.emulator.create import CreateEmulator
-from scan3d_twin.emulator.line import Wire
-from scan3d_twin.emulator.urg import UrgEmulator
-from scan3d_twin.emulator.urg_profile import UrgProfile
-from scan3d_twin.protocols import oi
-from scan3d_twin.protocols.urg04lx import LINKS
+from scan3d_twin.devices.create import codec as oi
+from scan3d_twin.devices.create.emulator import CreateEmulator
+from scan3d_twin.devices.links.line_model import Wire
+from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulator import UrgEmulator
+from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
-from scan3d_twin.recording.closed_loop import Earlier, close_loop
-from scan3d_twin.recording.continuing import continued, warning
 from scan3d_twin.recording.load import last_odometry, load_session
 from scan3d_twin.recording.recorder import Recorder
-from scan3d_twin.recording.report import Journey
-from scan3d_twin.recording.settings import Settings
+from scan3d_twin.recording.resume import continued, warning
+from scan3d_twin.run.closed_loop import Earlier, close_loop
+from scan3d_twin.run.report import Journey
+from scan3d_twin.run.settings import Settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import Unhindered
 

@@ -18,7 +18,7 @@ from scan3d_twin.core.errors import ConfigError, UnknownNameError
 if TYPE_CHECKING:
     import numpy as np
 
-    from scan3d_twin.core.evaluate import Truth
+    from scan3d_twin.core.model.evaluation import Truth
     from scan3d_twin.core.session import Session
     from scan3d_twin.core.types import Plan
 
@@ -75,7 +75,7 @@ _OWN = {
     "see": "see:SeePlanner",
     "siicp": "siicp:SiicpPlanner",
 }
-"""Our own planners by name, loaded when they are wanted: module in this package, and what in it."""
+"""Our own planners by name, loaded when they are wanted: module in ``planners``, and what in it."""
 
 
 def planner_names() -> tuple[str, ...]:
@@ -122,7 +122,7 @@ def make_planner(name: str, truth: Truth | None = None) -> Planner:
 
 def _entry(name: str) -> Entry:
     if name in _OWN:
-        return Entry.of(resolve_name(f"{__name__}.{_OWN[name]}"))
+        return Entry.of(resolve_name(f"{__name__}.planners.{_OWN[name]}"))
     others = _others()
     if name not in others:
         raise UnknownNameError("planner", name, planner_names())

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan3d_twin.core.planning.situation import readings_of
+from scan3d_twin.core.planning.context import readings_of
 from scan3d_twin.core.registration.edges import INWARDS, JUMP, MIN_BEAMS, MIN_COSINE
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from scan3d_twin.core.planning.surface import Eye
+from scan3d_twin.core.planning.surface_patches import Eye
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.core.model import Model, build_model, sight
+from scan3d_twin.core.model.fused_cloud import Model, build_model, sight
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.export import e57, las, pcd, ply, text
 from scan3d_twin.recording.export.piece import Piece
-from scan3d_twin.recording.folder import write_file
+from scan3d_twin.run.folder import write_file
 
 __all__ = ["CLOUDS", "Piece", "export_cloud", "file_name", "pieces"]
 

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.core.mesh import Mesh
-from scan3d_twin.core.model import Model
+from scan3d_twin.core.model.fused_cloud import Model
+from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.recording.colours import rgb
-from scan3d_twin.recording.folder import write_file
+from scan3d_twin.run.folder import write_file
 
 MESHES = ("glb", "obj", "ply", "stl")
 """The formats of meshes by name."""

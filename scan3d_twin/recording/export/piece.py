@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scan3d_twin.core.model import Model
+from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.types import Pose2
 
 

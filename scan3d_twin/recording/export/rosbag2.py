@@ -17,8 +17,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.recording import ros
-from scan3d_twin.recording.salvage import Delivered, contents
+from scan3d_twin.recording.mcap import ros_messages as ros
+from scan3d_twin.recording.mcap.reader import Delivered, contents
 
 _FOREVER = QosTime(2**31 - 1, 999_999_999)
 LATCHED = Qos(

@@ -11,7 +11,7 @@ import numpy as np
 
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.recording.export.piece import Piece
-from scan3d_twin.recording.folder import write_file
+from scan3d_twin.run.folder import write_file
 
 
 def encode_xyz(piece: Piece) -> bytes:

@@ -3,8 +3,8 @@ import pytest
 import trimesh
 
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.core.mesh import Mesh, build_mesh
-from scan3d_twin.core.model import Model, build_model, sightings
+from scan3d_twin.core.model.fused_cloud import Model, build_model, sightings
+from scan3d_twin.core.model.mesh import Mesh, build_mesh
 from scan3d_twin.recording.colours import rgb
 from scan3d_twin.recording.export.meshes import MESHES, TRUSTED, poisson, write_mesh
 

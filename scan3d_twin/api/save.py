@@ -1,0 +1,108 @@
+"""All files of a finished or broken-off run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from scan3d_twin.core.model.evaluation import (
+    Distances,
+    Reference,
+    Truth,
+    evaluate_model,
+    mesh_accuracy,
+    shows_target,
+)
+from scan3d_twin.core.model.fused_cloud import Sighting, joined, sightings
+from scan3d_twin.core.model.mesh import build_mesh
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording.ply import ply_bytes
+from scan3d_twin.recording.views import view_bytes, view_path
+from scan3d_twin.run.folder import write_file
+from scan3d_twin.run.report import Effort, Journey, Report, build_report, report_json
+from scan3d_twin.run.settings import Settings, settings_toml
+from scan3d_twin.viz.report_page import Pictures, report_page
+from scan3d_twin.viz.top_view import top_view
+
+
+def save_run(
+    folder: Path,
+    scene: str,
+    settings: Settings,
+    session: Session,
+    journey: Journey,
+    effort: Effort,
+    truth: Truth | None = None,
+    scene_picture: bytes | str = "",
+) -> Report:
+    """Write the files of ``session`` to ``folder`` and return the report.
+
+    The views are written once more, because the last alignment may have moved them.
+    The truth is asked only about the target it knows. ``scene_picture`` is a PNG of the scene, or
+    why there is none; empty where nobody can have one.
+    """
+    seen = sightings(session)
+    model = joined([each.cleaned for each in seen])
+    known = truth is not None and len(model) and shows_target(session, truth)
+    reference = Reference.of(session, truth) if truth is not None and known else None
+    evaluation = None if reference is None else evaluate_model(session, model, reference)
+    report = build_report(
+        scene,
+        settings,
+        session,
+        journey,
+        effort,
+        len(model),
+        evaluation,
+        None if reference is None else _mesh_accuracy(session, seen, reference),
+    )
+    for index, each in enumerate(session.views):
+        write_file(view_path(folder, index), view_bytes(each))
+    _remove_views_from(len(session.views), folder)
+    picture = top_view(
+        model.points,
+        model.view,
+        [each.T_world_scan for each in session.views],
+        sweep_width=session.config.sweep.width,
+        standoff=session.config.planning.standoff,
+        title=_title(report),
+    )
+    write_file(folder / "model.ply", ply_bytes(model.points, model.view))
+    write_file(folder / "top_view.svg", picture)
+    write_file(folder / "report.json", report_json(report))
+    if isinstance(scene_picture, bytes):
+        write_file(folder / "scene.png", scene_picture)
+    pictures = Pictures(picture, scene_picture)
+    options = settings_toml(settings)
+    page = report_page(report, options, session, model, pictures, evaluation)
+    write_file(folder / "report.html", page)
+    return report
+
+
+def _remove_views_from(count: int, folder: Path) -> None:
+    """Remove the files of views that were left out at last."""
+    while (path := view_path(folder, count)).exists():
+        path.unlink()
+        count += 1
+
+
+def _mesh_accuracy(
+    session: Session, seen: Sequence[Sighting], reference: Reference
+) -> Distances | None:
+    """Return the distance of the target's mesh to the truth; None if it has no triangles."""
+    mesh = build_mesh(session, seen)
+    if len(mesh.faces) == 0:
+        return None
+    return mesh_accuracy(mesh, reference, np.random.default_rng(session.seed))
+
+
+def _title(report: Report) -> str:
+    parts = [
+        f"{report['views']} views",
+        f"\N{GREEK SMALL LETTER EPSILON} = {report['epsilon_mm']:g} mm",
+    ]
+    if report["coverage_20mm"] is not None:
+        parts.append(f"{report['coverage_20mm']:.0%} covered")
+    return f"{report['scene']}: {', '.join(parts)}"

@@ -1,0 +1,30 @@
+"""The observer that saves each finished view, so that a run that dies loses at most one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scan3d_twin.core.observer import Unobserved
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording.views import view_bytes, view_path
+from scan3d_twin.run.folder import write_file
+from scan3d_twin.run.settings import Settings, settings_toml
+
+
+class ViewSaver(Unobserved):
+    """Saves each finished view, the settings with the first, and saves memory if wanted."""
+
+    def __init__(self, folder: Path, settings: Settings) -> None:
+        self._folder = folder
+        self._settings = settings
+        self._settings_saved = False
+
+    def on_view(self, session: Session) -> None:
+        """See ``Observer``."""
+        index = len(session.views) - 1
+        if not self._settings_saved:
+            write_file(self._folder / "config.toml", settings_toml(self._settings))
+            self._settings_saved = True
+        write_file(view_path(self._folder, index), view_bytes(session.views[index]))
+        if session.config.spare == "memory":
+            session.fold()

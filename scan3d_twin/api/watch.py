@@ -1,0 +1,76 @@
+"""Watching a run: the live view on a web page, if one is wanted, and a picture of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.observer import Observer, Observers
+
+if TYPE_CHECKING:
+    from scan3d_twin.viz.live import LiveView
+
+
+@dataclass(frozen=True, slots=True)
+class Onlooker:
+    """The live view of one run, if there is one.
+
+    Attributes:
+        view: The live view; None where none is wanted.
+        picture: Returns a picture of the scene as PNG, or why there is none.
+    """
+
+    view: LiveView | None
+    picture: Callable[[], bytes | str]
+
+    def attach(self, robot: Robot, observer: Observer) -> tuple[Robot, Observer]:
+        """Return ``robot`` and ``observer`` with the view among the observers."""
+        if self.view is None:
+            return robot, observer
+        return self.view.attach(robot), Observers(observer, self.view)
+
+    def end(self, reason: str, report: Callable[[str], None]) -> None:
+        """Show on the page why the run ended, and stay while somebody reads it."""
+        if self.view is None:
+            return
+        self.view.finish(reason)
+        if self.view.is_read():
+            report("the live view stays until its page is closed, or Ctrl-C")
+            self.view.wait_for_readers()
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """How a run is to be watched.
+
+    Attributes:
+        address: Host and TCP port at which the live view is served; None for no live view.
+        speed: Speed of the twin while it is watched, such as ``10x``; None for a real robot.
+        picture: See ``Onlooker``.
+    """
+
+    address: tuple[str, int] | None = None
+    speed: str | None = None
+    picture: Callable[[], bytes | str] = str
+
+    @contextmanager
+    def onlooker(self, name: str, report: Callable[[str], None]) -> Iterator[Onlooker]:
+        """Serve the live view of the run called ``name`` if one is wanted.
+
+        Raises:
+            LinkError: It cannot be served there.
+        """
+        if self.address is None:
+            yield Onlooker(None, self.picture)
+            return
+        from scan3d_twin.viz.live import open_live_view
+
+        host, port = self.address
+        with open_live_view(host, port, name, self.speed, report) as view:
+            yield Onlooker(view, self.picture)
+
+
+UNWATCHED = Watch()

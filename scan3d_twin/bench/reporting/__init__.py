@@ -1,0 +1,1 @@
+"""What an experiment shows: statistics, comparisons, figures, tables and the page."""

@@ -1,0 +1,155 @@
+"""Variants against each other on the same seeds, and against the oracle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from scan3d_twin.bench.record import Record
+from scan3d_twin.bench.reporting.statistics import (
+    Estimate,
+    discordant,
+    median,
+    paired_difference,
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A variant against the reference of its scene and scope, run by run of one seed each.
+
+    Attributes:
+        scene, scope, variant, reference: What is compared.
+        pairs: Seeds that both have.
+        success: Share of successes less that of the reference.
+        success_p: McNemar's exact test that both are equally often successful.
+        views: Views over the reference's, median of the pairs.
+        views_p: Wilcoxon's signed-rank test that they take equally many.
+        time: Robot's time over the reference's, median of the pairs.
+        time_p: Wilcoxon's test that it is equal.
+    """
+
+    scene: str
+    scope: str
+    variant: str
+    reference: str
+    pairs: int
+    success: float
+    success_p: float
+    views: Estimate
+    views_p: float
+    time: Estimate
+    time_p: float
+
+
+@dataclass(frozen=True)
+class Regret:
+    """A variant against the oracle of its scene, on equal seeds and at equal coverage.
+
+    Attributes:
+        scene, variant, oracle: What is compared.
+        regret: Views over the oracle's, both up to the lower of the two final coverages.
+    """
+
+    scene: str
+    variant: str
+    oracle: str
+    regret: Estimate
+
+
+Runs = dict[str, dict[int, Record]]
+"""Records by variant and seed."""
+
+
+def comparisons(records: Iterable[Record]) -> list[Comparison]:
+    """Return each variant against the best of its scene and scope.
+
+    Scopes are not mixed: who registers all that is seen solves an easier task than who registers
+    the target alone. The best has the most successes, and of equals the fewest views; oracles know
+    the truth and are no reference.
+    """
+    found = []
+    for (scene, scope), runs in _runs(records, lambda r: (r.scene, r.scope)).items():
+        able = [name for name in runs if not _is_oracle(runs[name])]
+        if len(runs) < 2 or not able:
+            continue
+        reference = min(able, key=lambda name: (*_rank(list(runs[name].values())), name))
+        for name in runs:
+            if name != reference:
+                found.append(_comparison(scene, scope, name, runs[name], reference, runs))
+    return found
+
+
+def regrets(records: Iterable[Record]) -> list[Regret]:
+    """Return each variant against each oracle of its scene."""
+    found = []
+    for (scene, _), runs in _runs(records, lambda r: (r.scene, "")).items():
+        oracles = [name for name in runs if _is_oracle(runs[name])]
+        for oracle in oracles:
+            for name in runs:
+                if name not in oracles:
+                    ratios = [_regret(a, b) for a, b in _pairs(runs[name], runs[oracle])]
+                    found.append(Regret(scene, name, oracle, median(ratios)))
+    return found
+
+
+def views_to(record: Record, coverage: float) -> int | None:
+    """Return after how many views ``coverage`` was reached; None if never."""
+    reached = [step.view + 1 for step in record.steps if (step.coverage or 0.0) >= coverage]
+    return min(reached, default=None)
+
+
+def _runs(
+    records: Iterable[Record], key: Callable[[Record], tuple[str, str]]
+) -> dict[tuple[str, str], Runs]:
+    found: dict[tuple[str, str], Runs] = {}
+    for record in records:
+        if record.status != "lost":
+            group = found.setdefault(key(record), {})
+            group.setdefault(record.variant, {})[record.seed] = record
+    return found
+
+
+def _is_oracle(runs: dict[int, Record]) -> bool:
+    return any(record.planner == "oracle" for record in runs.values())
+
+
+def _rank(records: Sequence[Record]) -> tuple[float, float]:
+    success = sum(record.success for record in records) / len(records)
+    return -success, median([record.views for record in records]).value
+
+
+def _pairs(a: dict[int, Record], b: dict[int, Record]) -> list[tuple[Record, Record]]:
+    return [(a[seed], b[seed]) for seed in sorted(a.keys() & b.keys())]
+
+
+def _comparison(
+    scene: str, scope: str, name: str, mine: dict[int, Record], reference: str, runs: Runs
+) -> Comparison:
+    pairs = _pairs(mine, runs[reference])
+    a, b = [x for x, _ in pairs], [y for _, y in pairs]
+    timed = [(x.duration, y.duration) for x, y in pairs if x.duration and y.duration]
+    count = max(1, len(pairs))
+    return Comparison(
+        scene=scene,
+        scope=scope,
+        variant=name,
+        reference=reference,
+        pairs=len(pairs),
+        success=(sum(x.success for x in a) - sum(y.success for y in b)) / count,
+        success_p=discordant([x.success for x in a], [y.success for y in b]),
+        views=median([x.views / y.views for x, y in pairs if y.views]),
+        views_p=paired_difference([x.views for x in a], [y.views for y in b]),
+        time=median([x / y for x, y in timed]),
+        time_p=paired_difference([x for x, _ in timed], [y for _, y in timed]),
+    )
+
+
+def _regret(record: Record, oracle: Record) -> float:
+    """Return the ratio of views to the lower of both final coverages; NaN if one saw nothing."""
+    coverage = min(record.coverage, oracle.coverage)
+    mine, least = views_to(record, coverage), views_to(oracle, coverage)
+    if coverage <= 0 or mine is None or least is None:
+        return math.nan
+    return mine / least

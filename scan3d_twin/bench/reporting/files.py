@@ -1,0 +1,97 @@
+"""The files of a report: report.html, and each figure and table as SVG and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+
+from scan3d_twin.bench.drive import PICTURES, picture_path
+from scan3d_twin.bench.record import Record, Step
+from scan3d_twin.bench.reporting.compare import comparisons, regrets
+from scan3d_twin.bench.reporting.figures import Cells, figures_of
+from scan3d_twin.bench.reporting.page import comparison_rows, page
+from scan3d_twin.bench.reporting.summary import MEASURES, Row, summarise
+from scan3d_twin.run.folder import write_file
+
+PAGE = "report.html"
+
+
+def write_report(records: Sequence[Record], title: str, pictures: Path, out: Path) -> Path:
+    """Write the report of ``records`` into the folder ``out`` and return the page.
+
+    Args:
+        records: Of one experiment.
+        title: Its name.
+        pictures: Folder of the bench, where top views may be.
+        out: Its files of the same names are written over.
+
+    Raises:
+        FileError: The folder cannot be written.
+    """
+    rows, compared, figures = summarise(records), comparisons(records), figures_of(records)
+    for figure in figures:
+        write_file(out / "figures" / f"{figure.name}.svg", figure.svg)
+        write_file(out / "figures" / f"{figure.name}.csv", csv_text(figure.rows))
+    write_file(out / "summary.csv", csv_text(_summary_rows(rows)))
+    write_file(out / "steps.csv", csv_text(_step_rows(records)))
+    write_file(out / "comparisons.csv", csv_text(comparison_rows(compared)))
+    text = page(
+        title, records, rows, compared, regrets(records), figures, _pictures(records, pictures)
+    )
+    write_file(out / PAGE, text)
+    return out / PAGE
+
+
+def csv_text(rows: Cells) -> str:
+    """Return ``rows`` as CSV; None is an empty cell."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def _summary_rows(rows: Sequence[Row]) -> Cells:
+    parts = ("", "_low", "_high")
+    names = [measure.name + part for measure in MEASURES for part in parts]
+    cells: Cells = [["scene", "variant", "scope", "runs", "failed", "lost", *names]]
+    for row in rows:
+        numbers = [
+            value
+            for measure in MEASURES
+            for e in [row.figures[measure.name]]
+            for value in (e.value, e.low, e.high)
+        ]
+        names_of_row: list[str | float | int | None] = [
+            row.scene,
+            row.variant,
+            row.scope,
+            row.runs,
+            row.failed,
+            row.lost,
+        ]
+        cells.append([*names_of_row, *numbers])
+    return cells
+
+
+def _step_rows(records: Sequence[Record]) -> Cells:
+    """Return a row per view of all runs."""
+    names = [field.name for field in fields(Step)]
+    cells: Cells = [["scene", "variant", "seed", *names]]
+    for record in records:
+        which: list[str | float | int | None] = [record.scene, record.variant, record.seed]
+        cells += [[*which, *(getattr(step, name) for name in names)] for step in record.steps]
+    return cells
+
+
+def _pictures(records: Sequence[Record], folder: Path) -> dict[str, bytes]:
+    """Return the stored top views by caption; the presets' own variants first."""
+    found: dict[str, bytes] = {}
+    ordered = sorted(records, key=lambda r: (r.variant != r.preset, r.scene, r.variant, r.seed))
+    for record in ordered if (folder / PICTURES).is_dir() else ():
+        path = picture_path(folder, record)
+        if path.is_file():
+            caption = f"{record.scene}, {record.variant}, seed {record.seed}: {record.stop}"
+            found[caption] = path.read_bytes()
+    return found

@@ -1,0 +1,230 @@
+"""Plots of many runs as SVG: dots, lines with bands, bars with intervals. No fonts, no scripts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from xml.sax.saxutils import escape
+
+from scan3d_twin.bench.reporting.statistics import Estimate
+from scan3d_twin.recording.colours import COLOURS
+
+LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 34.0, 46.0
+"""Room round the plot, in the picture's own units."""
+LEGEND_LINE = 18.0
+STYLE = """
+.pl { font: 12px system-ui, "Helvetica Neue", Arial, sans-serif; background: #ffffff; }
+.pl text { fill: #1f2328; } .pl .title { font-size: 14px; font-weight: 600; }
+.pl .tick { fill: #57606a; } .pl .grid { stroke: #d8dee4; } .pl .axis { stroke: #57606a; }
+.pl .limit { stroke: #57606a; stroke-dasharray: 6 4; } .pl .line { fill: none; stroke-width: 2; }
+@media (prefers-color-scheme: dark) {
+.pl { background: #0d1117; } .pl text { fill: #f0f6fc; } .pl .tick { fill: #9198a1; }
+.pl .grid { stroke: #262c36; } .pl .axis, .pl .limit { stroke: #9198a1; }
+}"""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """An axis from ``low`` to ``high``; ``form`` writes a tick."""
+
+    label: str
+    low: float
+    high: float
+    log: bool = False
+    form: str = "{:g}"
+
+    def share(self, value: float) -> float:
+        """Return where ``value`` lies, 0..1; what lies outside is put on the edge."""
+        if self.log:
+            low, high = math.log(self.low), math.log(self.high)
+            value = math.log(max(value, self.low))
+        else:
+            low, high = self.low, self.high
+        return min(1.0, max(0.0, (value - low) / (high - low)))
+
+    def ticks(self) -> list[float]:
+        """Return about five round values."""
+        if self.log:
+            powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
+            values = [m * 10.0**p for p in powers for m in (1, 2, 5)]
+        else:
+            step = _round_step((self.high - self.low) / 5)
+            first = math.ceil(self.low / step - 1e-9)
+            values = [k * step for k in range(first, math.floor(self.high / step + 1e-9) + 1)]
+        slack = 1e-9 * abs(self.high)
+        return [round(v, 12) for v in values if self.low - slack <= v <= self.high + slack]
+
+
+def axis_over(label: str, values: Iterable[float], *, log: bool = False) -> Axis:
+    """Return an axis that holds all finite ``values`` and a little more."""
+    known = [value for value in values if math.isfinite(value) and (value > 0 or not log)]
+    if not known:
+        return Axis(label, 1.0, 10.0, log) if log else Axis(label, 0.0, 1.0)
+    low, high = min(known), max(known)
+    if log:
+        return Axis(label, low / 1.3, high * 1.3, log=True)
+    high = max(high, low + 1e-9)
+    low = 0.0 if 0 <= low < 0.7 * high else low - 0.05 * (high - low)
+    return Axis(label, low, high + 0.05 * (high - low))
+
+
+def shares(label: str) -> Axis:
+    """Return an axis from 0 to 100 %."""
+    return Axis(label, 0.0, 1.0, form="{:.0%}")
+
+
+@dataclass
+class Plot:
+    """A picture that grows by its methods.
+
+    Attributes:
+        title: Above it.
+        x: Horizontal axis.
+        y: Vertical axis.
+        width: In the picture's own units.
+        height: Without the legend.
+    """
+
+    title: str
+    x: Axis
+    y: Axis
+    width: float = 440.0
+    height: float = 300.0
+    _parts: list[str] = field(default_factory=list)
+    _legend: list[tuple[str, str]] = field(default_factory=list)
+
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """Return where (x, y) lies in the picture."""
+        wide, high = self.width - LEFT - RIGHT, self.height - TOP - BOTTOM
+        return LEFT + wide * self.x.share(x), self.height - BOTTOM - high * self.y.share(y)
+
+    def name(self, label: str, colour: str) -> None:
+        """Add a line to the legend."""
+        if (label, colour) not in self._legend:
+            self._legend.append((label, colour))
+
+    def dots(self, points: Iterable[tuple[float, float]], colour: str, size: float = 3.0) -> None:
+        """Draw a dot at each of ``points`` that is finite."""
+        for x, y in points:
+            if math.isfinite(x) and math.isfinite(y):
+                px, py = self.place(x, y)
+                self._parts.append(
+                    f'<circle cx="{px:.1f}" cy="{py:.1f}" r="{size:g}" fill="{colour}" '
+                    'fill-opacity="0.55"/>'
+                )
+
+    def line(self, points: Iterable[tuple[float, float]], colour: str) -> None:
+        """Join ``points``."""
+        path = "L".join(f"{x:.1f} {y:.1f}" for x, y in (self.place(*point) for point in points))
+        if path:
+            self._parts.append(f'<path class="line" d="M{path}" stroke="{colour}"/>')
+
+    def band(self, rows: Sequence[tuple[float, Estimate]], colour: str) -> None:
+        """Draw a line through values by x and a band through their intervals."""
+        upper = [self.place(x, e.high) for x, e in rows if e.n]
+        lower = [self.place(x, e.low) for x, e in reversed(rows) if e.n]
+        corners = " ".join(f"{x:.1f},{y:.1f}" for x, y in upper + lower)
+        if corners:
+            self._parts.append(f'<polygon points="{corners}" fill="{colour}" fill-opacity="0.15"/>')
+        self.line([(x, e.value) for x, e in rows if e.n], colour)
+
+    def bar(self, x: float, half: float, estimate: Estimate, colour: str) -> None:
+        """Draw a bar from the axis to a value, with its interval as a whisker."""
+        if estimate.n == 0:
+            return
+        (left, top), (right, bottom) = self.place(x - half, estimate.value), self.place(x + half, 0)
+        self._parts.append(
+            f'<rect x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" '
+            f'height="{bottom - top:.1f}" fill="{colour}" fill-opacity="0.75"/>'
+        )
+        self.whisker(x, estimate)
+
+    def whisker(self, x: float, estimate: Estimate) -> None:
+        """Draw an interval."""
+        px, low = self.place(x, estimate.low)
+        high = self.place(x, estimate.high)[1]
+        self._parts.append(
+            f'<path class="axis" d="M{px:.1f} {low:.1f}V{high:.1f}M{px - 4:.1f} {low:.1f}h8'
+            f'M{px - 4:.1f} {high:.1f}h8"/>'
+        )
+
+    def limit(self, y: float, label: str) -> None:
+        """Draw a dashed line across."""
+        px, py = self.place(self.x.high, y)
+        self._parts.append(f'<path class="limit" d="M{LEFT:g} {py:.1f}H{px:.1f}"/>')
+        self._parts.append(
+            f'<text class="tick" x="{px - 3:.1f}" y="{py - 5:.1f}" text-anchor="end">'
+            f"{escape(label)}</text>"
+        )
+
+    def diagonal(self) -> None:
+        """Draw y = x, dashed."""
+        low, high = max(self.x.low, self.y.low), min(self.x.high, self.y.high)
+        (ax, ay), (bx, by) = self.place(low, low), self.place(high, high)
+        self._parts.append(f'<path class="limit" d="M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}"/>')
+
+    def svg(self) -> str:
+        """Return the picture as an SVG document that a page can hold too."""
+        total = self.height + LEGEND_LINE * math.ceil(len(self._legend) / 2)
+        return "\n".join(
+            [
+                f'<svg xmlns="http://www.w3.org/2000/svg" class="pl" role="img" '
+                f'viewBox="0 0 {self.width:g} {total:g}">',
+                f"<title>{escape(self.title)}</title><style>{STYLE}</style>",
+                f'<text class="title" x="{LEFT:g}" y="20">{escape(self.title)}</text>',
+                *self._axes(),
+                *self._parts,
+                *self._legend_parts(),
+                "</svg>\n",
+            ]
+        )
+
+    def _axes(self) -> list[str]:
+        bottom, right = self.height - BOTTOM, self.width - RIGHT
+        parts = []
+        for value in self.y.ticks():
+            y = self.place(self.x.low, value)[1]
+            words = self.y.form.format(value)
+            parts.append(f'<path class="grid" d="M{LEFT:g} {y:.1f}H{right:g}"/>')
+            parts.append(
+                f'<text class="tick" x="{LEFT - 6:g}" y="{y + 4:.1f}" text-anchor="end">'
+                f"{words}</text>"
+            )
+        for value in self.x.ticks() if self.x.label else ():
+            x = self.place(value, self.y.low)[0]
+            words = self.x.form.format(value)
+            parts.append(
+                f'<text class="tick" x="{x:.1f}" y="{bottom + 16:g}" text-anchor="middle">'
+                f"{words}</text>"
+            )
+        middle = (TOP + bottom) / 2
+        return [
+            *parts,
+            f'<path class="axis" d="M{LEFT:g} {bottom:g}H{right:g}"/>',
+            f'<text x="{(LEFT + right) / 2:g}" y="{bottom + 36:g}" text-anchor="middle">'
+            f"{escape(self.x.label)}</text>",
+            f'<text transform="translate(14 {middle:g}) rotate(-90)" text-anchor="middle">'
+            f"{escape(self.y.label)}</text>",
+        ]
+
+    def _legend_parts(self) -> list[str]:
+        parts, half = [], (self.width - LEFT) / 2
+        for k, (label, colour) in enumerate(self._legend):
+            x, y = LEFT + half * (k % 2), self.height + LEGEND_LINE * (k // 2)
+            parts.append(
+                f'<rect x="{x:g}" y="{y:g}" width="11" height="11" rx="2" fill="{colour}"/>'
+                f'<text x="{x + 17:g}" y="{y + 10:g}">{escape(label)}</text>'
+            )
+        return parts
+
+
+def colours(names: Iterable[str]) -> dict[str, str]:
+    """Return a colour for each name, the same in all plots of a report."""
+    return {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}
+
+
+def _round_step(length: float) -> float:
+    """Return the smallest of 1, 2, 5 times a power of ten that is at least ``length``."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= length * (1 - 1e-9))

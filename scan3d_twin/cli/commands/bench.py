@@ -1,0 +1,256 @@
+"""``twin bench``: planners against planners, on many seeds."""
+
+from __future__ import annotations
+
+import json as json_module
+import os
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+
+from scan3d_twin.cli.dotted import dotted_options, stated
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import ConfigError, ScanError
+from scan3d_twin.run.settings import Options, merge
+from scan3d_twin.sim.config import TwinConfig
+
+if TYPE_CHECKING:
+    from scan3d_twin.bench.engine import Engine
+    from scan3d_twin.bench.record import Record
+    from scan3d_twin.bench.spec import Experiment
+    from scan3d_twin.bench.task import Task
+
+    DottedOptions = Any
+else:
+    DottedOptions = dotted_options(Config, TwinConfig)
+
+app = App(name="bench", help_format="markdown")
+Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True, show_default=False)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions:
+    """What is run, where and by whom."""
+
+    suite: str | None = None
+    """Experiment of the package: smoke, paper-fig10, paper-fig13, full or costs."""
+    scenes: Names = ()
+    """Scenes, by name or file (default three_boxes)."""
+    planners: Names = ()
+    """Planners, see `twin planners` (default: each preset's own)."""
+    presets: Names = ()
+    """Presets (default best)."""
+    seeds: int | None = None
+    """Number of seeds; all planners meet the same ones (default 10, or the file's)."""
+    first_seed: int | None = None
+    """The first seed (default 0, or the file's)."""
+    epsilon: float | None = None
+    """Wanted registration error of all runs, root mean square [mm] (default 10)."""
+    tour: Literal["front", "full"] | None = None
+    """Scan the front only, or all round (default: the scene's)."""
+    max_views: int | None = None
+    """All runs stop after this many views (default 20)."""
+    world: str | None = None
+    """Errors of robot, lidar and floor: ideal, typical or harsh (default typical)."""
+    jobs: int | None = None
+    """Workers on this computer (default: its processors)."""
+    timeout: float = 900.0
+    """A run that takes longer is ended and begun again, twice at most [s]."""
+    cluster: str | None = None
+    """Scheduler of a Dask cluster whose workers do the runs, such as tcp://10.0.0.1:8786."""
+    shard: str | None = None
+    """Do one part of the runs only, such as 2/8; the parts may share the folder."""
+    out: Path | None = None
+    """Folder for journal, results.parquet and top views (default runs/bench-NAME)."""
+    json: bool = False
+    """Print the figures as one JSON document."""
+
+
+@app.default
+def bench(
+    file: Path | None = None,
+    *,
+    options: Annotated[BenchOptions, Parameter(name="*")] = BenchOptions(),
+    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+) -> None:
+    """Run planners against planners in the twin.
+
+    What is run comes from a TOML file (docs/bench.md), a --suite, or --scenes, --planners and
+    --presets. Each run is written to a journal as it ends: after whatever stopped the bench, the
+    same command goes on with what is missing. Dotted options hold for all runs.
+
+    Args:
+        file: Experiment as a TOML file.
+        options: What is run, where and by whom.
+        dotted: Configuration in SI units and radians.
+
+    Raises:
+        TwinError: An option is wrong, a file cannot be written, or runs were lost.
+    """
+    from scan3d_twin.bench.spec import shard_of, tasks
+
+    common = _common(options, {} if dotted is None else stated(dotted))
+    experiment = _experiment(file, options).with_options(common)
+    number, count = shard = _shard(options.shard)
+    folder = options.out or Path("runs") / f"bench-{experiment.name}"
+    _require_store()
+    chosen = shard_of(tasks(experiment), number, count)
+    records = _run(chosen, shard, folder, options)
+    _tell(records, folder, as_json=options.json)
+    lost = sum(record.status == "lost" for record in records)
+    if lost:
+        raise ScanError(f"{lost} runs were lost, see {folder}; the same command tries them again")
+
+
+def _run(
+    chosen: list[Task], shard: tuple[int, int], folder: Path, options: BenchOptions
+) -> list[Record]:
+    """Run what is left of the ``chosen`` tasks; return all records of the folder."""
+    from scan3d_twin.bench.drive import conduct, left_to_do
+    from scan3d_twin.bench.journal import Journal, journal_path
+    from scan3d_twin.bench.store import RESULTS, collect, write_parquet
+    from scan3d_twin.cli.bench_progress import bench_progress
+
+    with Journal(journal_path(folder, shard)) as journal:
+        todo = left_to_do(chosen, folder)
+        left = len(todo)
+        with bench_progress(len(chosen), len(chosen) - left) as told:
+            try:
+                if todo:
+                    with _engine(options) as engine:
+                        conduct(todo, engine, journal, folder, told.done)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"interrupted; {told.count} of {len(chosen)} runs are in {folder}, the same "
+                    "command goes on"
+                ) from None
+        records = collect(folder)
+        write_parquet(records, folder / RESULTS)
+    return records
+
+
+def _experiment(file: Path | None, options: BenchOptions) -> Experiment:
+    """Return what is to be run."""
+    from scan3d_twin.bench.spec import experiment_of, load_suite, read_experiment
+
+    given = bool(options.scenes or options.planners or options.presets)
+    if (file is not None) + (options.suite is not None) + given > 1:
+        raise ConfigError("give one of FILE, --suite, and --scenes/--planners/--presets")
+    if options.suite is not None:
+        found = load_suite(options.suite)
+    elif file is not None:
+        found = read_experiment(file)
+    elif given:
+        found = experiment_of(
+            options.scenes or ("three_boxes",), options.planners, options.presets or ("best",)
+        ).with_seeds(10, 0)
+    else:
+        raise ConfigError("nothing to run; give a FILE, --suite smoke, or --planners NAME ...")
+    return found.with_seeds(options.seeds, options.first_seed)
+
+
+def _common(options: BenchOptions, sections: Options) -> Options:
+    """Return what is stated for all runs, in the shape of a configuration file."""
+    top = {"tour": options.tour, "max_views": options.max_views}
+    flat: dict[str, Any] = {name: value for name, value in top.items() if value is not None}
+    if options.world is not None:
+        flat["run"] = {"world": options.world}
+    if options.epsilon is not None:
+        flat["planning"] = {"epsilon": options.epsilon / 1e3}
+    return merge([flat, sections])
+
+
+def _engine(options: BenchOptions) -> AbstractContextManager[Engine]:
+    """Return what opens the workers."""
+    if not options.timeout > 0:
+        raise ConfigError(f"--timeout must be > 0 s, got {options.timeout:g}")
+    if options.cluster is not None:
+        from scan3d_twin.bench.cluster import cluster_engine
+
+        if options.jobs is not None:
+            raise ConfigError("--jobs is for this computer; a --cluster has its own workers")
+        return cluster_engine(options.cluster, options.timeout)
+    from scan3d_twin.bench.local import local_engine
+
+    jobs = len(os.sched_getaffinity(0)) if options.jobs is None else options.jobs
+    if jobs < 1:
+        raise ConfigError(f"--jobs must be >= 1, got {jobs}")
+    return local_engine(jobs, options.timeout)
+
+
+def _shard(text: str | None) -> tuple[int, int]:
+    """Return number, from 1, and count of the part that ``text`` states."""
+    if text is None:
+        return 1, 1
+    number, _, count = text.partition("/")
+    if number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count):
+        return int(number), int(count)
+    raise ConfigError(f"--shard must be NUMBER/COUNT from 1/COUNT on, such as 2/8; got {text!r}")
+
+
+def _require_store() -> None:
+    """Raise before hours of computing if the results could not be stored at their end."""
+    from importlib.util import find_spec
+
+    if find_spec("duckdb") is None:
+        raise ConfigError("DuckDB is not installed; pip install 'scan3d-twin[bench]'")
+
+
+def _tell(records: list[Record], folder: Path, *, as_json: bool) -> None:
+    """Print the figures of all records in ``folder``."""
+    from scan3d_twin.bench.reporting.summary import as_rows, summarise, table
+    from scan3d_twin.bench.store import RESULTS
+
+    rows = summarise(records)
+    if as_json:
+        document = {"folder": str(folder), "runs": len(records), "figures": as_rows(rows)}
+        print(json_module.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+        return
+    cells = table(rows)
+    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
+    for row in cells:
+        padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        print("  ".join(padded).rstrip())
+    print(f"\n[low, high]: 95 % intervals; {folder}: {RESULTS} journal top_views/")
+    codes = {record.code for record in records if record.code}
+    if len(codes) > 1:
+        print(f"these runs are of {len(codes)} different states of the sources: do not quote them")
+
+
+@app.command
+def report(path: Path, *, out: Path | None = None, json: bool = False) -> None:
+    """Make a page of tables and figures from the results of a bench.
+
+    Writes report.html, which needs nothing else, and each figure and table as SVG and CSV.
+
+    Args:
+        path: Folder of a bench, or its results.parquet.
+        out: Folder for the report (default report in that folder).
+        json: Print the figures as one JSON document, with the comparisons.
+
+    Raises:
+        TwinError: There are no results, or the folder cannot be written.
+    """
+    from scan3d_twin.bench.record import finite
+    from scan3d_twin.bench.reporting.compare import comparisons, regrets
+    from scan3d_twin.bench.reporting.files import write_report
+    from scan3d_twin.bench.reporting.summary import as_rows, summarise
+    from scan3d_twin.bench.store import read_results
+
+    records = read_results(path)
+    folder = path if path.is_dir() else path.parent
+    title = f"{folder.resolve().name}: planners on the same seeds"
+    written = write_report(records, title, folder, out or folder / "report")
+    if json:
+        document = {
+            "report": str(written),
+            "figures": as_rows(summarise(records)),
+            "comparisons": [asdict(each) for each in comparisons(records)],
+            "regrets": [asdict(each) for each in regrets(records)],
+        }
+        print(json_module.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False))
+    else:
+        print(written)

@@ -1,0 +1,99 @@
+"""``twin calibrate lidar``: find out from scans where the lidar really sits."""
+
+from __future__ import annotations
+
+import json as json_module
+import math
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from scan3d_twin.core.config import MountConfig
+    from scan3d_twin.core.scanning.extrinsic_calibration import Calibration
+
+_UNITS = {
+    "lateral": (1e3, "mm", "to the left of where it should be"),
+    "roll": (math.degrees(1.0), "deg", "leaning to its right"),
+    "pitch": (math.degrees(1.0), "deg", "looking down"),
+    "yaw_scale": (1e2, "%", "more turned than the odometry tells"),
+    "time_offset": (1e3, "ms", "later than the stamps tell"),
+}
+_CURES = {
+    "yaw_scale": "scan a full turn: twin scan --width 360",
+    "time_offset": "scan to both sides: twin scan --width 300 --back",
+}
+"""How to get at a value that the scans do not tell."""
+
+
+def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) -> None:
+    """Find from scans where the lidar sits: offset, tilt, yaw scale and time offset.
+
+    Scan a room from where the robot stands, `twin scan --width 360 --out cal/turn` and for the time
+    offset `twin scan --width 300 --back --out cal/back`, then `twin calibrate lidar cal`. More
+    places make it better. The range error that belongs to single materials is left out.
+
+    Args:
+        what: The lidar's mount; there is nothing else to calibrate.
+        folder: Of scans, or of a run.
+        json: Print one line of JSON.
+
+    Raises:
+        FileError: There is no scan in it.
+        RegistrationError: The scans show no walls.
+    """
+    from scan3d_twin.core.scanning import extrinsic_calibration as self_calibration
+    from scan3d_twin.core.scanning.extrinsics import composed
+    from scan3d_twin.recording.scans import places_in
+
+    found = self_calibration.calibrate(places_in(folder))
+    mount = composed(_taken_with(folder), found.mount)
+    if json:
+        print(json_module.dumps(_document(mount, found)))
+    else:
+        print("\n".join(_lines(mount, found)))
+
+
+def _taken_with(folder: Path) -> MountConfig:
+    """Return the mount that the run in ``folder`` already corrected by; all 0 for other scans."""
+    from scan3d_twin.core.config import MountConfig
+    from scan3d_twin.core.errors import FileError
+    from scan3d_twin.recording.load import load_session
+    from scan3d_twin.run.settings import read_settings, settings
+
+    try:
+        return load_session(folder).session.config.mount
+    except FileError:
+        path = folder / "config.toml"
+    return settings([read_settings(path)]).config.mount if path.exists() else MountConfig()
+
+
+def _document(mount: MountConfig, found: Calibration) -> dict[str, object]:
+    values = asdict(mount)
+    return {
+        "mount": values,
+        "standard_errors": dict(zip(values, found.sigmas.tolist(), strict=True)),
+        "known": dict(zip(values, found.known, strict=True)),
+        "planes": found.planes,
+        "readings": found.readings,
+        "flatness_m": found.flatness,
+    }
+
+
+def _lines(mount: MountConfig, found: Calibration) -> Iterator[str]:
+    values = asdict(mount)
+    yield (
+        f"{found.planes} planes, {found.readings} readings on them, flat to "
+        f"{1e3 * found.flatness:.1f} mm"
+    )
+    for (name, value), sigma, known in zip(values.items(), found.sigmas, found.known, strict=True):
+        factor, unit, words = _UNITS[name]
+        if known:
+            yield f"{name:12s} {factor * value:+8.2f} +- {factor * sigma:.2f} {unit:4s} {words}"
+        else:
+            yield f"{name:12s} not known: {_CURES.get(name, 'scan from more places')}"
+    yield "for the file given by --config:\n[mount]"
+    for (name, value), known in zip(values.items(), found.known, strict=True):
+        if known:
+            yield f"{name} = {value:.6f}"

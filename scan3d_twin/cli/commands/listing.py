@@ -1,0 +1,58 @@
+"""``twin scenes`` and ``twin planners``: what there is to choose from, a line each."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+
+from scan3d_twin.core.errors import ConfigError
+
+
+def scenes(*, show: str | None = None, out: Path | None = None, json: bool = False) -> None:
+    """List the scenes that come with the package, or draw one.
+
+    Args:
+        show: Write a picture of this scene, a name or a file as for `twin sim --scene`, instead.
+        out: Where the picture goes (default NAME.png).
+        json: Print one JSON document instead of lines.
+    """
+    from scan3d_twin.sim.scenes.scene import load_scene, scene_names
+
+    if show is not None:
+        _draw(show, out, json)
+        return
+    if out is not None:
+        raise ConfigError("--out goes with --show NAME")
+    loaded = [load_scene(name) for name in scene_names()]
+    _show({scene.name: f"[{scene.tour}] {scene.description}" for scene in loaded}, json)
+
+
+def _draw(name: str, out: Path | None, as_json: bool) -> None:
+    """Write the picture of a scene and say where."""
+    from scan3d_twin.sim.scenes.pictures import render, write_png
+    from scan3d_twin.sim.scenes.scene import load_scene
+
+    scene = load_scene(name)
+    path = Path(f"{scene.name}.png") if out is None else out
+    write_png(path, render(scene))
+    print(json_module.dumps({"scene": scene.name, "picture": str(path)}) if as_json else path)
+
+
+def planners(*, json: bool = False) -> None:
+    """List the planners.
+
+    Args:
+        json: Print one JSON document instead of lines.
+    """
+    from scan3d_twin.core.planning import planner_names, planner_summary
+
+    _show({name: planner_summary(name) for name in planner_names()}, json)
+
+
+def _show(lines: dict[str, str], as_json: bool) -> None:
+    if as_json:
+        print(json_module.dumps(lines, indent=2, ensure_ascii=False))
+        return
+    width = max(map(len, lines), default=0)
+    for name, text in lines.items():
+        print(f"{name:<{width}}  {text}".rstrip())

@@ -1,0 +1,71 @@
+"""``twin mesh``: the surface of a run's target as triangles."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from scan3d_twin.core.model.mesh import Mesh
+    from scan3d_twin.core.session import Session
+
+POISSON_VOXEL = 0.005
+"""Side of the voxels in which the views are fused before Poisson [m]: half the wanted accuracy."""
+
+
+def mesh(
+    run: Path,
+    /,
+    *,
+    to: str = "obj",
+    method: Literal["grid", "poisson"] = "grid",
+    out: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Write the surface of a run's target as triangles.
+
+    What was not seen stays open: readings that are missing, and steps in depth, are no surface.
+
+    Args:
+        run: The run's folder, or its session file.
+        to: Format: obj, stl, glb or ply.
+        method: grid: neighbouring readings of each view, where views overlap the better one.
+            poisson: one smooth surface through all views, by Open3D.
+        out: File to write (default: mesh.FORMAT in the run's folder).
+        json: Print the mesh's size as JSON.
+    """
+    from scan3d_twin.cli.commands.export import folder_of
+    from scan3d_twin.core.errors import ScanError, UnknownNameError
+    from scan3d_twin.recording.export.meshes import MESHES, write_mesh
+    from scan3d_twin.recording.load import load_session
+
+    if to not in MESHES:
+        raise UnknownNameError("format of meshes", to, MESHES)
+    surface = _surface(load_session(run).session, method)
+    if len(surface.faces) == 0:
+        raise ScanError(f"the views in {run} show no surface: there is nothing to write")
+    path = out or folder_of(run) / f"mesh.{to}"
+    write_mesh(surface, to, path)
+    found = {
+        "file": str(path),
+        "vertices": len(surface.vertices),
+        "triangles": len(surface.faces),
+        "area_m2": round(float(surface.areas.sum()), 4),
+    }
+    if json:
+        print(json_module.dumps(found, indent=2))
+    else:
+        print(f"{path}: {found['triangles']} triangles, {found['area_m2']:.2f} m2")
+
+
+def _surface(session: Session, method: str) -> Mesh:
+    if method == "poisson":
+        from scan3d_twin.core.model.fused_cloud import build_model
+        from scan3d_twin.recording.export.meshes import poisson
+
+        return poisson(build_model(session, POISSON_VOXEL))
+    from scan3d_twin.core.model.fused_cloud import sightings
+    from scan3d_twin.core.model.mesh import build_mesh
+
+    return build_mesh(session, sightings(session))

@@ -1,0 +1,168 @@
+"""``twin real``: digitise what stands in front of the real robot."""
+
+from __future__ import annotations
+
+import json as json_module
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from scan3d_twin.api.watch import Watch
+from scan3d_twin.cli.begin import begun
+from scan3d_twin.cli.dotted import dotted_options, stated
+from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
+from scan3d_twin.cli.viewing import ViewOptions
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import HazardError, ScanError
+from scan3d_twin.core.presets import preset
+from scan3d_twin.run.settings import REAL, Options, Settings, settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scan3d_twin.api.resume import Resume
+    from scan3d_twin.core.hal import Robot
+    from scan3d_twin.recording.recorder import SerialTaps
+
+    DottedOptions = Any
+else:
+    DottedOptions = dotted_options(Config)
+
+REHEARSED_LINES = 20
+"""Lines read by a dry run: 2 s at 10 Hz."""
+SMALL_COMPUTER = {"spare": "memory"}
+"""What a robot's own computer asks for unless told otherwise."""
+USABLE_SHARE = 0.1
+"""A lidar that sees less than this share of its beams is blind; a cover is on it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealOptions(ViewOptions, ScanOptions, PortOptions):
+    """What only the real robot has a choice of; None is not stated."""
+
+    dry_run: bool = False
+    """Do everything but move: open both devices, read them, say whether the robot could start."""
+
+
+def real(
+    *,
+    options: Annotated[RealOptions, Parameter(name="*")] = RealOptions(),
+    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+) -> None:
+    """Digitise what stands in front of the real robot.
+
+    The robot turns once to look around, drives round the target, scans it, and writes model.ply,
+    report.json, top_view.svg, config.toml and views/NNN.npz. Ctrl-C stops it at once; finished
+    views are saved. Later ones win: defaults, preset, --config FILE, environment (TWIN_EPSILON,
+    ...), command line.
+
+    Raises:
+        TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
+    """
+    from scan3d_twin.cli.memory import give_back_memory
+    from scan3d_twin.cli.multi_target import run_each
+    from scan3d_twin.cli.run import run
+    from scan3d_twin.recording.recorder import SerialTaps
+
+    give_back_memory()
+    given = {} if dotted is None else stated(dotted)
+    resume = None if options.resume is None else _going_on(options, options.resume, given)
+    effective = resolve(options, given) if resume is None else resume.settings
+    taps = SerialTaps()
+    opening = open_robot(options, effective.twin.lidar_link, taps)
+    if options.dry_run:
+        with opening as (robot, _):
+            rehearse(robot, as_json=options.json)
+        return
+    if options.targets is not None:
+        run_each(
+            effective,
+            REAL,
+            opening,
+            options.out,
+            options.targets,
+            as_json=options.json,
+            watch=Watch(options.address),
+            taps=taps,
+        )
+        return
+    with begun(REAL, options.out) if resume is None else nullcontext(resume.folder) as folder:
+        run(
+            effective,
+            REAL,
+            opening,
+            folder,
+            as_json=options.json,
+            taps=taps,
+            resume=resume,
+            watch=Watch(options.address),
+        )
+
+
+def resolve(options: RealOptions, sections: Options) -> Settings:
+    """Return the effective settings."""
+    from scan3d_twin.core.planning import check_planner
+
+    given = stated_options(options, sections)
+    name = settings([given]).run.preset
+    effective = settings([preset(name), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    check_planner(effective.config.planner, truth_known=False)
+    return effective
+
+
+def _going_on(options: RealOptions, folder: Path, sections: Options) -> Resume:
+    """Return how the run in ``folder`` goes on."""
+    from scan3d_twin.api.resume import resume_real
+    from scan3d_twin.cli.multi_target import refuse_resume
+
+    refuse_resume(folder, options.targets)
+    return resume_real(folder, options.out, stated_options(options, sections))
+
+
+def open_robot(
+    options: PortOptions, lidar_link: str, taps: SerialTaps | None = None
+) -> AbstractContextManager[tuple[Robot, None]]:
+    """Return what opens the robot on the ports that are given or found; nobody knows the truth."""
+    from scan3d_twin.devices.urg.model import LINKS
+    from scan3d_twin.real.ports import choose_ports
+    from scan3d_twin.real.robot import open_real
+
+    @contextmanager
+    def opened() -> Iterator[tuple[Robot, None]]:
+        base, lidar = choose_ports(options.port, options.lidar_port)
+        with open_real(base, lidar, LINKS[lidar_link], taps) as robot:
+            yield robot, None
+
+    return opened()
+
+
+def rehearse(robot: Robot, *, as_json: bool) -> None:
+    """Read both devices, say what they say, and do not move.
+
+    Raises:
+        HazardError: The robot could not drive off.
+        ScanError: The lidar sees nothing.
+    """
+    lines = [robot.lidar.read_line(1.0) for _ in range(REHEARSED_LINES)]
+    seen = sum(float((line.ranges > 0).mean()) for line in lines) / len(lines)
+    rate = (len(lines) - 1) / (lines[-1].stamp - lines[0].stamp)
+    hazards = robot.base.hazards()
+    found = {
+        "base": robot.base.spec.name,
+        "battery_percent": round(100 * hazards.battery),
+        "hazards": list(hazards.active()),
+        "lidar_hz": round(rate, 2),
+        "lidar_beams": robot.lidar.spec.n_beams,
+        "lidar_seen_percent": round(100 * seen),
+    }
+    if as_json:
+        print(json_module.dumps(found, indent=2))
+    else:
+        print("\n".join(f"{name.replace('_', ' ')}: {value}" for name, value in found.items()))
+    if hazards.active():
+        raise HazardError(f"the robot could not drive off: {', '.join(hazards.active())}")
+    if seen < USABLE_SHARE:
+        raise ScanError(f"the lidar sees {seen:.0%} of its beams: take its cover off, clean it")

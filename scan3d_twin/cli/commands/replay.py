@@ -1,0 +1,151 @@
+"""``twin replay``: registration and planning once more on recorded images."""
+
+from __future__ import annotations
+
+import json as json_module
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from scan3d_twin.cli.dotted import dotted_options, stated
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.presets import preset as named
+from scan3d_twin.run.settings import Options, Settings, merge, read_settings, settings
+
+if TYPE_CHECKING:
+    DottedOptions = Any
+else:
+    DottedOptions = dotted_options(Config)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayOptions:
+    """What may be other than it was; None is as recorded."""
+
+    epsilon: float | None = None
+    """Wanted registration error, root mean square [mm]."""
+    tour: Literal["front", "full"] | None = None
+    """Scan the front only, or all round."""
+    planner: str | None = None
+    """Name of the planner, see `twin planners`."""
+    preset: str | None = None
+    """Named set of options: paper or best."""
+    config: Path | None = None
+    """TOML file with options; the command line wins over it."""
+    json: bool = False
+    """Print one JSON document instead of a table."""
+
+
+def replay(
+    folder: Path,
+    *,
+    options: Annotated[ReplayOptions, Parameter(name="*")] = ReplayOptions(),
+    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+) -> None:
+    """Register and plan once more on what a run has recorded, and say what comes out otherwise.
+
+    With the recorded options every pose and plan is the same bit by bit. With others, the robot
+    still goes where it went; the table shows where the views would lie and where it would be sent.
+
+    Args:
+        folder: Folder of a run, or a session file.
+        options: What may be other than it was.
+        dotted: Likewise, by section.
+    """
+    from scan3d_twin.cli.progress import make_progress, steps
+    from scan3d_twin.core.planning import make_planner
+    from scan3d_twin.recording.load import load_session
+    from scan3d_twin.recording.replay import replay as run_again
+
+    recorded = load_session(folder)
+    effective = _effective(recorded.settings, options, {} if dotted is None else stated(dotted))
+    session = recorded.before_end
+    planner = make_planner(effective.config.planner, None)
+    with make_progress() as progress:
+        step = steps(progress, "replaying view", len(session.views))
+        again = run_again(session, effective.config, planner, step)
+    found = _findings(recorded.session, session, again, recorded.settings, effective)
+    print(json_module.dumps(found, indent=2) if options.json else _words(found))
+
+
+def _effective(recorded: Settings, options: ReplayOptions, sections: Options) -> Settings:
+    """Return the recorded settings under the preset, the file and what is stated."""
+    from scan3d_twin.run.settings import settings_toml
+
+    top = {"tour": options.tour, "planner": options.planner}
+    flat: dict[str, Any] = {name: value for name, value in top.items() if value is not None}
+    if options.epsilon is not None:
+        if "epsilon" in sections.get("planning", {}):
+            raise ConfigError("--epsilon [mm] and --planning.epsilon [m] are the same; give one")
+        flat["planning"] = {"epsilon": options.epsilon / 1e3}
+    return settings(
+        [
+            tomllib.loads(settings_toml(recorded)),
+            {} if options.preset is None else named(options.preset),
+            {} if options.config is None else read_settings(options.config),
+            merge([sections, flat]),
+        ]
+    )
+
+
+def _findings(
+    recorded: Any, before: Any, again: Any, old: Settings, new: Settings
+) -> dict[str, Any]:
+    from scan3d_twin.recording.replay import differences, finished, identical
+
+    ended = finished(again, recorded)
+    same_end = identical((ended.views, ended.misfits), (recorded.views, recorded.misfits))
+    rows = differences(before, again)
+    return {
+        "identical": same_end and all(row["identical"] for row in rows),
+        "identical_at_the_end": same_end,
+        "options": _changes(old, new),
+        "views": rows,
+    }
+
+
+def _changes(old: Settings, new: Settings) -> dict[str, list[Any]]:
+    """Return the options that differ, by name: as recorded, and now."""
+    from scan3d_twin.run.settings import settings_toml
+
+    before, now = (dict(_flat(tomllib.loads(settings_toml(each)))) for each in (old, new))
+    return {name: [before[name], now[name]] for name in now if before.get(name) != now[name]}
+
+
+def _flat(options: Options, where: str = "") -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for name, value in options.items():
+        inner = isinstance(value, dict)
+        rows += _flat(value, f"{where}{name}.") if inner else [(where + name, value)]
+    return rows
+
+
+def _words(found: dict[str, Any]) -> str:
+    """Return the findings as lines."""
+    lines = [f"{name}: {a} recorded, {b} now" for name, (a, b) in found["options"].items()]
+    header = ("view", "moved", "turned", "overlap", "now", "predicted", "now")
+    lines.append("  ".join(f"{cell:>9}" for cell in header))
+    for row in found["views"]:
+        a, b = row["recorded"], row["replayed"]
+        cells = [
+            str(row["view"]), _cell(row["moved_mm"], " mm"), _cell(row["turned_deg"], " deg"),
+            *(_cell(each["overlap"], "") for each in (a, b)),
+            *(_cell(each["predicted_rmse_mm"], " mm") for each in (a, b)),
+        ]  # fmt: skip
+        mark = "" if row["identical"] else "  differs"
+        lines.append("  ".join(f"{cell:>9}" for cell in cells) + mark)
+    lines.append(
+        "all poses and plans are the same, bit by bit"
+        if found["identical"]
+        else f"{sum(not row['identical'] for row in found['views'])} of "
+        f"{len(found['views'])} views come out otherwise"
+    )
+    return "\n".join(lines)
+
+
+def _cell(value: float | None, unit: str) -> str:
+    return "-" if value is None else f"{value:g}{unit}"

@@ -1,0 +1,175 @@
+"""``twin session``: what a run has recorded, saved and changed."""
+
+from __future__ import annotations
+
+import json as json_module
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclopts import App
+
+if TYPE_CHECKING:
+    from scan3d_twin.recording.load import Recorded
+    from scan3d_twin.run.report import Report
+
+app = App(
+    name="session", help_format="markdown", help="Look at, save and change what a run has recorded."
+)
+
+
+@app.command
+def info(folder: Path, *, json: bool = False) -> None:
+    """Say what a session holds; also while its run goes on.
+
+    Args:
+        folder: Folder of a run, or a session file.
+        json: Print one JSON document instead of lines.
+    """
+    from scan3d_twin.recording.load import load_session
+
+    found = _facts(load_session(folder))
+    if json:
+        print(json_module.dumps(found, indent=2, ensure_ascii=False))
+        return
+    print(f"{found['path']}: {found['state']}, {found['size_mb']} MB")
+    print(f"{found['name']}, seed {found['seed']}, planner {found['planner']}")
+    print(f"scan3d_twin {found['version']}, {found['started']}: {found['command']}")
+    print(
+        f"{len(found['views'])} views, {found['lines']} lines, {found['duration_s']:.1f} s, "
+        f"{found['path_m']:.1f} m; {found['stop_reason'] or 'did not end'}"
+    )
+    for k, view in enumerate(found["views"]):
+        placed = "registered" if view["registered"] else "NOT registered"
+        placed = placed if k else "the others are registered on it"
+        print(f"view {k}: {view['lines']} lines, {view['target_points']} points, {placed}")
+
+
+def _facts(recorded: Recorded) -> dict[str, Any]:
+    from scan3d_twin.recording.load import lines
+
+    session, mark, origin = recorded.session, recorded.mark, recorded.provenance
+    state = "finished" if recorded.finished else "going on" if recorded.running else "killed"
+    results = [view.registration for view in session.views]
+    return {
+        "path": str(recorded.path),
+        "state": state,
+        "size_mb": round(recorded.path.stat().st_size / 1e6, 1),
+        "name": recorded.name,
+        "seed": session.seed,
+        "planner": session.config.planner,
+        "version": session.version,
+        "started": origin.get("started", ""),
+        "command": origin.get("command", ""),
+        "versions": {k: v for k, v in origin.items() if k not in ("started", "command")},
+        "stop_reason": session.stop_reason,
+        "duration_s": round(mark.stamp, 3),
+        "path_m": round(mark.path, 3),
+        "lines": sum(1 for _ in lines(recorded.path)),
+        "plans": len(session.plans),
+        "views": [
+            {
+                "lines": view.observation.image.n_lines,
+                "target_points": len(view.target),
+                "registered": result is None or result.converged,
+            }
+            for view, result in zip(session.views, results, strict=True)
+        ],
+    }
+
+
+@app.command
+def recover(folder: Path, *, json: bool = False) -> None:
+    """Make a session file whole that a killed run or a bad disk has left.
+
+    Twin's own commands read such a file as it is; others' programs want it whole. The old file is
+    kept beside the new one.
+
+    Args:
+        folder: Folder of a run.
+        json: Print one JSON document instead of a line.
+    """
+    from scan3d_twin.recording.edit import recover as make_whole
+    from scan3d_twin.recording.load import session_path
+
+    backup = make_whole(folder, time.monotonic)
+    path = session_path(folder)
+    if json:
+        print(json_module.dumps({"path": str(path), "kept": backup and str(backup)}))
+    elif backup is None:
+        print(f"{path} is whole: nothing to do")
+    else:
+        print(f"{path} is whole now; as it was: {backup}")
+
+
+@app.command(name="drop-view")
+def drop_view(folder: Path, view: int, *, json: bool = False) -> None:
+    """Leave a view out and place the others anew; `twin session undo` takes it back.
+
+    Args:
+        folder: Folder of a run.
+        view: The view's number in the report, counted from 0.
+        json: Print the new report as JSON.
+    """
+    from scan3d_twin.recording.edit import drop_view as drop
+
+    _show(folder, drop(folder, view, time.monotonic), as_json=json)
+
+
+@app.command
+def undo(folder: Path, *, json: bool = False) -> None:
+    """Take back the last drop-view, recover or --resume; doing it twice does it again.
+
+    Args:
+        folder: Folder of a run.
+        json: Print the report as JSON.
+    """
+    from scan3d_twin.recording.edit import undo as take_back
+
+    _show(folder, take_back(folder), as_json=json)
+
+
+def _show(folder: Path, recorded: Recorded, *, as_json: bool) -> None:
+    from scan3d_twin.cli.summary import summary
+    from scan3d_twin.run.report import report_json
+
+    report = _save_again(recorded)
+    print(report_json(report) if as_json else summary(report, folder), end="")
+
+
+def _save_again(recorded: Recorded) -> Report:
+    """Write the model and the report of a changed session; in the twin, against the truth."""
+    from scan3d_twin.api.save import save_run
+    from scan3d_twin.cli.progress import make_progress
+    from scan3d_twin.recording.load import commands
+    from scan3d_twin.recording.resume import reenact
+    from scan3d_twin.run.report import Journey
+    from scan3d_twin.run.settings import REAL
+
+    run, mark, folder = recorded.settings.run, recorded.mark, recorded.path.parent
+    journey = Journey(mark.path, mark.turn, mark.stamp)
+    what = recorded.name, recorded.settings, recorded.session, journey, _effort(folder)
+    with make_progress() as progress:
+        if run.scene == REAL:
+            progress.on_event("saving")
+            return save_run(folder, *what)
+        from scan3d_twin.sim.robot import open_sim
+        from scan3d_twin.sim.scenes.scene import load_scene
+
+        progress.on_event(f"driving through {mark.stamp:.0f} s again for the truth")
+        scene = load_scene(run.scene, run.mesh_scale)
+        with open_sim(scene, run.seed, recorded.settings.twin) as (robot, truth):
+            reenact(robot, commands(recorded.path), mark)
+            progress.on_event("evaluating and saving")
+            return save_run(folder, *what, truth)
+
+
+def _effort(folder: Path) -> Any:
+    """Return what the computer spent on the run, by its last report."""
+    from scan3d_twin.run.report import Effort
+
+    try:
+        report = json_module.loads((folder / "report.json").read_text(encoding="utf-8"))
+        return Effort(report["wall_time_s"], report["plan_time_s"], 1e6 * report["peak_memory_mb"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return Effort(0.0, 0.0, 0.0)

@@ -1,0 +1,134 @@
+"""``twin sim``: digitise a scene with the twin."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from scan3d_twin.api.watch import Watch
+from scan3d_twin.cli.begin import begun
+from scan3d_twin.cli.dotted import dotted_options, stated
+from scan3d_twin.cli.options import ScanOptions, env, stated_options
+from scan3d_twin.cli.viewing import ViewOptions
+from scan3d_twin.core.config import Config
+from scan3d_twin.run.settings import Options, Settings
+from scan3d_twin.sim.config import RobotName, TwinConfig
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scan3d_twin.api.resume import Resume
+    from scan3d_twin.run.closed_loop import Opening
+    from scan3d_twin.sim.scenes.scene import Scene
+
+    DottedOptions = Any
+else:
+    DottedOptions = dotted_options(Config, TwinConfig)
+
+
+SPEED = "10x"
+"""Of a twin that is watched, at first: a run of three minutes takes twenty seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimOptions(ViewOptions, ScanOptions):
+    """What only the twin has a choice of; None is not stated."""
+
+    scene: Annotated[str | None, env("SCENE")] = None
+    """Name of a scene (`twin scenes`), random:SEED for one drawn by SEED, or an .xml, .stl, .ply,
+    .obj or .glb file (default three_boxes)."""
+    mesh_scale: Annotated[float | None, env("MESH_SCALE")] = None
+    """Metres per unit of a mesh file (default 1)."""
+    robot: Annotated[str | None, env("ROBOT")] = None
+    """Robot profile: create1 or create2 (default create2)."""
+    world: Annotated[str | None, env("WORLD")] = None
+    """Named errors of robot, lidar and floor: ideal, typical or harsh (default typical)."""
+
+
+def sim(
+    *,
+    options: Annotated[SimOptions, Parameter(name="*")] = SimOptions(),
+    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+) -> None:
+    """Digitise a scene with the twin.
+
+    Drives the simulated robot round the target, scans it, and writes model.ply, report.json,
+    top_view.svg, config.toml and views/NNN.npz. Later ones win: defaults, scene, preset, --config
+    FILE, environment (TWIN_EPSILON, TWIN_PLANNING_TRIALS, ...), command line.
+
+    Raises:
+        TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
+    """
+    given = {} if dotted is None else stated(dotted)
+    if options.resume is None:
+        resume, (effective, scene) = None, resolve(options, given)
+    else:
+        resume, scene = _going_on(options, options.resume, given)
+        effective = resume.settings
+    watch = Watch(options.address, SPEED, lambda: picture_of(scene, effective.twin.robot))
+    if options.targets is not None:
+        from scan3d_twin.cli.multi_target import run_each
+
+        run_each(
+            effective,
+            scene.name,
+            _opened(scene, effective),
+            options.out,
+            options.targets,
+            as_json=options.json,
+            watch=watch,
+        )
+        return
+    with begun(scene.name, options.out) if resume is None else nullcontext(resume.folder) as folder:
+        from scan3d_twin.cli.run import run
+
+        run(
+            effective,
+            scene.name,
+            _opened(scene, effective),
+            folder,
+            as_json=options.json,
+            resume=resume,
+            watch=watch,
+        )
+
+
+def picture_of(scene: Scene, robot: RobotName) -> bytes | str:
+    """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
+    from scan3d_twin.core.errors import ConfigError
+    from scan3d_twin.core.png import png_bytes
+    from scan3d_twin.sim.scenes.pictures import render
+
+    try:
+        return png_bytes(render(scene, robot))
+    except ConfigError as error:
+        return str(error)
+
+
+def _opened(scene: Scene, effective: Settings) -> Opening:
+    """Return what opens the twin in ``scene``."""
+    from scan3d_twin.sim.robot import open_sim
+
+    return open_sim(scene, effective.run.seed, effective.twin)
+
+
+def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
+    """Return the effective settings and the scene they name."""
+    from scan3d_twin.run.resolve import resolve_sim
+
+    return resolve_sim(stated_options(options, sections))
+
+
+def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Resume, Scene]:
+    """Return how the run in ``folder`` goes on, and its scene."""
+    from scan3d_twin.api.resume import resume_sim
+    from scan3d_twin.cli.multi_target import refuse_resume
+    from scan3d_twin.sim.scenes.scene import load_scene
+
+    refuse_resume(folder, options.targets)
+    resume = resume_sim(folder, options.out, stated_options(options, sections))
+    run = resume.settings.run
+    return resume, load_scene(run.scene, run.mesh_scale)

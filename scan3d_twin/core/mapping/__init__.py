@@ -1,0 +1,1 @@
+"""Where the views lie: scan matching of a new view, loop closure and the pose graph."""

@@ -1,0 +1,45 @@
+"""The surfels of many views: all at once where memory allows, else made anew when needed."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.mapping.scan_matching import surfels_of
+from scan3d_twin.core.registration import SurfelGrid
+from scan3d_twin.core.session import View
+
+AT_ONCE = 2
+"""Views that are compared at a time; the surfels of one take 13 MB."""
+
+
+class Prepared:
+    """The surfels of each view by its index; None for a view that shows no surface."""
+
+    def __init__(self, views: Sequence[View], config: Config) -> None:
+        self._views, self._config = views, config
+        self._most = AT_ONCE if config.spare == "memory" else len(views)
+        self._kept: OrderedDict[int, SurfelGrid | None] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def __iter__(self) -> Iterator[SurfelGrid | None]:
+        return (self[k] for k in range(len(self)))
+
+    def __getitem__(self, k: int) -> SurfelGrid | None:
+        """Return the surfels of view ``k``; those asked for latest are kept."""
+        if k not in self._kept:
+            while len(self._kept) >= self._most:
+                self._kept.popitem(last=False)
+            self._kept[k] = self._made(k)
+        self._kept.move_to_end(k)
+        return self._kept[k]
+
+    def _made(self, k: int) -> SurfelGrid | None:
+        try:
+            return surfels_of(self._views[k], self._config)
+        except RegistrationError:
+            return None

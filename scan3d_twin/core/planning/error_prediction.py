@@ -1,0 +1,242 @@
+"""Closed-form prediction: the covariance that the next registration will have.
+
+For a candidate O2 the surfels of the latest view that O2 would see again take part with the
+information of one pair each, times the density of the readings to come:
+
+    H = sum density J J^T / (s_1^2 + s_2^2),    C = (H_kept + H_edges + L0)^-1,
+    E^2 = mean over the points of tr(G C G^T),  G = (I, -[a]x),
+
+with everything as in the real registration: the common bias and the yaw scale, the test for
+spurious information, edges, and the motion's prior L0 about O2. E times the calibration is what is
+compared with epsilon. No draws, no ICP; what it cannot see are wrong basins.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
+from scan3d_twin.core.planning.context import Situation, readings_of
+from scan3d_twin.core.planning.visibility import NextSweep, Visible, ranges_here, visible_from
+from scan3d_twin.core.registration import SurfelGrid
+from scan3d_twin.core.registration.algebra import find_determined, marginalise
+from scan3d_twin.core.registration.edges import edge_equations
+from scan3d_twin.core.registration.point_to_plane import (
+    Equations,
+    pair_derivatives,
+    spurious_information,
+)
+from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, displacement
+from scan3d_twin.core.registration.surfel_grid import Sample
+from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, X
+from scan3d_twin.core.types import (
+    BoolArray,
+    FloatArray,
+    Pose2,
+)
+
+WANTED = 4000
+"""Surfels that take part; each stands for as many readings as were left out."""
+MARGIN = 1.5
+"""A direction must be determined by so much more than registration asks for: another scan may show
+less of it."""
+MOST_NORMAL_VARIANCE = 0.003
+"""Surfels with worse normals (3 deg) do not count [rad2]: they stand on the smallest windows, over
+corners, and those look different from elsewhere."""
+MIN_SEEN = 10
+"""Fewer surfels in common are no overlap."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Predicts registrations on the latest view.
+
+    Attributes:
+        grid: Its surfels, in the scope of registration.
+        on_target: Its readings of the target (n_lines, n_beams).
+        config: The run's.
+        scale: Of the motion's error, as the odometry of this run tells.
+    """
+
+    grid: SurfelGrid
+    on_target: BoolArray
+    config: Config
+    scale: float = 1.0
+
+    @staticmethod
+    def of(situation: Situation) -> Forecast:
+        """Return the forecast of registrations on the latest view of a session."""
+        view, config = situation.view, situation.session.config
+        scale = odometry_scale(situation.session.views, config)
+        on_target = readings_of(view.target, view.image)
+        return Forecast(surfels_of(view, config), on_target, config, scale)
+
+    def error(self, viewpoint: Pose2) -> float:
+        """Return the predicted error [m] of the next view's target, times the calibration.
+
+        The next view is taken to show as much of the target as this one, and as far away.
+
+        Args:
+            viewpoint: O2 in frame ``scan`` of the latest view.
+        """
+        config = self.config
+        rows, t = self._rows, self.grid.image.T_base_lidar
+        seen = visible_from(rows, self._ranges, viewpoint, self._sweep, config.target.max_range)
+        if np.count_nonzero(self._sampled_target[seen.index]) < MIN_SEEN:
+            return math.inf
+        again = self._sample.columns.take(seen.index, axis=1)
+        a = again[:3] - np.array([[viewpoint.x], [viewpoint.y], [0.0]])
+        ratio = _cosine_ratio(again[3:6], a, again[:3], t[2, 3])
+        variance = again[VARIANCE] * (1.0 + ratio)
+        w = self._area * seen.density / (variance * self.grid.inflation)
+        w[again[NORMAL_VARIANCE] > MOST_NORMAL_VARIANCE] = 0.0
+        equations = self._equations(seen, again, a, w)
+        covariance = self._covariance(equations, viewpoint)
+        return config.planning.calibration * displacement(
+            self._target.turned(viewpoint.yaw), covariance
+        )
+
+    @cached_property
+    def _target(self) -> Moments:
+        """Moments of the target's points in the frame of the latest view."""
+        return Moments.of(self._rows[self._sampled_target, X])
+
+    @cached_property
+    def _sample(self) -> Sample:
+        return self.grid.sample(max(2, round(math.sqrt(self.grid.count / WANTED))))
+
+    @property
+    def _stride(self) -> int:
+        return self._sample.stride
+
+    @cached_property
+    def _area(self) -> float:
+        return float(self._stride**2)
+
+    @property
+    def _rows(self) -> FloatArray:
+        return self._sample.rows
+
+    @cached_property
+    def _ranges(self) -> FloatArray:
+        return ranges_here(self._rows, self.grid)
+
+    @cached_property
+    def _sampled_target(self) -> BoolArray:
+        """Which of the surfels belong to the target."""
+        first = self._stride // 2
+        grid = np.s_[first :: self._stride, first :: self._stride]
+        return np.asarray(self.on_target[grid][self.grid.index[grid] >= 0])
+
+    @cached_property
+    def _sweep(self) -> NextSweep:
+        sweep = self.config.sweep
+        return NextSweep.like(self.grid, sweep.width / 2 + sweep.margin)
+
+    def _equations(
+        self, seen: Visible, again: FloatArray, a: FloatArray, w: FloatArray
+    ) -> Equations:
+        """Return the normal equations that perfect pairs would give; their gradient is 0.
+
+        Noise of the normals of one scan adds F = sum w nu (B B^T - J J^T), the mean normals of a
+        pair of scans half of it: what pairs will show is H - F + F / 2.
+
+        Args:
+            seen: What O2 sees again.
+            again: Its surfels (8, k).
+            a: Their lever arms (3, k) [m].
+            w: Their weights (k,).
+        """
+        n, here = again[3:6], self._sample.yaws[seen.index]
+        J = pair_derivatives(a, n)
+        swing = J[5]
+        g = seen.yaws * swing - here * (n[1] * again[0] - n[0] * again[1])
+        J = np.concatenate([J, g[None]])
+        information = (J * w) @ J.T
+        nu = again[NORMAL_VARIANCE] + self.grid.noise.tilt_variance
+        spurious = spurious_information(w * nu, a, J[:6]) / 2
+        information[:6, :6] -= spurious
+        lost = self._lost(seen.yaws, w, swing, J)
+        return Equations(information, lost, np.zeros(7), spurious, len(w), 0.0)
+
+    def _lost(
+        self, yaws: FloatArray, w: FloatArray, swing: FloatArray, J: FloatArray
+    ) -> FloatArray:
+        """Return what the yaw jitter of both scans' lines leaves unknown (7, 7)."""
+        sigma = math.sqrt(2.0) * self.grid.noise.yaw_sigma
+        if sigma == 0.0:
+            return np.zeros((7, 7))
+        line = np.round(yaws / (self._stride * self.grid.line_spacing)).astype(np.int64)
+        line -= line.min()
+        c = sigma * swing
+        columns = np.concatenate([J, c[None]]) * (w * c)
+        sums = np.stack([np.bincount(line, column) for column in columns])
+        return np.asarray((sums[:7] / (self._stride + sums[7])) @ sums[:7].T)
+
+    def _covariance(self, equations: Equations, viewpoint: Pose2) -> FloatArray:
+        """Return the covariance (6, 6) about O2 of a planar registration."""
+        noise = self.grid.noise
+        prior = 1.0 / noise.yaw_scale_sigma**2 if noise.yaw_scale_sigma > 0 else math.inf
+        H = marginalise(equations.information - equations.lost, prior)
+        block = np.ix_(PLANAR, PLANAR)
+        reach = float(np.sqrt(np.mean(self._ranges**2)))
+        raw, spurious = equations.information[:6, :6][block], equations.spurious[block]
+        honest = find_determined(raw, MARGIN * spurious, reach)[1]
+        total = honest @ H[block] @ honest.T + self._edges(viewpoint)[block]
+        total += motion_prior(viewpoint, self.config.planning, self.scale).information(PLANAR)
+        covariance = np.zeros((6, 6))
+        covariance[block] = np.linalg.inv(total)
+        return covariance
+
+    def _edges(self, viewpoint: Pose2) -> FloatArray:
+        """Return the information (6, 6) about O2 of those edges that O2 sees again."""
+        edges, back = self.grid.edges, viewpoint.inverse()
+        if len(edges) == 0:
+            return np.zeros((6, 6))
+        middle = np.column_stack([edges.places, edges.heights.mean(axis=1)])
+        seen = self._sweep.cells(back.apply(middle))[0] >= 0
+        again = edges.select(seen & self._still_edges(viewpoint))
+        moved = again.seen_from(back)
+        return edge_equations(again, moved, viewpoint.matrix(), 1.0, 1e3)[0]
+
+    def _still_edges(self, viewpoint: Pose2) -> BoolArray:
+        """Tell which edges are edges from O2 too: those behind which it sees no other face.
+
+        What is behind an edge is taken to stand at right angles to the surface that ends there.
+        """
+        towards = np.array([viewpoint.x, viewpoint.y]) - self.grid.edges.places
+        return np.asarray(np.sum(self._outwards * towards, axis=1) <= 0.0)
+
+    @cached_property
+    def _outwards(self) -> FloatArray:
+        """Directions (n, 2) along the surface beyond each edge, by the surfel nearest to it."""
+        edges, rows = self.grid.edges, self._rows
+        apart = rows[:, None, :2] - edges.places
+        normals = rows[np.argmin(np.sum(apart * apart, axis=2), axis=0), 3:5]
+        sideways = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
+        return np.asarray(
+            sideways * (-edges.sides * np.sign(np.sum(sideways * edges.across, axis=1)))[:, None]
+        )
+
+
+def _cosine_ratio(n: FloatArray, a: FloatArray, here: FloatArray, height: float) -> FloatArray:
+    """Return the squared ratio (k,) of the incidence cosines from O2 and from here.
+
+    Args:
+        n: Normals (3, k).
+        a: Points from O2 (3, k) [m].
+        here: The same from here.
+        height: Of the lidar [m].
+    """
+
+    def square(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+        facing = n[0] * x + n[1] * y + n[2] * z
+        return np.asarray(facing * facing / (x * x + y * y + z * z))
+
+    there = square(a[0], a[1], a[2] - height)
+    return there / np.maximum(square(here[0], here[1], here[2] - height), 1e-4)

@@ -1,0 +1,48 @@
+"""Closed-form planner: the smallest overlap whose predicted error meets epsilon.
+
+The prediction (``forecast``) takes no draws and no registration, and so sees no wrong basins. With
+``planning.checks`` the overlap it chooses must also stand simulated registrations (``simulate``);
+where they contradict it, the next larger overlap is tried.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.error_prediction import Forecast
+from scan3d_twin.core.planning.hidden_views import over
+from scan3d_twin.core.planning.planners.siicp import smallest_overlap
+from scan3d_twin.core.planning.simulated_registration import Simulation
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan, Pose2
+
+
+class FisherPlanner:
+    """Closed form: the smallest overlap whose predicted covariance meets epsilon."""
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        """Return the viewpoint with the smallest overlap whose predicted error meets epsilon."""
+        situation, config = Situation(session), session.config.planning
+        if plan := over(situation):
+            return plan
+        seed = int(rng.integers(2**63))
+        try:
+            forecast = Forecast.of(situation)
+        except RegistrationError:
+            return smallest_overlap(situation, lambda eta, O2: math.inf)
+        simulation = Simulation(
+            forecast.grid, forecast.on_target, session.config, seed, forecast.scale
+        )
+
+        def error(_: float, viewpoint: Pose2) -> float:
+            predicted = forecast.error(viewpoint)
+            if config.checks == 0 or predicted > config.epsilon:
+                return predicted
+            simulated = simulation.error(viewpoint, config.checks)
+            return max(predicted, simulated) if simulated > config.epsilon else predicted
+
+        return smallest_overlap(situation, error)

@@ -1,0 +1,44 @@
+"""A fixed overlap: what people do who have no planner."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.hidden_views import over
+from scan3d_twin.core.planning.overlap_step import step
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan
+
+
+class FixedPlanner:
+    """The overlap `baselines.fixed_overlap`, always."""
+
+    def __init__(self, overlap: float | None = None) -> None:
+        """Choose the overlap; None leaves it to ``config.baselines.fixed_overlap``."""
+        self._overlap = overlap
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        """Return the viewpoint for the fixed overlap."""
+        situation = Situation(session)
+        if plan := over(situation):
+            return plan
+        overlap = self._overlap
+        if overlap is None:
+            overlap = session.config.baselines.fixed_overlap
+        return step(situation, overlap, f"fixed overlap: {overlap:.0%}")
+
+
+def fixed20() -> FixedPlanner:
+    """An overlap of 20 %, always."""
+    return FixedPlanner(0.2)
+
+
+def fixed50() -> FixedPlanner:
+    """An overlap of 50 %, always."""
+    return FixedPlanner(0.5)
+
+
+def fixed80() -> FixedPlanner:
+    """An overlap of 80 %, always."""
+    return FixedPlanner(0.8)

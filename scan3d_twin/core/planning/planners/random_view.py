@@ -1,0 +1,24 @@
+"""A viewpoint drawn at random: what any planner has to beat."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scan3d_twin.core.planning.context import finish
+from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan
+
+
+class RandomPlanner:
+    """Any feasible viewpoint around the target, drawn at random."""
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        """Return a candidate drawn by ``rng``, as long as one of them would show something new."""
+        prospects = Prospects(session)
+        if reason := prospects.over():
+            return finish(reason)
+        if not prospects.worthwhile:
+            return prospects.nothing_new()
+        drawn = prospects.poses[int(rng.integers(len(prospects.poses)))]
+        return prospects.go(drawn, f"one of {len(prospects.poses)} feasible viewpoints, at random")

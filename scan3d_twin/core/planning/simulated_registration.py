@@ -1,0 +1,153 @@
+"""Simulated registration: SiICP with what would be seen and with the registration that will run.
+
+Each draw displaces the robot about the candidate O2 as a turn, a drive and a turn do, scans the
+surfaces of the latest view from both viewpoints anew (``virtual_scan``) and registers the two scans
+with the grid engine, prior, starts and all. Its error is the displacement of the target's points in
+view. All candidates meet the same draws. Draws end when the outcome is as good as decided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import repeat
+
+import numpy as np
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
+from scan3d_twin.core.planning.context import Situation, readings_of
+from scan3d_twin.core.planning.sequential_test import decided
+from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
+from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
+from scan3d_twin.core.registration.pose_prior import PLANAR
+from scan3d_twin.core.registration.surfels import X
+from scan3d_twin.core.types import BoolArray, FloatArray, Pose2, read_only, rms
+
+MIN_SEEN = 10
+"""Fewer readings of the target in common are no overlap."""
+
+
+THINNING = 7
+"""Of the target's points over which an error is taken."""
+HERE, THERE, MOTION = 0, 1, 2
+"""Random streams of a draw: the noise of the scan from here, of that from O2, and the motion."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Simulates registrations on the latest view.
+
+    Attributes:
+        grid: Surfels of the latest view, in the scope of registration.
+        on_target: Its readings of the target (n_lines, n_beams).
+        config: The run's.
+        seed: Of the draws; the same for all candidates.
+        scale: Of the motion's error, as the odometry of this run tells.
+    """
+
+    grid: SurfelGrid
+    on_target: BoolArray
+    config: Config
+    seed: int
+    scale: float = 1.0
+
+    @staticmethod
+    def of(situation: Situation, seed: int) -> Simulation:
+        """Return the simulation of registrations on the latest view of a session.
+
+        Raises:
+            RegistrationError: The view shows too little surface.
+        """
+        view, config = situation.view, situation.session.config
+        on_target = readings_of(view.target, view.image)
+        scale = odometry_scale(situation.session.views, config)
+        return Simulation(surfels_of(view, config), on_target, config, seed, scale)
+
+    def error(self, viewpoint: Pose2, draws: int) -> float:
+        """Return the ``planning.quantile`` of the errors [m] of up to ``draws`` draws, rounded up.
+
+        Args:
+            viewpoint: O2 in the frame of the latest view.
+            draws: At most; fewer when ``planning.certainty`` is reached.
+        """
+        planning = self.config.planning
+        errors: list[float] = []
+        for error in self.errors(viewpoint, draws):
+            errors.append(error)
+            failed = sum(e > planning.epsilon for e in errors)
+            if decided(failed, len(errors), draws, planning.quantile, planning.certainty):
+                break
+        return float(np.quantile(errors, planning.quantile, method="higher"))
+
+    def errors(self, viewpoint: Pose2, draws: int) -> Iterator[float]:
+        """Yield the error [m] of each draw; infinite where too little of the target is in view."""
+        planes = self._surface.seen_from(viewpoint)
+        if np.count_nonzero(planes.on_target) < MIN_SEEN:
+            yield from repeat(math.inf, draws)
+            return
+        prior = motion_prior(viewpoint, self.config.planning, self.scale)
+        index = self.grid.index[self.on_target]
+        points = self.grid.rows[index[index >= 0][::THINNING], X]
+        for k in range(draws):
+            yield self._error(k, planes, points, prior)
+
+    def _error(self, k: int, planes: Planes, points: FloatArray, prior: PosePrior) -> float:
+        """Return the error [m] of draw ``k``, over ``points`` (n, 3) in the frame of O2.
+
+        The points are those of the latest view, as the next one will show about as much, as far
+        away. Scans that cannot be registered keep the odometry's pose.
+        """
+        here, noise = self._here(k)
+        truth = prior.T
+        guess = displaced(prior, self._rng(k, MOTION).standard_normal(3))
+        try:
+            result = register(
+                here,
+                planes.read(noise, self._rng(k, THERE)),
+                prior=guess,
+                starts=self.config.registration.starts,
+            )
+        except RegistrationError:
+            return _displacement(points, guess.T, truth)
+        return _displacement(points, result.T_target_source, truth)
+
+    def _here(self, k: int) -> tuple[SurfelGrid, DrawnNoise]:
+        """Return the scan from here of draw ``k`` and the noise of both its scans."""
+        if k in self._scans:
+            return self._scans[k]
+        rng, assumed = self._rng(k, HERE), self.grid.noise
+        noise = DrawnNoise(assumed, assumed.yaw_scale_sigma * rng.standard_normal())
+        scan = self._surface.here.read(noise, rng), noise
+        if self.config.spare == "time":
+            self._scans[k] = scan
+        return scan
+
+    @cached_property
+    def _scans(self) -> dict[int, tuple[SurfelGrid, DrawnNoise]]:
+        return {}
+
+    def _rng(self, k: int, stream: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, k, stream])
+
+    @cached_property
+    def _surface(self) -> Surface:
+        half = self.config.sweep.width / 2 + self.config.sweep.margin
+        return Surface(self.grid, self.on_target, half, self.config.target.max_range)
+
+
+def displaced(prior: PosePrior, draw: FloatArray) -> PosePrior:
+    """Return ``prior`` about a mean that is off by ``draw`` (3,) standard normal numbers."""
+    half = np.linalg.cholesky(prior.covariance[np.ix_(PLANAR, PLANAR)])
+    x, y, yaw = half @ draw
+    pose = Pose2.from_matrix(prior.T)
+    moved = Pose2(pose.x + x, pose.y + y, pose.yaw + yaw)
+    return replace(prior, T=read_only(moved.matrix()))
+
+
+def _displacement(points: FloatArray, a: FloatArray, b: FloatArray) -> float:
+    """Return the RMS distance [m] of ``points`` (n, 3) mapped by ``a`` and by ``b`` (4, 4)."""
+    return rms(Pose2.from_matrix(a).apply(points) - Pose2.from_matrix(b).apply(points))

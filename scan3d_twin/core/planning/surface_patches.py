@@ -1,0 +1,172 @@
+"""The target's surface as patches, and which of them a sweep from somewhere would see."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.model.fused_cloud import voxel_thin
+from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
+
+PATCH = 0.04
+"""Side of a patch [m]: at 1 m the size of a few readings, so that its normal is not all noise."""
+NEIGHBOURS = 12
+"""Patches that a normal is fitted to; on a surface they lie within two patches."""
+MIN_COSINE = 0.10
+"""Flatter than this (84 deg from the normal) a patch is not seen."""
+CELL = math.radians(3.0)
+"""Cell of the depth buffer [rad]: wider than a patch at 1 m, so that a surface has no holes."""
+THICKNESS, SLOPE = 0.08, 0.05
+"""Depth of a cell that is still one surface [m], and its growth per metre of range: a surface at 60
+deg incidence recedes by 0.09 m over a cell at 1 m."""
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Pieces of surface of about ``PATCH`` squared.
+
+    Attributes:
+        points: Their middles (n, 3) [m].
+        normals: Unit normals (n, 3), towards where they were seen from.
+        variation: Surface variation l3 / (l1 + l2 + l3) (n,), 0 for a plane (Pauly et al. 2002).
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    variation: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def select(self, mask: BoolArray) -> Patches:
+        """Return the patches where ``mask`` (n,) is True."""
+        return Patches(self.points[mask], self.normals[mask], self.variation[mask])
+
+    def moved(self, T: Pose2) -> Patches:
+        """Return the patches in frame a of ``T_a_b``."""
+        return Patches(T.apply(self.points), T.rotate(self.normals), self.variation)
+
+
+def patches_of(points: FloatArray, eye: FloatArray) -> Patches:
+    """Return the patches of ``points`` (n, 3) that were seen from ``eye`` (3,), one frame."""
+    thinned = voxel_thin(points, PATCH)
+    if len(thinned) < NEIGHBOURS:
+        return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    _, index = cKDTree(thinned).query(thinned, k=NEIGHBOURS)
+    around = thinned[index] - thinned[index].mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    normals = vectors[..., 0]
+    away = np.einsum("ni,ni->n", normals, thinned - eye) > 0
+    normals = np.where(away[:, None], -normals, normals)
+    return Patches(thinned, normals, values[:, 0] / np.maximum(values.sum(axis=1), 1e-12))
+
+
+def view_patches(view: View) -> Patches:
+    """Return the patches of the target in ``view``, in ``scan``."""
+    return patches_of(view.target.points, np.array([0.0, 0.0, eye_height(view)]))
+
+
+def seen_patches(session: Session) -> Patches:
+    """Return the patches of all views in ``world``, each place once."""
+    parts = [view_patches(view).moved(view.T_world_scan) for view in session.views]
+    points = np.concatenate([part.points for part in parts])
+    cells = np.floor(points / PATCH).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    first.sort()
+    return Patches(
+        points[first],
+        np.concatenate([part.normals for part in parts])[first],
+        np.concatenate([part.variation for part in parts])[first],
+    )
+
+
+def eye_height(view: View) -> float:
+    """Return the height of the lidar [m]."""
+    return float(view.image.T_base_lidar[2, 3])
+
+
+@dataclass(frozen=True)
+class Eye:
+    """What a sweep sees of its surroundings.
+
+    Attributes:
+        height: Of the lidar [m]; that it stands 5 cm ahead of the axle is neglected here.
+        half_width: Half the horizontal angle [rad].
+        half_window: Half the vertical angle [rad].
+        max_range: [m].
+    """
+
+    height: float
+    half_width: float
+    half_window: float
+    max_range: float
+
+    @staticmethod
+    def of(view: View, config: Config) -> Eye:
+        """Return the eye of a run's sweeps; margins serve registration and do not count."""
+        width, target = config.sweep.width / 2, config.target
+        return Eye(eye_height(view), width, target.window / 2, target.max_range)
+
+    def sees(self, pose: Pose2, patches: Patches, occluders: FloatArray | None = None) -> BoolArray:
+        """Tell which ``patches`` (n,) a sweep at ``pose`` sees; all in one frame.
+
+        Args:
+            pose: Of the sweep.
+            patches: Which may hide each other.
+            occluders: Other points (m, 3) that may hide them [m].
+        """
+        if len(patches) == 0:
+            return np.zeros(0, dtype=bool)
+        yaw, elevation, distance, inside = self._look(pose, patches.points)
+        eye = np.array([pose.x, pose.y, self.height])
+        cosine = np.einsum("ni,ni->n", patches.normals, eye - patches.points) / distance
+        cells, ranges = [_cells(yaw, elevation)], [np.where(inside, distance, np.inf)]
+        if occluders is not None and len(occluders):
+            other_yaw, other_elevation, other, within = self._look(pose, occluders)
+            cells.append(_cells(other_yaw, other_elevation))
+            ranges.append(np.where(within, other, np.inf))
+        nearest = _nearest(np.concatenate(cells), np.concatenate(ranges))[: len(patches)]
+        hidden = distance > nearest * (1 + SLOPE) + THICKNESS
+        return np.asarray(inside & (cosine > MIN_COSINE) & ~hidden)
+
+    def cosines(self, pose: Pose2, patches: Patches) -> FloatArray:
+        """Return the cosine of the incidence (n,) under which ``pose`` looks at ``patches``."""
+        rays = np.array([pose.x, pose.y, self.height]) - patches.points
+        lengths = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
+        return np.asarray(np.einsum("ni,ni->n", patches.normals, rays) / lengths)
+
+    def _look(
+        self, pose: Pose2, points: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Return yaw and elevation [rad], distance [m] and whether in view, each (n,)."""
+        local = pose.inverse().apply(points)
+        flat, up = np.hypot(local[:, 0], local[:, 1]), local[:, 2] - self.height
+        yaw, elevation = np.arctan2(local[:, 1], local[:, 0]), np.arctan2(up, flat)
+        distance = np.maximum(np.hypot(flat, up), 1e-9)
+        inside = (np.abs(yaw) <= self.half_width) & (np.abs(elevation) <= self.half_window)
+        return yaw, elevation, distance, inside & (distance <= self.max_range)
+
+
+def _cells(yaw: FloatArray, elevation: FloatArray) -> FloatArray:
+    """Return the cell of the depth buffer of each direction (n,)."""
+    columns = math.ceil(math.tau / CELL) + 1
+    across = np.floor((yaw + math.pi) / CELL)
+    return np.asarray(across + columns * np.floor((elevation + math.pi / 2) / CELL))
+
+
+def _nearest(cells: FloatArray, ranges: FloatArray) -> FloatArray:
+    """Return for each point the smallest range (n,) in its cell."""
+    _, index = np.unique(cells, return_inverse=True)
+    nearest = np.full(int(index.max()) + 1, np.inf)
+    np.minimum.at(nearest, index, ranges)
+    return np.asarray(nearest[index])
+
+
+def overlap_of(latest: Patches, seen: BoolArray) -> float:
+    """Return the share of the ``latest`` view's patches that are seen again."""
+    return float(np.mean(seen)) if len(latest) else 0.0

@@ -1,0 +1,1 @@
+"""The devices, one folder per family: data sheet, codec, driver and emulator."""

@@ -1,0 +1,1 @@
+"""iRobot Create 1, Create 2 and Roomba 500 and 600: the Open Interface, its driver and emulator."""

@@ -1,0 +1,178 @@
+"""The body of an emulated Create: what its wheels turned and what its sensors read.
+
+Wheels and hazards come from the drive base behind the hardware interface; battery, charger, buttons
+and walls are set by whoever runs the emulation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from scan3d_twin.core.hal import DriveBase
+from scan3d_twin.core.types import Odometry
+from scan3d_twin.devices.create.codec import Model
+from scan3d_twin.devices.create.packets import BumpsDrops, Overcurrents, Packet
+
+CAPACITY_MAH = 2696
+"""Of the battery [mAh]; a Create 2's reading, assumption for the Create 1."""
+EMPTY_MV, FULL_MV = 12_600, 16_000
+"""Voltage of 12 NiMH cells, empty and full [mV]; assumption."""
+FLOOR_SIGNAL, CLIFF_SIGNAL = 1500, 20
+"""Cliff signals over the floor and over nothing, of 4095; assumption."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quirks:
+    """What real firmware does differently from its manual, or from its sister.
+
+    Attributes:
+        header_summed: Whether the stream's checksum covers the header. The Create manual says no,
+            the Create 2 manual and drivers that run on real Creates say yes.
+        mode_offset: Added to the mode it reports; 1 on some Roomba 600 (create_robot issue 64).
+        truncates: Whether packets 19 and 20 lose the fraction at each read (libcreate issue 22).
+        angle_gain: Of packet 20; .25 on firmware 2012-03-22 (robotics.stackexchange 7121).
+        distance_unsigned: Whether packet 19 grows in reverse too (answers.ros.org 12338).
+        deaf: Time after a mode change in which bytes are lost [s]; .02 in Hacking Roomba, page 26.
+        counts: Encoder readings (left, right) at power-on.
+        silent: Whether it answers nothing until its battery is taken out (create_robot issue 54).
+    """
+
+    header_summed: bool = True
+    mode_offset: int = 0
+    truncates: bool = True
+    angle_gain: float = 1.0
+    distance_unsigned: bool = False
+    deaf: float = 0.0
+    counts: tuple[int, int] = (0, 0)
+    silent: bool = False
+
+
+class Wheels:
+    """Encoder counts, and the way and turn since packets 19 and 20 were read last."""
+
+    def __init__(self, model: Model, quirks: Quirks, start: Odometry) -> None:
+        self.distance_mm = self.angle_deg = 0.0
+        self.total_mm = self.total_deg = 0.0
+        self._left_mm = self._right_mm = 0.0
+        self._model = model
+        self._quirks = quirks
+        self._last = start
+
+    def take(self, odometry: Odometry) -> None:
+        """Take in the motion up to ``odometry``, as an arc from the sample before."""
+        step = self._last.T_odom_base.inverse() @ odometry.T_odom_base
+        self._last = odometry
+        half = step.yaw / 2
+        chord = step.x * math.cos(half) + step.y * math.sin(half)
+        way = 1000 * chord * (half / math.sin(half) if abs(half) > 1e-9 else 1.0)
+        side = step.yaw * self._model.wheel_base_mm / 2
+        self._left_mm += way - side
+        self._right_mm += way + side
+        self.total_mm += way
+        self.total_deg += math.degrees(step.yaw)
+        self.distance_mm += abs(way) if self._quirks.distance_unsigned else way
+        self.angle_deg += math.degrees(step.yaw) * self._quirks.angle_gain
+
+    def counts(self) -> tuple[int, int]:
+        """Return the left and right encoder counts, 0..65535; 0 on a Create 1, which has none."""
+        if not self._model.counts_per_turn:
+            return 0, 0
+        per_mm, (left, right) = 1 / self._model.mm_per_count, self._quirks.counts
+        return (
+            (left + round(self._left_mm * per_mm)) & 0xFFFF,
+            (right + round(self._right_mm * per_mm)) & 0xFFFF,
+        )
+
+    def read_distance(self) -> int:
+        """Return packet 19 [mm] and begin anew."""
+        value = int(self.distance_mm)
+        self.distance_mm = 0.0 if self._quirks.truncates else self.distance_mm - value
+        return value
+
+    def read_angle(self) -> int:
+        """Return packet 20 [deg] and begin anew."""
+        value = int(self.angle_deg)
+        self.angle_deg = 0.0 if self._quirks.truncates else self.angle_deg - value
+        return value
+
+
+class Body:
+    """Everything the firmware can feel.
+
+    Attributes:
+        charger: Bits of packet 34.
+        buttons: Bits of packet 18.
+        virtual_wall: Whether the sensor of packet 13 sees one.
+        inputs: Bits of packet 32, the cargo bay's digital inputs.
+        analog: Packet 33, the cargo bay's analog input, 0..1023.
+    """
+
+    def __init__(self, base: DriveBase, model: Model, quirks: Quirks) -> None:
+        self.charger = self.buttons = self.inputs = self.analog = 0
+        self.virtual_wall = False
+        self.wheels = Wheels(model, quirks, base.odometry())
+        self._base = base
+        self._no_ir = 0 if model.counts_per_turn else 255
+
+    def cliff(self) -> bool:
+        """Tell whether any of the four cliff sensors sees no floor."""
+        return any(self._cliffs())
+
+    def dropped(self) -> bool:
+        """Tell whether a wheel hangs in the air."""
+        hazards = self._base.hazards()
+        return hazards.wheel_drop_left or hazards.wheel_drop_right
+
+    def bumps(self) -> BumpsDrops:
+        """Return packet 7."""
+        hazards = self._base.hazards()
+        bits = BumpsDrops(0)
+        bits |= BumpsDrops.BUMP_RIGHT if hazards.bump_right else 0
+        bits |= BumpsDrops.BUMP_LEFT if hazards.bump_left else 0
+        bits |= BumpsDrops.DROP_RIGHT if hazards.wheel_drop_right else 0
+        return bits | (BumpsDrops.DROP_LEFT if hazards.wheel_drop_left else 0)
+
+    def readings(self) -> dict[int, int]:
+        """Return what it feels, by packet; packets 19 and 20 apart, which begin anew when read."""
+        return {**self._safety(), **self._power(), **self._rest()}
+
+    def _cliffs(self) -> tuple[bool, bool, bool, bool]:
+        h = self._base.hazards()
+        return h.cliff_left, h.cliff_front_left, h.cliff_front_right, h.cliff_right
+
+    def _safety(self) -> dict[int, int]:
+        hazards, cliffs = self._base.hazards(), self._cliffs()
+        overcurrents = Overcurrents.RIGHT_WHEEL if hazards.overcurrent_right else 0
+        overcurrents |= Overcurrents.LEFT_WHEEL if hazards.overcurrent_left else 0
+        signals = (CLIFF_SIGNAL if cliff else FLOOR_SIGNAL for cliff in cliffs)
+        return {
+            Packet.BUMPS_DROPS: self.bumps(),
+            **dict(zip(range(Packet.CLIFF_LEFT, Packet.VIRTUAL_WALL), cliffs, strict=True)),
+            **dict(zip(range(Packet.CLIFF_LEFT_SIGNAL, 32), signals, strict=True)),
+            Packet.VIRTUAL_WALL: self.virtual_wall,
+            Packet.OVERCURRENTS: overcurrents,
+        }
+
+    def _power(self) -> dict[int, int]:
+        share = self._base.hazards().battery
+        return {
+            Packet.CHARGING_STATE: 2 if self.charger else 0,
+            Packet.VOLTAGE: round(EMPTY_MV + share * (FULL_MV - EMPTY_MV)),
+            Packet.CURRENT: 1000 if self.charger else -300,
+            Packet.TEMPERATURE: 25,
+            Packet.CHARGE: round(share * CAPACITY_MAH),
+            Packet.CAPACITY: CAPACITY_MAH,
+            Packet.CHARGING_SOURCES: self.charger,
+        }
+
+    def _rest(self) -> dict[int, int]:
+        left, right = self.wheels.counts()
+        return {
+            Packet.IR_OMNI: self._no_ir,
+            Packet.BUTTONS: self.buttons,
+            Packet.DIGITAL_INPUTS: self.inputs,
+            Packet.ANALOG_INPUT: self.analog,
+            Packet.LEFT_COUNTS: left,
+            Packet.RIGHT_COUNTS: right,
+        }

@@ -1,0 +1,384 @@
+"""The firmware of an emulated iRobot Create: bytes in, bytes out, driving any ``DriveBase``.
+
+Sources: iRobot Create Open Interface (2007, page numbers below are its own) and iRobot Create 2
+Open Interface (2016). Time is the simulated clock's, given with each call; every new odometry
+sample of the base is the firmware's 15 ms tick.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from scan3d_twin.core.hal import DriveBase
+from scan3d_twin.core.types import Odometry
+from scan3d_twin.devices.create import codec as oi
+from scan3d_twin.devices.create.codec import Command, CommandParser, Model, Op
+from scan3d_twin.devices.create.emulated_body import Body, Quirks
+from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets, packets_of, size_of
+from scan3d_twin.devices.create.script_events import happened
+
+SLEEP_AFTER = 300.0
+"""A Create 2 falls asleep after so long without a command in Off or Passive [s]."""
+BOOT = 3.0
+"""From a reset until it listens again [s]; assumption."""
+BANNER = (
+    "bl-start\r\nSTR730\r\nbootloader id: #x47175347 4C636FFF\r\n"
+    "bootloader info rev: #xF000\r\n2007-05-14-1715-L\r\n"
+    "Roomba by iRobot!\r\nstr730\r\n2012-03-22-1549-L\r\nbattery-current-zero 252\r\n"
+)
+"""What a Roomba of firmware 2012-03-22 prints at a reset; robotics.stackexchange 7121."""
+COMMANDS_PER_TICK = 50
+"""A script that never waits must not hang the emulator; assumption."""
+ROUNDING = 1e-6
+"""Times that differ by less are the same [s]."""
+
+_ACTUATORS = {
+    Op.DRIVE, Op.LOW_SIDE_DRIVERS, Op.LEDS, Op.PLAY, Op.PWM_LOW_SIDE_DRIVERS, Op.DRIVE_DIRECT,
+    Op.DRIVE_PWM, Op.DIGITAL_OUTPUTS, Op.SEND_IR, Op.SCHEDULING_LEDS, Op.DIGIT_LEDS_RAW,
+    Op.DIGIT_LEDS_ASCII,
+}  # fmt: skip
+"""Obeyed in Safe and Full only."""
+
+
+@dataclass
+class Outputs:
+    """What a bystander sees and hears of the base; data bytes as they were sent, None is off."""
+
+    leds: bytes | None = None
+    drivers: bytes | None = None
+    pwm: bytes | None = None
+    digital: bytes | None = None
+    digits: bytes | None = None
+    songs: dict[int, bytes] = field(default_factory=dict)
+    sent_ir: bytes | None = None
+
+
+class CreateEmulator:
+    """A ``Device``: an iRobot Create whose wheels are those of a ``DriveBase``.
+
+    Attributes:
+        mode: The Open Interface's mode; Off until a client says Start.
+        body: What it feels; set its charger, buttons and walls to play with it.
+        outputs: What it shows.
+        wheels_mm: Wheel speeds (right, left) it obeys now [mm/s].
+        asleep: Whether it needs ``wake`` before it listens again.
+        began: See ``Device``.
+    """
+
+    def __init__(
+        self, base: DriveBase, model: Model = oi.CREATE2, quirks: Quirks | None = None
+    ) -> None:
+        quirks = Quirks() if quirks is None else quirks
+        self.mode = Mode.OFF
+        self.body = Body(base, model, quirks)
+        self.outputs = Outputs()
+        self.wheels_mm = (0, 0)
+        self.asleep = False
+        self._base, self._model, self._quirks = base, model, quirks
+        self._baud = model.baud
+        self._parser = CommandParser(model)
+        self._stamp = base.odometry().stamp
+        self._now = self._heard = self._stamp
+        self._out: deque[tuple[int, float, bytes]] = deque()
+        self.began = 0.0
+        self._later: deque[tuple[float, bytes]] = deque()
+        self._deaf_until = 0.0
+        self._stream: list[int] = []
+        self._streaming = False
+        self._script = b""
+        self._queue: deque[Command] = deque()
+        self._wait: Callable[[], bool] | None = None
+        self._song, self._song_ends = 0, 0.0
+        self._requested = self._requested_direct = (0, 0)
+        self._actions = self._table()
+
+    @property
+    def baud(self) -> int:
+        """See ``Device.baud``."""
+        return self._out[0][0] if self._out else self._baud
+
+    def receive(self, data: bytes, now: float) -> None:
+        """See ``Device.receive``."""
+        self._advance(now)
+        for byte in data:
+            if not self._listens():
+                self._parser.reset()
+            elif self.mode is not Mode.OFF or byte in (Op.START, Op.RESET):
+                for command in self._parser.feed(bytes([byte])):
+                    self._heard = now
+                    self._obey(command)
+
+    def transmit(self, now: float) -> bytes:
+        """See ``Device.transmit``."""
+        self._advance(now)
+        if self._quirks.silent:
+            self._out.clear()
+        if not self._out:
+            return b""
+        _, self.began, data = self._out.popleft()
+        return data
+
+    def _put(self, data: bytes, now: float) -> None:
+        """Put ``data`` on the line at ``now`` [s]."""
+        if data:
+            self._out.append((self._baud, now, data))
+
+    def wake(self) -> None:
+        """Press the power button, or pulse the BRC line."""
+        self.asleep = False
+        self._heard = self._now
+
+    def _listens(self) -> bool:
+        busy = self._wait is not None or bool(self._queue)
+        return not (self.asleep or busy or self._now < self._deaf_until or self._quirks.silent)
+
+    def _advance(self, now: float) -> None:
+        """Let time pass up to ``now`` [s]."""
+        for sample in self._base.odometry_since(self._stamp):
+            if self._stamp < sample.stamp <= now + ROUNDING:
+                self._tick(sample)
+        self._now = max(self._now, now)
+        while self._later and self._later[0][0] <= now:
+            due, text = self._later.popleft()
+            self._put(text, due)
+        self._run_script()
+        idle = self.mode <= Mode.PASSIVE and not self.body.charger
+        if idle and self._model is not oi.CREATE1 and now - self._heard > SLEEP_AFTER:
+            self._change_mode(Mode.OFF)
+            self.asleep = True
+
+    def _tick(self, sample: Odometry) -> None:
+        """Do what the firmware does every 15 ms."""
+        self._stamp = self._now = sample.stamp
+        self.body.wheels.take(sample)
+        if self.mode is Mode.SAFE and self._unsafe():
+            self._change_mode(Mode.PASSIVE)
+        self._run_script()
+        if self._streaming and self.mode is not Mode.OFF:
+            summed = self._quirks.header_summed
+            frame = oi.encode_frame(self._stream, self._values(self._stream), header_summed=summed)
+            self._put(frame, self._now)
+
+    def _unsafe(self) -> bool:
+        """Tell whether Safe mode must be left; page 6."""
+        right, left = self.wheels_mm
+        ahead, turn = right + left > 0, abs(right - left)
+        tight = turn > 0 and abs(right + left) / turn * self._model.wheel_base_mm / 2 < (
+            1000 * self._base.spec.radius
+        )
+        falls = self.body.cliff() and (ahead or tight)
+        return falls or self.body.dropped() or bool(self.body.charger)
+
+    # Commands.
+
+    def _obey(self, command: Command) -> None:
+        if command.op in _ACTUATORS and self.mode < Mode.SAFE:
+            return
+        self._actions[command.op](command)
+
+    def _table(self) -> dict[Op, Callable[[Command], None]]:
+        passive = (Op.START, Op.POWER, Op.SPOT, Op.CLEAN, Op.DEMO, Op.DOCK)
+        nothing = (Op.PUSH_BUTTONS, Op.SCHEDULE, Op.SET_DAY_TIME, Op.SCHEDULING_LEDS)
+        return {
+            **{op: lambda _: self._change_mode(Mode.PASSIVE) for op in passive},
+            **{op: lambda _: None for op in nothing},
+            Op.RESET: self._reset,
+            Op.BAUD: self._set_baud,
+            Op.CONTROL: lambda _: self._change_mode(Mode.SAFE),
+            Op.SAFE: lambda _: self._change_mode(Mode.SAFE),
+            Op.FULL: lambda _: self._change_mode(Mode.FULL),
+            Op.STOP: self._stop,
+            Op.DRIVE: self._drive,
+            Op.DRIVE_DIRECT: self._drive_direct,
+            Op.DRIVE_PWM: self._drive_pwm,
+            **self._gadgets(),
+            Op.SENSORS: lambda c: self._send(c.data),
+            Op.QUERY_LIST: lambda c: self._send(c.data[1:]),
+            Op.STREAM: self._start_stream,
+            Op.PAUSE_RESUME: self._pause_or_resume,
+            Op.SCRIPT: self._store_script,
+            Op.PLAY_SCRIPT: lambda _: self._play_script(),
+            Op.SHOW_SCRIPT: self._show_script,
+            Op.WAIT_TIME: self._wait_time,
+            Op.WAIT_DISTANCE: self._wait_distance,
+            Op.WAIT_ANGLE: self._wait_angle,
+            Op.WAIT_EVENT: self._wait_event,
+        }
+
+    def _gadgets(self) -> dict[Op, Callable[[Command], None]]:
+        outputs = self.outputs
+
+        def show(name: str) -> Callable[[Command], None]:
+            return lambda command: setattr(outputs, name, command.data)
+
+        return {
+            Op.LEDS: show("leds"),
+            Op.LOW_SIDE_DRIVERS: show("drivers"),
+            Op.PWM_LOW_SIDE_DRIVERS: show("pwm"),
+            Op.DIGITAL_OUTPUTS: show("digital"),
+            Op.DIGIT_LEDS_RAW: show("digits"),
+            Op.DIGIT_LEDS_ASCII: show("digits"),
+            Op.SEND_IR: show("sent_ir"),
+            Op.SONG: self._store_song,
+            Op.PLAY: self._play_song,
+        }
+
+    def _change_mode(self, mode: Mode) -> None:
+        """Go to ``mode``: the wheels stop below Safe, the LEDs go out in Safe and Full; page 6."""
+        if mode <= Mode.PASSIVE:
+            self._turn_wheels(0, 0)
+            self.outputs.drivers = self.outputs.pwm = None
+        elif self.mode <= Mode.PASSIVE:
+            self.outputs.leds = None
+        if mode is Mode.SAFE and self.body.charger:
+            mode = Mode.PASSIVE
+        self.mode = mode
+        self._deaf_until = self._now + self._quirks.deaf
+
+    def _stop(self, _: Command) -> None:
+        self._streaming = False
+        self._change_mode(Mode.OFF)
+
+    def _reset(self, _: Command) -> None:
+        """Start the firmware anew: Off, default speed, and a text on the line."""
+        self._stop(_)
+        self._baud = self._model.baud
+        self._stream, self._script = [], b""
+        self._deaf_until = self._now + BOOT
+        lines = BANNER.encode().splitlines(keepends=True)
+        self._later.append((self._now + 0.1, b"".join(lines[:3])))
+        self._later.append((self._now + BOOT - 0.1, b"".join(lines[3:])))
+
+    def _set_baud(self, command: Command) -> None:
+        if command.data[0] < len(oi.BAUD_CODES):
+            self._baud = oi.BAUD_CODES[command.data[0]]
+
+    def _drive(self, command: Command) -> None:
+        velocity, radius = self._requested = _clipped(command.words()[0]), command.words()[1]
+        if radius in oi.STRAIGHT:
+            share = 0.0
+        elif abs(radius) == 1:
+            self._turn_wheels(radius * velocity, -radius * velocity)
+            return
+        else:
+            share = self._model.wheel_base_mm / 2 / radius if radius else 0.0
+        right, left = (_clipped(round(velocity * side)) for side in (1 + share, 1 - share))
+        self._turn_wheels(right, left)
+
+    def _drive_direct(self, command: Command) -> None:
+        right, left = self._requested_direct = _clipped_both(command.words())
+        self._turn_wheels(right, left)
+
+    def _drive_pwm(self, command: Command) -> None:
+        share = oi.MAX_WHEEL_SPEED_MM / 255
+        right, left = (_clipped(round(share * word)) for word in command.words())
+        self._turn_wheels(right, left)
+
+    def _turn_wheels(self, right_mm: int, left_mm: int) -> None:
+        self.wheels_mm = (right_mm, left_mm)
+        self._base.set_velocity(
+            (right_mm + left_mm) / 2000, (right_mm - left_mm) / self._model.wheel_base_mm
+        )
+
+    def _store_song(self, command: Command) -> None:
+        number, length = command.data[:2]
+        if number < self._model.songs and 1 <= length <= 16:
+            self.outputs.songs[number] = command.data[2:]
+
+    def _play_song(self, command: Command) -> None:
+        notes = self.outputs.songs.get(command.data[0])
+        if notes and self._now >= self._song_ends:
+            self._song = command.data[0]
+            self._song_ends = self._now + sum(notes[1::2]) / 64
+
+    # Sensors.
+
+    def _values(self, numbers: Iterable[int]) -> dict[int, int]:
+        """Return the readings of packets and groups; reading packets 19 and 20 starts them anew."""
+        ids = {packet for number in numbers for packet in packets_of(number)}
+        right, left = self._requested_direct
+        values = {
+            **self.body.readings(),
+            Packet.MODE: self.mode + self._quirks.mode_offset,
+            Packet.SONG_NUMBER: self._song,
+            Packet.SONG_PLAYING: self._now < self._song_ends,
+            Packet.STREAM_PACKETS: len(self._stream),
+            Packet.REQUESTED_VELOCITY: self._requested[0],
+            Packet.REQUESTED_RADIUS: self._requested[1],
+            Packet.REQUESTED_RIGHT: right,
+            Packet.REQUESTED_LEFT: left,
+        }
+        if Packet.DISTANCE in ids:
+            values[Packet.DISTANCE] = self.body.wheels.read_distance()
+        if Packet.ANGLE in ids:
+            values[Packet.ANGLE] = self.body.wheels.read_angle()
+        return values
+
+    def _send(self, numbers: bytes) -> None:
+        """Send packets once; nothing at all if there is one it does not know."""
+        known = [n for n in numbers if n in self._model.packets and size_of(n)]
+        if len(known) == len(numbers):
+            self._put(encode_packets(known, self._values(known)), self._now)
+
+    def _start_stream(self, command: Command) -> None:
+        known = [n for n in command.data[1:] if n in self._model.packets and size_of(n)]
+        if len(known) == command.data[0]:
+            self._stream, self._streaming = known, bool(known)
+
+    def _pause_or_resume(self, command: Command) -> None:
+        self._streaming = bool(command.data[0]) and bool(self._stream)
+
+    # Scripts.
+
+    def _store_script(self, command: Command) -> None:
+        if command.data[0] <= oi.MAX_SCRIPT:
+            self._script = command.data[1:]
+
+    def _play_script(self) -> None:
+        self._queue.extend(CommandParser(self._model).feed(self._script))
+
+    def _show_script(self, _: Command) -> None:
+        self._streaming = False
+        self._put(bytes([len(self._script)]) + self._script, self._now)
+
+    def _run_script(self) -> None:
+        """Go on with the script until it waits."""
+        for _ in range(COMMANDS_PER_TICK):
+            if self._wait is not None:
+                if not self._wait():
+                    return
+                self._wait = None
+            if not self._queue:
+                return
+            self._obey(self._queue.popleft())
+
+    def _wait_time(self, command: Command) -> None:
+        until = self._now + command.data[0] / 10
+        self._wait = lambda: self._now >= until
+
+    def _wait_distance(self, command: Command) -> None:
+        (way,), wheels = command.words(), self.body.wheels
+        wheels.distance_mm, goal = 0.0, wheels.total_mm + way
+        sign = 1 if way >= 0 else -1
+        self._wait = lambda: sign * (wheels.total_mm - goal) >= 0
+
+    def _wait_angle(self, command: Command) -> None:
+        (turn,), wheels = command.words(), self.body.wheels
+        wheels.angle_deg, goal = 0.0, wheels.total_deg + turn
+        sign = 1 if turn >= 0 else -1
+        self._wait = lambda: sign * (wheels.total_deg - goal) >= 0
+
+    def _wait_event(self, command: Command) -> None:
+        event = int.from_bytes(command.data, "big", signed=True)
+        self._wait = lambda: happened(event, self.body, self.mode)
+
+
+def _clipped_both(speeds_mm: tuple[int, ...]) -> tuple[int, int]:
+    right, left = map(_clipped, speeds_mm)
+    return right, left
+
+
+def _clipped(speed_mm: int) -> int:
+    return min(max(speed_mm, -oi.MAX_WHEEL_SPEED_MM), oi.MAX_WHEEL_SPEED_MM)

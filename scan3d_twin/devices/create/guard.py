@@ -1,0 +1,102 @@
+"""The base obeys its last drive command for ever: a guard stops it if this process cannot.
+
+The Open Interface has no watchdog. A process of its own holds the port too, and listens to signs
+of life that the drive loop itself writes while the wheels turn, not a thread that would outlive it.
+No sign for 0.3 s (the loop hangs), or the end of the pipe (the process was killed), and the guard
+sends stop and mode Passive.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from contextlib import suppress
+
+from scan3d_twin.core.errors import HazardError
+from scan3d_twin.core.hal import Clock
+from scan3d_twin.devices.create import guard_process
+from scan3d_twin.devices.create.driver import FAREWELL
+from scan3d_twin.devices.create.link import HALF_DRIVE
+
+SILENCE = 0.3
+"""Without a sign of life for so long the driving process hangs [s]."""
+INTERVAL = 0.05
+"""Between two signs of life [s]."""
+
+
+class ProcessGuard:
+    """A ``Guard`` in a process of its own, which Ctrl-C in the terminal does not reach."""
+
+    def __init__(self, port: int, clock: Clock) -> None:
+        """Start it.
+
+        Args:
+            port: File descriptor of the base's open port.
+            clock: To write a sign of life only every ``INTERVAL``.
+        """
+        self._clock = clock
+        self._moving = False
+        self._due = -math.inf
+        reader, self._pipe = os.pipe()
+        farewell = (HALF_DRIVE + FAREWELL).hex()
+        words = [str(port), str(reader), farewell, str(round(1000 * SILENCE))]
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", "-S", guard_process.__file__, *words],
+            pass_fds=(port, reader),
+            start_new_session=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+        )
+        os.close(reader)
+
+    def beat(self, moving: bool) -> None:
+        """See ``Guard.beat``.
+
+        Raises:
+            HazardError: The guard itself has ended, so the robot must not drive.
+        """
+        now = self._clock.now()
+        if moving == self._moving and (not moving or now < self._due):
+            return
+        self._moving, self._due = moving, now + INTERVAL
+        try:
+            os.write(self._pipe, guard_process.MOVING if moving else guard_process.STANDING)
+        except BrokenPipeError:
+            if moving:
+                raise HazardError("the guard process has ended: driving is not safe") from None
+
+    def close(self) -> None:
+        """Send the guard home; the wheels stand."""
+        with suppress(BrokenPipeError):
+            os.write(self._pipe, guard_process.GOODBYE)
+        os.close(self._pipe)
+        self._process.wait(timeout=5.0)
+
+
+class PortGuard:
+    """A ``Guard`` of a port that may be unplugged: each time it is opened it gets a new process.
+
+    A process that went on holding an unplugged port would keep its name from coming back.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._guard: ProcessGuard | None = None
+
+    def watch(self, port: int) -> None:
+        """Guard the open ``port`` (file descriptor) from now on."""
+        self.close()
+        self._guard = ProcessGuard(port, self._clock)
+
+    def beat(self, moving: bool) -> None:
+        """See ``Guard.beat``; without a port there is nobody to tell."""
+        if self._guard is not None:
+            self._guard.beat(moving)
+
+    def close(self) -> None:
+        """Send the process home; closing twice does nothing."""
+        guard, self._guard = self._guard, None
+        if guard is not None:
+            guard.close()

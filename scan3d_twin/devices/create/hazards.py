@@ -1,0 +1,52 @@
+"""What the sensors of a Create say about its safety."""
+
+from __future__ import annotations
+
+from scan3d_twin.core.types import Hazards
+from scan3d_twin.devices.create.link import Values
+from scan3d_twin.devices.create.packets import BumpsDrops, Overcurrents, Packet
+
+EMPTY_MV, FULL_MV = 12_600, 15_600
+"""Voltages that stand for 0 and 1 where the base does not know its charge [mV]; 12 NiMH cells."""
+
+
+def hazards_of(values: Values) -> Hazards:
+    """Return the hazards that readings tell of."""
+    bumps, over = BumpsDrops(values[Packet.BUMPS_DROPS]), values[Packet.OVERCURRENTS]
+    caster = bool(bumps & BumpsDrops.DROP_CASTER)
+    return Hazards(
+        bump_left=bool(bumps & BumpsDrops.BUMP_LEFT),
+        bump_right=bool(bumps & BumpsDrops.BUMP_RIGHT),
+        cliff_left=bool(values[Packet.CLIFF_LEFT]),
+        cliff_front_left=bool(values[Packet.CLIFF_FRONT_LEFT]),
+        cliff_front_right=bool(values[Packet.CLIFF_FRONT_RIGHT]),
+        cliff_right=bool(values[Packet.CLIFF_RIGHT]),
+        wheel_drop_left=caster or bool(bumps & BumpsDrops.DROP_LEFT),
+        wheel_drop_right=caster or bool(bumps & BumpsDrops.DROP_RIGHT),
+        overcurrent_left=bool(over & Overcurrents.LEFT_WHEEL),
+        overcurrent_right=bool(over & Overcurrents.RIGHT_WHEEL),
+        battery=_battery(values),
+    )
+
+
+def _battery(values: Values) -> float:
+    """Return the state of charge, 0..1; by the voltage if the base does not know its capacity."""
+    if capacity := values[Packet.CAPACITY]:
+        return min(1.0, values[Packet.CHARGE] / capacity)
+    return min(1.0, max(0.0, (values[Packet.VOLTAGE] - EMPTY_MV) / (FULL_MV - EMPTY_MV)))
+
+
+def blocking(before: Hazards, now: Hazards, ahead: int) -> tuple[str, ...]:
+    """Return the hazards to stop for: new ones, and old ones if the robot drives on ahead."""
+    active = now.active()
+    return active if ahead > 0 else tuple(n for n in active if n not in before.active())
+
+
+def why_not_safe(values: Values, hazards: Hazards) -> list[str]:
+    """Return why the base left Safe mode while it drove."""
+    if values[Packet.CHARGING_SOURCES]:
+        return ["the charger was plugged in"]
+    return list(hazards.active()) or [
+        "the base left Safe mode (the guard stopped it after 0.3 s without a sign of life, or it "
+        "lost its footing for a moment)"
+    ]

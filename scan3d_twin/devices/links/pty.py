@@ -1,0 +1,77 @@
+"""A pseudo-terminal in front of an emulated device: to its client it is a serial port."""
+
+from __future__ import annotations
+
+import array
+import fcntl
+import os
+import tty
+from contextlib import suppress
+
+from scan3d_twin.core.errors import LinkError
+from scan3d_twin.devices.links.line_model import Line
+
+_TCGETS2 = 0x802C542A
+"""ioctl for the settings with the bit rate as a number; Linux, asm-generic/ioctls.h."""
+_SPEED_AT = 10
+"""Place of the output speed in ``struct termios2``, in words of 32 bits."""
+_CHUNK = 4096
+
+
+class PtyPort:
+    """The port of a line, at ``path``.
+
+    The settings the client makes decide how fast it listens. Without a client the bytes are lost,
+    as on a cable that ends in the air.
+    """
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+        self._master, slave = os.openpty()
+        # Before anybody opens it: an echo would feed the device its own bytes.
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        os.close(slave)
+        os.set_blocking(self._master, False)
+        self._connected = False
+
+    @property
+    def baud(self) -> int:
+        """The client's bit rate [bit/s]."""
+        settings = array.array("I", [0] * 16)
+        fcntl.ioctl(self._master, _TCGETS2, settings)
+        return settings[_SPEED_AT]
+
+    def service(self, now: float) -> None:
+        """Let bytes pass in both directions up to ``now`` [s]."""
+        data = self._read(now)
+        # After the bytes: who changes the speed writes first and changes then.
+        baud = self.baud
+        self._line.send(data, now, baud)
+        out = self._line.receive(now, baud)
+        if self._connected and out:
+            self._write(out)
+
+    def close(self) -> None:
+        """Take the port away; its client sees it unplugged."""
+        os.close(self._master)
+
+    def _read(self, now: float) -> bytes:
+        """Return what the client has sent, and notice whether there is one."""
+        try:
+            data = os.read(self._master, _CHUNK)
+        except BlockingIOError:
+            data = b""
+        except OSError:  # nobody has the other end open
+            self._connected = False
+            return b""
+        if not self._connected:
+            self._connected = True
+            with suppress(LinkError):
+                self._line.open(now)
+        return data
+
+    def _write(self, data: bytes) -> None:
+        # A client that does not read, or has gone, loses them.
+        with suppress(OSError):
+            os.write(self._master, data)

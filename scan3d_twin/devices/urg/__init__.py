@@ -1,0 +1,1 @@
+"""Hokuyo URG-04LX: SCIP, its driver and its emulator."""

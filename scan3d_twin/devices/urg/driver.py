@@ -1,0 +1,296 @@
+"""The driver of the URG-04LX: a ``Lidar`` over SCIP 2.0."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from scan3d_twin.core.errors import LinkError, LinkTimeoutError, ProtocolError
+from scan3d_twin.core.hal import Clock
+from scan3d_twin.core.types import LidarSpec, ScanLine
+from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.urg.clock_sync import SensorClock
+from scan3d_twin.devices.urg.codec import Request, ScanRequest
+from scan3d_twin.devices.urg.connect import (
+    ORDER,
+    UrgInfo,
+    find,
+    identify,
+    speed_up,
+    status_of,
+    synchronise,
+)
+from scan3d_twin.devices.urg.lines import line_spec, to_line
+from scan3d_twin.devices.urg.link import Arrived, Steps, UrgLink
+from scan3d_twin.devices.urg.model import ScanMode
+from scan3d_twin.devices.urg.replies import DONE, STREAMED, decode_scan, find_echo
+from scan3d_twin.devices.urg.scan_modes import duration, period, scan_requests
+
+CONNECT_TIMEOUT = 5.8
+"""From opening the port to a running stream, whatever state the sensor was left in [s]; it never
+takes over 6 s."""
+FIND_TIMEOUT = 3.5
+"""Of that for finding it [s]; all bit rates take 1.05 s, and it may still be starting."""
+UNREAD_LINES = 16
+"""Unread lines that are kept, as in the twin."""
+POLL = 0.005
+"""How often a waiting reader looks at the port [s]."""
+QUIET = 1.0
+"""Without a good scan for so long, the stream is asked for once more [s]."""
+NUDGES = 3
+"""After so many in vain the connection is made anew, unless bytes still come."""
+BROKEN = 10
+"""After so many it is made anew even so."""
+BACKOFF = (0.1, 0.25)
+"""First and longest wait between two attempts to connect again [s]; it doubles."""
+CLOSE_TIMEOUT = 0.5
+"""For stopping the laser at the end [s]: two ticks, and the scan in the line's buffer."""
+USUAL_BAUDS = (19200, 57600, 115200)
+"""Bit rates at which other programs look for the sensor."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class UrgStats:
+    """What happened on the line.
+
+    Attributes:
+        good: Scans received.
+        bad: Scans and other blocks that were dropped: wrong sum, length or time.
+        reconnects: Connections after the first.
+        problem: What is wrong now; empty if nothing is.
+    """
+
+    good: int = 0
+    bad: int = 0
+    reconnects: int = 0
+    problem: str = ""
+
+
+class UrgLidar:
+    """A ``Lidar``: an URG-04LX behind a transport.
+
+    There are no threads: ``service`` does what can be done without waiting, connecting anew after
+    the sensor was unplugged included. Call it at least every 50 ms, or wait in ``read_line``.
+
+    Attributes:
+        spec: See ``Lidar.spec``.
+        info: What the sensor says about itself.
+        request: The stream that is running.
+        stats: What happened on the line.
+    """
+
+    spec: LidarSpec
+    info: UrgInfo
+    request: ScanRequest
+
+    def __init__(
+        self,
+        open_transport: Callable[[], Transport],
+        clock: Clock,
+        mode: ScanMode | None = None,
+        cluster: int | None = None,
+    ) -> None:
+        """Connect and start the laser.
+
+        Args:
+            open_transport: Opens the port; called again after the sensor was unplugged.
+            clock: The robot's clock; its ``sleep`` may service this lidar.
+            mode: Which steps are wanted, and how often; None is as many as come every turn.
+            cluster: Steps merged into one reading, the shortest; None is as few as the wanted lines
+                need on this line.
+
+        Raises:
+            ConfigError: There is no such mode.
+            LinkError: No sensor, or it cannot deliver ``mode``; says why.
+        """
+        self._requests = scan_requests(mode, cluster)
+        self.stats = UrgStats()
+        self._open_transport = open_transport
+        self._clock = clock
+        self._unread: deque[ScanLine] = deque(maxlen=UNREAD_LINES)
+        self._bauds: tuple[int, ...] = ORDER
+        self._info: UrgInfo | None = None
+        self._sensor_clock = SensorClock()
+        self._transport: Transport | None = None
+        self._link: UrgLink | None = None
+        self._connected = False
+        self._last_good = -math.inf
+        self._life = self._live()
+        try:
+            self._connect_first()
+            self.spec = line_spec(self.request)
+            if cluster is None and self.request.cluster > 1:
+                _log.warning(
+                    "the line is slow: %d steps are merged into one, %d readings a scan",
+                    self.request.cluster,
+                    self.request.n_values,
+                )
+        except BaseException:
+            self.close()
+            raise
+
+    def service(self, now: float | None = None) -> None:
+        """Take in what has arrived, without waiting.
+
+        Args:
+            now: Not needed; the lidar has its clock.
+        """
+        next(self._life, None)
+
+    def read_line(self, timeout: float) -> ScanLine:
+        """See ``Lidar.read_line``."""
+        deadline = self._clock.now() + timeout
+        self.service()
+        while not self._unread:
+            left = deadline - self._clock.now()
+            if left <= 1e-9:
+                why = f": {self.stats.problem}" if self.stats.problem else ""
+                raise LinkTimeoutError(f"no scan line within {timeout:g} s{why}")
+            self._clock.sleep(min(POLL, left))
+            self.service()
+        return self._unread.popleft()
+
+    def close(self) -> None:
+        """Stop the laser, leave the sensor as other programs expect it, and give the port back."""
+        self._life.close()
+        transport, self._transport = self._transport, None
+        if transport is not None:
+            with suppress(LinkError):
+                self._leave()
+            transport.close()
+
+    def _connect_first(self) -> None:
+        deadline = self._clock.now() + CONNECT_TIMEOUT
+        while not self._connected:
+            if self._clock.now() >= deadline:
+                raise LinkTimeoutError(
+                    f"the lidar was not ready within {CONNECT_TIMEOUT:g} s, power it off and on: "
+                    f"{self.stats.problem or 'it never fell silent'}"
+                )
+            next(self._life)
+            if self._link is None:
+                self._clock.sleep(POLL)
+            else:
+                self._link.pump(POLL)
+
+    def _live(self) -> Steps[NoReturn]:
+        """Connect, stream, and connect again whenever the line is lost."""
+        wait, longest = BACKOFF
+        while True:
+            started = self._clock.now()
+            try:
+                yield from self._stream()
+            except LinkError as error:
+                if not (self._connected or isinstance(error, LinkTimeoutError)):
+                    raise
+                self._lose(error)
+            wait = BACKOFF[0] if self._last_good > started else min(longest, 2 * wait)
+            until = self._clock.now() + wait
+            while self._clock.now() < until:
+                yield
+
+    def _lose(self, error: LinkError) -> None:
+        if not self.stats.problem:
+            _log.warning("lidar lost: %s; connecting again", error)
+        self.stats.problem = str(error)
+        self._link = None
+        transport, self._transport = self._transport, None
+        if transport is not None:
+            transport.close()
+
+    def _stream(self) -> Steps[NoReturn]:
+        """Connect and take in scans for as long as that works."""
+        link = yield from self._connect()
+        nudges, heard = 0, link.received
+        looked = self._clock.now()
+        while True:
+            for arrived in link.take():
+                self._take(arrived)
+            now = self._clock.now()
+            if self._last_good > looked:
+                nudges, looked = 0, self._last_good
+            elif now - looked > QUIET + 3 * period(self.request):
+                nudges, looked = nudges + 1, now
+                self._nudge(link, nudges, silent=link.received == heard)
+                heard = link.received
+            yield
+
+    def _nudge(self, link: UrgLink, nudges: int, *, silent: bool) -> None:
+        """Ask for the stream once more; a sensor that is streaming refuses that and goes on."""
+        self.stats.problem = "no good scan arrives" if not silent else "the lidar fell silent"
+        _log.warning("%s, asking again", self.stats.problem)
+        if nudges > (NUDGES if silent else BROKEN):
+            raise LinkTimeoutError(f"{self.stats.problem} for {nudges} s")
+        link.send(b"\n" + self.request.request().encode())
+
+    def _connect(self) -> Steps[UrgLink]:
+        self._transport = self._open_transport()
+        link = self._link = UrgLink(self._transport, self._clock, self._bauds[0])
+        deadline = self._clock.now() + FIND_TIMEOUT
+        yield from find(link, deadline, self._bauds)
+        found = link.baud
+        if self._info is None:
+            self._info = self.info = yield from identify(link)
+        self.request = yield from speed_up(link, self._requests)
+        self._sensor_clock = SensorClock(self._sensor_clock.latency)
+        if not self._connected:
+            yield from synchronise(link, self._sensor_clock)
+        # The lines of one robot all look the same, whatever the next port could carry.
+        same = (self.request.first, self.request.last, self.request.cluster)
+        self._requests = tuple(r for r in self._requests if (r.first, r.last, r.cluster) == same)
+        # Look first where it was found, then where it was left.
+        self._bauds = tuple(dict.fromkeys((link.baud, found, *ORDER)))
+        yield from link.ask(self.request.request(), status_of)
+        self.stats.reconnects += self._connected
+        self._connected = True
+        return link
+
+    def _take(self, arrived: Arrived) -> None:
+        """Keep the scan in a block that has arrived; count it as bad if it is."""
+        try:
+            reply, began = arrived.reply(self.request.request().echo)
+            if reply.status != STREAMED:
+                if reply.status not in (DONE, "0B"):
+                    _log.warning("the lidar reports status %s", reply.status)
+                return
+            scan = decode_scan(reply, self.request)
+            values = np.array(scan.values)
+            if values.max() > int(self.info.parameters["DMAX"]):
+                raise ProtocolError(f"{values.max()} mm is more than the lidar can see")
+            stamp = self._sensor_clock.stamp(scan.time_ms, began)
+        except ProtocolError as error:
+            self.stats.bad += 1
+            _log.debug("scan dropped: %s", error)
+            return
+        self.stats.good += 1
+        self.stats.problem = ""
+        self._last_good = self._clock.now()
+        self._unread.append(to_line(stamp, values))
+
+    def _leave(self) -> None:
+        """Stop the stream and return to a usual bit rate."""
+        link = self._link
+        if link is None or self._info is None:
+            return
+        self._finish(link, Request("QT"))
+        usual = self._info.baud if self._info.baud in USUAL_BAUDS else 115200
+        if usual != link.baud:
+            self._finish(link, Request("SS", f"{usual:06d}"))
+
+    def _finish(self, link: UrgLink, request: Request) -> None:
+        """Send ``request`` and wait for its answer, without the robot's clock."""
+        deadline = self._clock.now() + CLOSE_TIMEOUT + duration(self._requests[0], link.baud)
+        link.send(b"\n" + request.encode())
+        while self._clock.now() < deadline:
+            if any(find_echo(arrived.block, request.echo) for arrived in link.take()):
+                return
+            link.pump(POLL)

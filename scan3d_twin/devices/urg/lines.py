@@ -1,0 +1,35 @@
+"""From steps and millimetres to the lines of the hardware interface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scan3d_twin.core.types import VALID, IntArray, LidarSpec, ScanLine, read_only
+from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.devices.urg.codec import ScanRequest
+from scan3d_twin.devices.urg.model import step_angle, step_time
+from scan3d_twin.devices.urg.scan_modes import period
+
+
+def line_spec(request: ScanRequest) -> LidarSpec:
+    """Return the geometry of the lines of a stream; the middle of a cluster stands for it."""
+    steps = range(request.first, request.last + 1)
+    groups = [steps[i : i + request.cluster] for i in range(0, len(steps), request.cluster)]
+    return LidarSpec(
+        elevations=read_only([(step_angle(g[0]) + step_angle(g[-1])) / 2 for g in groups]),
+        beam_times=read_only([(step_time(g[0]) + step_time(g[-1])) / 2 for g in groups]),
+        line_period=period(request),
+        min_range=urg04lx.MIN_RANGE_MM / 1000,
+        max_range=urg04lx.MAX_RANGE_MM / 1000,
+    )
+
+
+def to_line(stamp: float, values: IntArray) -> ScanLine:
+    """Return the readings [mm] as distances and codes.
+
+    A reading beyond the data sheet's range is none, as in the two-character encoding.
+    """
+    near, far = values < urg04lx.MIN_RANGE_MM, values > urg04lx.MAX_RANGE_MM
+    ranges = np.where(near | far, np.nan, values / 1000)
+    codes = np.where(near, values, np.where(far, urg04lx.NO_RETURN, VALID))
+    return ScanLine(stamp, read_only(ranges), read_only(codes, np.int64))

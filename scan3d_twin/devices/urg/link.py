@@ -1,0 +1,149 @@
+"""Question and answer with an URG-04LX, without ever waiting.
+
+What takes time is a generator that yields whenever it would have to wait; whoever drives it serves
+other devices meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+from scan3d_twin.core.errors import LinkTimeoutError, ProtocolError
+from scan3d_twin.core.hal import Clock
+from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.urg.codec import Request
+from scan3d_twin.devices.urg.replies import Block, Reply, Splitter, decode_reply, find_echo
+
+T = TypeVar("T")
+Steps = Generator[None, None, T]
+"""Work that yields when it would have to wait, and returns a T."""
+
+TIMEOUT = 0.45
+"""For the answer to a request [s]: the tick of 0.1 s, 0.11 s for the longest at 19200 baud, and a
+busy host; three such attempts fit beside the rest of connecting."""
+ATTEMPTS = 3
+BITS_PER_BYTE = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """A block that has arrived.
+
+    Attributes:
+        block: Its lines.
+        began: When its first byte came [s].
+        ended: When its last byte came [s].
+    """
+
+    block: Block
+    began: float
+    ended: float
+
+    def reply(self, echo: str) -> tuple[Reply, float]:
+        """Return the reply to ``echo`` in it, and when that began to arrive [s].
+
+        Raises:
+            ProtocolError: There is none.
+        """
+        block = find_echo(self.block, echo)
+        # What came before the echo belongs to something else: then only the end is known.
+        return decode_reply(block), self.began if len(block) == len(self.block) else self.ended
+
+
+class UrgLink:
+    """A transport, cut into blocks.
+
+    Attributes:
+        baud: Bit rate [bit/s].
+        received: Bytes that have come so far.
+    """
+
+    def __init__(self, transport: Transport, clock: Clock, baud: int) -> None:
+        self.clock = clock
+        self.baud = baud
+        self.received = 0
+        self._transport = transport
+        self._splitter = Splitter()
+        self._began = clock.now()
+        self._blocks: deque[Arrived] = deque()
+
+    def pump(self, timeout: float = 0.0) -> None:
+        """Take in what has arrived, waiting up to ``timeout`` [s] for it.
+
+        Raises:
+            LinkError: The sensor is unplugged.
+        """
+        data = self._transport.read(timeout)
+        now = self.clock.now()
+        self.received += len(data)
+        if self._splitter.is_empty:
+            self._began = now
+        for block in self._splitter.feed(data):
+            self._blocks.append(Arrived(block, self._began, now))
+            self._began = now
+
+    def take(self) -> Iterator[Arrived]:
+        """Take out the blocks that have arrived, without waiting.
+
+        Raises:
+            LinkError: The sensor is unplugged.
+        """
+        self.pump()
+        while self._blocks:
+            yield self._blocks.popleft()
+
+    @property
+    def unfinished(self) -> Block:
+        """The whole lines of the block that is arriving."""
+        return self._splitter.lines
+
+    def send(self, data: bytes) -> None:
+        """Send ``data``."""
+        self._transport.write(data)
+
+    def set_baud(self, baud: int) -> None:
+        """Change the host's bit rate and forget what has arrived.
+
+        Raises:
+            LinkError: The port cannot do that.
+        """
+        self._transport.set_baud(baud)
+        self.baud = baud
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what has arrived."""
+        self._transport.discard_input()
+        self._splitter.reset()
+        self._blocks.clear()
+
+    def ask(
+        self, request: Request, decode: Callable[[Reply], T], attempts: int = ATTEMPTS
+    ) -> Steps[tuple[T, float]]:
+        """Send ``request`` and return its decoded reply, and when that began to arrive [s].
+
+        Raises:
+            LinkTimeoutError: No answer.
+            LinkError: The sensor is unplugged.
+        """
+        for _ in range(attempts):
+            self.send(request.encode())
+            deadline = self.clock.now() + TIMEOUT
+            while self.clock.now() < deadline:
+                for arrived in self.take():
+                    try:
+                        reply, began = arrived.reply(request.echo)
+                        return decode(reply), began
+                    except ProtocolError:
+                        continue
+                yield
+        raise LinkTimeoutError(f"the lidar does not answer {request.echo} at {self.baud} baud")
+
+    def wait(self, seconds: float) -> Steps[None]:
+        """Let ``seconds`` pass."""
+        until = self.clock.now() + seconds
+        while self.clock.now() < until:
+            yield

@@ -1,1 +1,0 @@
-"""The devices as bytes: what a robot behind the hardware interface says on its ports."""

@@ -1,0 +1,120 @@
+"""The messages that come many times a second, encoded by hand.
+
+Each has a fixed layout, so that a struct does in a tenth of the time what takes an object per part
+and a general encoder. The bytes are those of rosbags: CDR, little endian, every number aligned to
+its size.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import Literal
+
+import numpy as np
+
+from scan3d_twin.core.types import LidarSpec, Odometry, Pose2, ScanLine
+from scan3d_twin.recording.mcap.ros_messages import Message, heading, split
+
+_CDR = b"\x00\x01\x00\x00"
+_POSE = "2d 24x 2d"
+"""Of a plane: x and y, then z and w of the quaternion."""
+_TWIST = "d 32x d"
+"""Of a base: along x and about z."""
+_COVARIANCE = "2d 24x d 2d 24x d 144x 2d 24x d"
+"""The rows of x, y and yaw of six."""
+
+_ODOMETRY = Struct(f"<4s iI 12s 12s {_POSE} {_COVARIANCE} {_TWIST} 288x")
+_COMMAND = Struct(f"<4s iI 16s {_TWIST}")
+_FRAMES = Struct(f"<4s I iI 12s 16s {_POSE} iI 12s 12s {_POSE}")
+_SCAN = Struct("<4s iI 12s 7f")
+_SERIAL = Struct("<4s iI 8s")
+_COUNT = Struct("<I")
+
+
+def _text(text: str) -> bytes:
+    """Return ``text`` with its length; the struct pads it to what the next number asks for."""
+    return _COUNT.pack(len(text) + 1) + text.encode() + b"\0"
+
+
+_WORLD, _ODOM, _BASE, _LASER = map(_text, ("world", "odom", "base", "laser"))
+
+
+def odometry(sample: Odometry, before: Odometry | None) -> Message:
+    """Return a sample of the odometry, with the velocity since the one ``before``."""
+    pose = sample.T_odom_base
+    data = _ODOMETRY.pack(
+        _CDR,
+        *split(sample.stamp),
+        _ODOM,
+        _BASE,
+        pose.x,
+        pose.y,
+        *heading(pose.yaw),
+        *sample.covariance.ravel().tolist(),
+        *_velocity(sample, before),
+    )
+    return Message("nav_msgs/msg/Odometry", data)
+
+
+def _velocity(sample: Odometry, before: Odometry | None) -> tuple[float, float]:
+    """Return the mean speed [m/s] and turn rate [rad/s] since the sample ``before``."""
+    if before is None or sample.stamp <= before.stamp:
+        return 0.0, 0.0
+    move = before.T_odom_base.inverse() @ sample.T_odom_base
+    period = sample.stamp - before.stamp
+    return move.x / period, move.yaw / period
+
+
+def command(stamp: float, linear: float, angular: float) -> Message:
+    """Return a velocity [m/s], [rad/s] that was sent to the base."""
+    data = _COMMAND.pack(_CDR, *split(stamp), _BASE, linear, angular)
+    return Message("geometry_msgs/msg/TwistStamped", data)
+
+
+def frames(stamp: float, T_world_odom: Pose2, T_odom_base: Pose2) -> Message:
+    """Return where the odometry's frame lies in the world, and the base in that."""
+    time, (outer, inner) = split(stamp), (T_world_odom, T_odom_base)
+    data = _FRAMES.pack(
+        _CDR,
+        2,
+        *time,
+        _WORLD,
+        _ODOM,
+        outer.x,
+        outer.y,
+        *heading(outer.yaw),
+        *time,
+        _ODOM,
+        _BASE,
+        inner.x,
+        inner.y,
+        *heading(inner.yaw),
+    )
+    return Message("tf2_msgs/msg/TFMessage", data)
+
+
+def scan(line: ScanLine, spec: LidarSpec) -> Message:
+    """Return a scan line; its intensities are the sensor's error codes, -1 where measured."""
+    steps = max(1, spec.n_beams - 1)
+    first, last = float(spec.elevations[0]), float(spec.elevations[-1])
+    head = _SCAN.pack(
+        _CDR,
+        *split(line.stamp),
+        _LASER,
+        first,
+        last,
+        (last - first) / steps,
+        float(spec.beam_times[-1] - spec.beam_times[0]) / steps,
+        spec.line_period,
+        spec.min_range,
+        spec.max_range,
+    )
+    count = _COUNT.pack(len(line.ranges))
+    ranges, codes = (each.astype(np.float32).tobytes() for each in (line.ranges, line.codes))
+    return Message("sensor_msgs/msg/LaserScan", b"".join((head, count, ranges, count, codes)))
+
+
+def serial_bytes(stamp: float, direction: Literal["<", ">"], data: bytes) -> Message:
+    """Return ``data`` that came from (<) or went to (>) a device."""
+    head = _SERIAL.pack(_CDR, *split(stamp), _text(direction))
+    return Message("scan3d_twin_msgs/msg/SerialBytes", head + _COUNT.pack(len(data)) + data)

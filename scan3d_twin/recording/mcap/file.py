@@ -1,0 +1,192 @@
+"""An MCAP file that grows with the run and loses at most what came in since its last flush."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+
+from scan3d_twin import __version__
+from scan3d_twin.core.errors import FileError
+from scan3d_twin.recording.mcap import ros_messages as ros
+from scan3d_twin.recording.mcap.writer import McapWriter
+
+FLUSH_PERIOD = 0.5
+"""Longest time, on the robot's clock and on ours, for which messages are held back [s]."""
+CHUNK_SIZE = 256 * 1024
+"""Messages are held back up to this size [bytes]: half a second of lines and raw bytes is less."""
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+LATCHED = f"""- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {_FOREVER}
+  lifespan: {_FOREVER}
+  liveliness: 1
+  liveliness_lease_duration: {_FOREVER}
+  avoid_ros_namespace_conventions: false
+"""
+"""Quality of service of a message that late listeners need too, as rosbag2 writes it (durability 1
+is transient_local)."""
+
+
+class Sink:
+    """The end of a file: what was written is with the operating system, or the file is as before.
+
+    A run in progress holds a lock on it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Make the file ``path``, which must not exist.
+
+        Raises:
+            FileError: It cannot be made.
+        """
+        self.path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        except OSError as error:
+            raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+        self._size = 0
+        self._failure: FileError | None = None
+        with suppress(OSError):  # some network disks know no locks
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def write(self, data: bytes) -> int:
+        """Write all of ``data``.
+
+        After a failure nothing more is written: an index would not fit to what is there.
+
+        Raises:
+            FileError: The disk is full or gone, or was before; what was written then is kept.
+        """
+        if self._failure is not None:
+            raise self._failure
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[os.write(self._fd, left) :]
+        except OSError as error:
+            with suppress(OSError):
+                os.ftruncate(self._fd, self._size)
+                os.lseek(self._fd, self._size, os.SEEK_SET)
+            self._failure = _cannot_record(self.path, error)
+            raise self._failure from error
+        self._size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """Return the size of the file [bytes]."""
+        return self._size
+
+    def sync(self) -> None:
+        """Wait until the disk has everything, so that not even a power cut loses it.
+
+        Raises:
+            FileError: The disk is full or gone.
+        """
+        try:
+            os.fsync(self._fd)
+        except OSError as error:
+            raise _cannot_record(self.path, error) from error
+
+    def rename(self, path: Path) -> None:
+        """Give the file the name ``path``, in place of what was there.
+
+        Raises:
+            FileError: It cannot be.
+        """
+        try:
+            os.replace(self.path, path)
+        except OSError as error:
+            raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+        self.path = path
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing can be written any more."""
+        return self._fd < 0
+
+    def close(self) -> None:
+        """Close the file; closing twice does nothing."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+def _cannot_record(path: Path, error: OSError) -> FileError:
+    return FileError(
+        f"cannot record to {path}: {error.strerror or error}; what was recorded before is kept, "
+        "make room and go on with --resume"
+    )
+
+
+class McapFile:
+    """Writes ROS 2 messages; topics come to be with their first message."""
+
+    def __init__(self, path: Path, wall: Callable[[], float]) -> None:
+        """Make the file ``path``.
+
+        Args:
+            path: Must not exist.
+            wall: Returns the time here [s]; only differences count.
+
+        Raises:
+            FileError: It cannot be made.
+        """
+        self.sink = Sink(path)
+        self._wall = wall
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._flushed = (0.0, wall())
+        library = f"scan3d_twin {__version__}"
+        self._writer = McapWriter(self.sink, CHUNK_SIZE, Profile.ROS2, library)
+
+    def write(
+        self, topic: str, stamp: float, message: ros.Message, *, latched: bool = False
+    ) -> None:
+        """Add ``message`` at ``stamp`` on the robot's clock [s].
+
+        Raises:
+            FileError: The disk is full or gone.
+        """
+        kind, data = message
+        self.write_bytes(topic, kind, round(stamp * 1e9), data, latched=latched)
+        before, wall = self._flushed
+        if abs(stamp - before) >= FLUSH_PERIOD or self._wall() - wall >= FLUSH_PERIOD:
+            self.flush(stamp)
+
+    def write_bytes(
+        self, topic: str, name: str, nanoseconds: int, data: bytes, *, latched: bool = False
+    ) -> None:
+        """Add an encoded message of type ``name``."""
+        if topic not in self._channels:
+            self._channels[topic] = self._channel(topic, name, latched=latched)
+        self._writer.add_message(self._channels[topic], nanoseconds, data)
+
+    def metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Add text by name; what is said last of a ``name`` holds."""
+        self._writer.add_metadata(name, entries)
+
+    def flush(self, stamp: float) -> None:
+        """Hand everything to the operating system: a killed program loses nothing of it."""
+        self._writer.flush()
+        self._flushed = (stamp, self._wall())
+
+    def finish(self) -> None:
+        """Write the index, which makes the file whole, and close it."""
+        self._writer.finish()
+        self.sink.sync()
+        self.sink.close()
+
+    def _channel(self, topic: str, name: str, *, latched: bool) -> int:
+        if name not in self._schemas:
+            text, _ = ros.typestore().generate_msgdef(name, ros_version=2)
+            self._schemas[name] = self._writer.add_schema(name, SchemaEncoding.ROS2, text.encode())
+        quality = {"offered_qos_profiles": LATCHED} if latched else {}
+        return self._writer.add_channel(topic, MessageEncoding.CDR, self._schemas[name], quality)

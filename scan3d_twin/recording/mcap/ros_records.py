@@ -1,0 +1,90 @@
+"""What a run decided and said, as ROS 2 messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from scan3d_twin.core.types import Candidate, Plan, Pose2, RegistrationResult
+from scan3d_twin.recording.exact_json import Packed
+from scan3d_twin.recording.mcap import ros_messages as ros
+
+INFO = 20
+"""Level of an ordinary ``rcl_interfaces/Log``."""
+
+
+def log(stamp: float, text: str) -> ros.Message:
+    """Return an event in words."""
+    return ros.encode(
+        "rcl_interfaces/msg/Log",
+        stamp=ros.time_of(stamp),
+        level=INFO,
+        name="twin",
+        msg=text,
+        file="",
+        function="",
+        line=0,
+    )
+
+
+def plan(stamp: float, index: int, made: Plan) -> ros.Message:
+    """Return the plan that was made after view ``index``, in ``world``."""
+    return ros.encode(
+        "scan3d_twin_msgs/msg/Plan",
+        header=ros.header(stamp, "world"),
+        view=index,
+        finished=made.viewpoint is None,
+        viewpoint=ros.pose(made.viewpoint or Pose2()),
+        overlap=float(made.overlap),
+        predicted_rmse=float(made.predicted_rmse),
+        fell_back=bool(made.fell_back),
+        needs_look=bool(made.needs_look),
+        reason=made.reason,
+        candidates=[_candidate(each) for each in made.candidates],
+    )
+
+
+def _candidate(each: Candidate) -> Any:
+    return ros.new(
+        "scan3d_twin_msgs/msg/Candidate",
+        viewpoint=ros.pose(each.viewpoint),
+        overlap=float(each.overlap),
+        predicted_rmse=float(each.predicted_rmse),
+        feasible=bool(each.feasible),
+    )
+
+
+def registration(stamp: float, index: int, result: RegistrationResult) -> ros.Message:
+    """Return how view ``index`` lies on the one before it."""
+    pose = ros.new(
+        "geometry_msgs/msg/PoseWithCovariance",
+        pose=ros.pose(Pose2.from_matrix(result.T_target_source)),
+        covariance=np.asarray(result.covariance, dtype=np.float64).ravel(),
+    )
+    return ros.encode(
+        "scan3d_twin_msgs/msg/Registration",
+        header=ros.header(stamp, "world"),
+        view=index,
+        converged=bool(result.converged),
+        target_source=pose,
+        fitness=float(result.fitness),
+        inlier_rmse=float(result.inlier_rmse),
+        predicted_rmse=float(result.predicted_rmse),
+        num_inliers=int(result.num_inliers),
+        iterations=int(result.iterations),
+        ambiguity_gap=float(result.ambiguity_gap),
+    )
+
+
+def record(stamp: float, kind: str, index: int, packed: Packed) -> ros.Message:
+    """Return a value that is to come back bit by bit."""
+    text, blob = packed
+    return ros.encode(
+        "scan3d_twin_msgs/msg/Record",
+        stamp=ros.time_of(stamp),
+        kind=kind,
+        index=index,
+        json=text,
+        data=np.frombuffer(blob, dtype=np.uint8),
+    )

@@ -1,0 +1,1 @@
+"""One run: its settings, the closed loop, the report and its folder."""

@@ -1,0 +1,102 @@
+"""What people should know about a run before they trust its model, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from scan3d_twin.core.model.evaluation import Evaluation
+from scan3d_twin.core.session import Session, View
+
+FEW_RETURNS = 0.3
+"""Beams within the window that came back; fewer are dark, shiny or far surfaces (assumption)."""
+FEW_POINTS = 500
+"""A view with fewer target points shows little: 2 % of what a sweep of 60 deg can (assumption)."""
+AMBIGUOUS = 0.1
+"""Two basins whose scores differ by less are hard to tell apart (assumption)."""
+
+
+def findings(session: Session, evaluation: Evaluation | None = None) -> list[str]:
+    """Return one sentence for each thing that is not as it should be; none for a good run."""
+    if not session.views:
+        return ["Nothing was scanned: there is no view."]
+    found = [*_returns(session), *_fallbacks(session), *_registrations(session)]
+    return [*found, *_misfits(session), *_errors(session, evaluation)]
+
+
+def _returns(session: Session) -> Iterator[str]:
+    for k, view in enumerate(session.views):
+        share = _returned(view, session.config.target.window)
+        if share < FEW_RETURNS:
+            yield (
+                f"View {k}: only {share:.0%} of the readings came back. Dark, shiny or transparent "
+                "surfaces, or nothing within reach?"
+            )
+        if len(view.target) < FEW_POINTS:
+            yield f"View {k}: only {len(view.target)} points are of the target."
+
+
+def _returned(view: View, window: float) -> float:
+    """Return the share of the readings in the vertical ``window`` [rad] that are distances."""
+    image = view.observation.image
+    inside = np.abs(image.spec.elevations) <= window / 2
+    return float(np.mean(np.isfinite(image.ranges[:, inside])))
+
+
+def _fallbacks(session: Session) -> Iterator[str]:
+    for k, plan in enumerate(session.plans):
+        if plan.fell_back and plan.viewpoint is not None:
+            known = [c.predicted_rmse for c in plan.candidates if math.isfinite(c.predicted_rmse)]
+            best = f" (best {1e3 * min(known):.1f} mm)" if known else ""
+            yield (
+                f"View {k + 1}: no overlap was predicted to meet "
+                f"{1e3 * session.config.planning.epsilon:g} mm{best}; the default of "
+                f"{plan.overlap:.0%} was taken. The surface has little to hold on to."
+            )
+
+
+def _registrations(session: Session) -> Iterator[str]:
+    for k, view in enumerate(session.views):
+        result = view.registration
+        if result is None:
+            continue
+        if not result.converged:
+            why = "they do not overlap" if result.num_inliers == 0 else "it did not converge"
+            yield f"View {k} is not registered ({why}): odometry alone placed it."
+            continue
+        if result.ambiguity_gap < AMBIGUOUS:
+            yield f"View {k}: another place fits almost as well; compare it with its neighbours."
+        if len(result.degenerate_directions):
+            yield (
+                f"View {k}: the surfaces leave {len(result.degenerate_directions)} direction(s) "
+                "open, along which odometry decides. A bare wall or a round thing?"
+            )
+
+
+def _misfits(session: Session) -> Iterator[str]:
+    for k in session.misfits:
+        yield (
+            f"View {k} does not fit the others: most of its links contradict them. Look at it, or "
+            "leave it out (alignment.misfits = drop)."
+        )
+
+
+def _errors(session: Session, evaluation: Evaluation | None) -> Iterator[str]:
+    epsilon = session.config.planning.epsilon
+    if evaluation is not None:
+        for pair in evaluation.pairs:
+            if pair.error > epsilon:
+                yield (
+                    f"View {pair.view}: registered {1e3 * pair.error:.1f} mm off its predecessor, "
+                    f"more than the {1e3 * epsilon:g} mm wanted."
+                )
+        return
+    for k, view in enumerate(session.views):
+        result = view.registration
+        if result is not None and result.converged and result.predicted_rmse > epsilon:
+            yield (
+                f"View {k}: its registration is expected to be off by "
+                f"{1e3 * result.predicted_rmse:.1f} mm, more than the {1e3 * epsilon:g} mm wanted."
+            )

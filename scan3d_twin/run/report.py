@@ -1,0 +1,193 @@
+"""``report.json``: the numbers of a run, in the units people think in.
+
+``report.schema.json`` beside this file describes every field. One seed gives the same numbers
+again, except for those of ``Effort``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import wrap
+from scan3d_twin.run.findings import findings
+from scan3d_twin.run.settings import Settings
+
+Report = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """What the computer spent on a run.
+
+    Attributes:
+        wall_time: From opening the robot to the last view [s].
+        plan_time: Of it, in the planner [s].
+        peak_memory: Most memory the process held [bytes].
+    """
+
+    wall_time: float
+    plan_time: float
+    peak_memory: float
+
+
+@dataclass(frozen=True, slots=True)
+class Journey:
+    """What the robot did.
+
+    Attributes:
+        path: Length of its way by odometry [m].
+        turn: Sum of all its turns by odometry [rad].
+        duration: On the robot's clock [s].
+    """
+
+    path: float
+    turn: float
+    duration: float
+
+
+def build_report(
+    scene: str,
+    settings: Settings,
+    session: Session,
+    journey: Journey,
+    effort: Effort,
+    points: int,
+    evaluation: Evaluation | None = None,
+    mesh_accuracy: Distances | None = None,
+) -> Report:
+    """Return the report of ``session``; without ``evaluation`` what needs the truth is null."""
+    return {
+        "version": session.version,
+        "scene": scene,
+        "preset": settings.run.preset,
+        "seed": session.seed,
+        "epsilon_mm": _mm(session.config.planning.epsilon),
+        "tour": session.config.tour,
+        "planner": session.config.planner,
+        "robot": settings.twin.robot,
+        "lidar_link": settings.twin.lidar_link,
+        "views": len(session.views),
+        "stop_reason": session.stop_reason,
+        **_quality(evaluation),
+        **_registrations(session, evaluation),
+        "path_m": _number(journey.path, 3),
+        "turn_deg": _number(math.degrees(journey.turn), 1),
+        "sim_time_s": _number(journey.duration, 3),
+        "plan_time_s": _number(effort.plan_time, 3),
+        "wall_time_s": _number(effort.wall_time, 3),
+        "real_time_factor": _number(journey.duration / max(effort.wall_time, 1e-9), 2),
+        "peak_memory_mb": _number(effort.peak_memory / 1e6, 1),
+        "points": points,
+        "mesh_accuracy_mm": _distances(mesh_accuracy) if mesh_accuracy else None,
+        "warnings": findings(session, evaluation),
+    }
+
+
+TIMINGS = ("wall_time_s", "plan_time_s", "real_time_factor", "peak_memory_mb")
+"""The fields that differ between two runs of one seed."""
+
+
+def report_json(report: Report) -> str:
+    """Return ``report`` as one JSON document for people and programs."""
+    return json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def report_schema() -> dict[str, Any]:
+    """Return the JSON schema of a report."""
+    path = files("scan3d_twin.recording") / "report.schema.json"
+    schema: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return schema
+
+
+def failure(session: Session) -> str:
+    """Return why ``session`` failed as a scan; empty when it did not.
+
+    It failed when fewer than two views are registered, or when no step was predicted to meet
+    epsilon.
+    """
+    registered = sum(v.registration is None or v.registration.converged for v in session.views)
+    if registered < 2:
+        return (
+            f"{registered} of {len(session.views)} views registered, a model needs 2; "
+            "try a smaller standoff, more views or another target"
+        )
+    epsilon = session.config.planning.epsilon
+    predicted = [p.predicted_rmse for p in session.plans if p.viewpoint is not None]
+    known = [rmse for rmse in predicted if math.isfinite(rmse)]
+    if known and min(known) > epsilon:
+        return (
+            f"no step was predicted to meet epsilon: {1e3 * min(known):.1f} mm at best, "
+            f"{1e3 * epsilon:.1f} mm wanted; the model is as it is, or allow a larger --epsilon"
+        )
+    return ""
+
+
+def _quality(evaluation: Evaluation | None) -> Report:
+    if evaluation is None:
+        names = ("coverable_share", "coverage_20mm", "accuracy_mm", "completeness_mm", "f_score")
+        return dict.fromkeys(names)
+    return {
+        "coverable_share": _number(evaluation.coverable_share, 4),
+        "coverage_20mm": _number(evaluation.coverage, 4),
+        "accuracy_mm": _distances(evaluation.accuracy),
+        "completeness_mm": _distances(evaluation.completeness),
+        "f_score": {f"{1e3 * d:.0f}": _number(f, 4) for d, f in evaluation.f_score.items()},
+    }
+
+
+def _distances(distances: Distances) -> Report:
+    return {
+        "mean": _mm(distances.mean),
+        "median": _mm(distances.median),
+        "p95": _mm(distances.p95),
+    }
+
+
+def _registrations(session: Session, evaluation: Evaluation | None) -> Report:
+    pairs = {} if evaluation is None else {pair.view: pair for pair in evaluation.pairs}
+    rows = [_registration(session, k, pairs.get(k)) for k in range(1, len(session.views))]
+    errors = [row["error_mm"] for row in rows if row["error_mm"] is not None]
+    return {"registration": rows, "max_registration_error_mm": max(errors, default=None)}
+
+
+def _registration(session: Session, k: int, pair: PairError | None) -> Report:
+    """Return the row of view ``k``: what was planned for it, and what came of it."""
+    plan, result = session.plans[k - 1], session.views[k].registration
+    moved, turned = correction(session, k)
+    return {
+        "view": k,
+        "overlap": _number(plan.overlap, 4),
+        "predicted_rmse_mm": _mm(plan.predicted_rmse),
+        "error_mm": _mm(pair.error) if pair else None,
+        "pose_error_mm": _mm(pair.pose_error) if pair else None,
+        "odometry_error_mm": _mm(pair.odometry_error) if pair else None,
+        "correction_mm": _mm(moved),
+        "correction_deg": _number(math.degrees(turned), 3),
+        "fitness": _number(result.fitness, 4) if result else None,
+        "inlier_rmse_mm": _mm(result.inlier_rmse) if result else None,
+        "converged": result is not None and result.converged,
+        "fell_back": plan.fell_back,
+    }
+
+
+def correction(session: Session, k: int) -> tuple[float, float]:
+    """Return how far registration moved [m] and turned [rad] view ``k`` from odometry's place."""
+    previous, view = session.views[k - 1], session.views[k]
+    odometry = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
+    registered = previous.T_world_scan.inverse() @ view.T_world_scan
+    return odometry.distance(registered), abs(wrap(registered.yaw - odometry.yaw))
+
+
+def _mm(metres: float) -> float | None:
+    return _number(1e3 * metres, 3)
+
+
+def _number(value: float, digits: int) -> float | None:
+    """Return ``value`` rounded; None where it is not a number, because JSON knows none."""
+    return round(float(value), digits) if math.isfinite(value) else None

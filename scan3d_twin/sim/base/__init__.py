@@ -1,0 +1,1 @@
+"""The simulated base: drive, odometry, safety sensors and the errors of its motion."""

@@ -1,0 +1,1 @@
+"""The simulated lidar: motion, geometry, optics and firmware of a reading."""

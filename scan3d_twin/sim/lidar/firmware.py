@@ -1,0 +1,84 @@
+"""What the sensor's firmware makes of the light: whole millimetres, or an error code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
+from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.sim.lidar.config import LidarModelConfig
+from scan3d_twin.sim.lidar.noise import Draws, cyclic_bias, repeated, spread
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """What the receiver gets, arrays (m, n_beams).
+
+    Attributes:
+        distances: By phase [m]; inf for a miss.
+        power: Of the return; 0 for a miss.
+        cosines: Of the incidence in the middle of the beam.
+        bias: The surface's own error [m].
+    """
+
+    distances: FloatArray
+    power: FloatArray
+    cosines: FloatArray
+    bias: FloatArray
+
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the arrays in their order."""
+        return self.distances, self.power, self.cosines, self.bias
+
+
+Broken = tuple[tuple[IntArray, IntArray], IntArray]
+"""Rows and columns of the beams that straddle a depth edge, and their codes."""
+
+
+def read(
+    light: Light, broken: Broken, draws: Draws, drift: FloatArray, config: LidarModelConfig
+) -> tuple[FloatArray, IntArray]:
+    """Return ranges [m], NaN where there is none, and codes, both (m, n_beams)."""
+    power = light.power
+    seen = _detected(power, draws.seen, config)
+    distances = np.where(seen, light.distances, 0.0)
+    sigma = spread(distances, power, light.cosines, config)
+    readings = cyclic_bias(distances, config)
+    readings += distances + light.bias + drift[:, None] + sigma * draws.noise
+    readings = repeated(readings, sigma, draws.chance, config)
+    millimetres = np.rint(readings * 1000)
+    valid = seen & (millimetres >= urg04lx.MIN_RANGE_MM) & (millimetres <= urg04lx.MAX_RANGE_MM)
+    codes = np.where(valid, VALID, urg04lx.NO_RETURN)
+    if config.threshold > 0:
+        codes[~seen & (power > config.threshold / 2)] = urg04lx.WEAK_RETURN
+    at, mixed = broken
+    if len(mixed):
+        codes[at] = np.where(codes[at] == VALID, mixed, codes[at])
+    if config.glitch > 0:
+        codes[valid & (draws.chance > 1 - config.glitch)] = urg04lx.GLITCH
+    if power.max() > config.saturation:
+        codes[power > config.saturation] = urg04lx.TOO_STRONG
+    valid = codes == VALID
+    codes[_lonely(valid)] = urg04lx.NEIGHBOURS_INVALID
+    return np.where(codes == VALID, millimetres / 1000, np.nan), codes
+
+
+def _detected(
+    power: FloatArray, normals: npt.NDArray[np.floating[Any]], config: LidarModelConfig
+) -> BoolArray:
+    """Return which returns of ``power`` are detected, given standard normal draws."""
+    if config.threshold == 0:
+        return power > 0
+    result: BoolArray = power > config.threshold * np.exp(config.softness * normals)
+    return result
+
+
+def _lonely(valid: BoolArray) -> BoolArray:
+    """Return where a valid reading has neighbours in its line and none is valid."""
+    lonely = np.zeros_like(valid)
+    lonely[:, 1:-1] = valid[:, 1:-1] & ~valid[:, :-2] & ~valid[:, 2:]
+    return lonely

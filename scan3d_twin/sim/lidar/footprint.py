@@ -1,0 +1,103 @@
+"""The beam has a width: rays over its footprint, and the one reading that comes of them.
+
+The sensor measures the phase of amplitude-modulated light, so returns from several distances add as
+phasors:
+
+    z = sum_k P_k exp(i 4 pi f (r_k - r_0) / c),    distance = r_0 + arg(z) c / (4 pi f)
+
+At a depth edge that lies between or beside the true distances: a mixed pixel. It differs for the
+two modulations, and where it differs too much the firmware sees that the two waves disagree.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
+from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.sim.lidar.config import LidarModelConfig
+
+SPEED_OF_LIGHT = 299_792_458.0
+WAVE_NUMBERS = tuple(4 * math.pi * f / SPEED_OF_LIGHT for f in urg04lx.MODULATIONS)
+"""Phase per distance of the two modulations [rad/m]."""
+EDGE = 0.02
+"""Spread of distances over a footprint beyond which it straddles a depth edge [m]; below it phasors
+and the mean weighted by power agree within 1e-5 m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mixed:
+    """What the receiver gets per beam.
+
+    Attributes:
+        distances: By phase (n,) [m]; inf where nothing was hit.
+        power: Of the return (n,); 0 where nothing was hit.
+        broken: Beams that straddle a depth edge (n_broken,).
+        codes: The error code of each of those; ``VALID`` where it is read (n_broken,).
+    """
+
+    distances: FloatArray
+    power: FloatArray
+    broken: IntArray
+    codes: IntArray
+
+
+def offsets(config: LidarModelConfig) -> FloatArray:
+    """Return the sub-rays' angles (K, 2) [rad] along and across the line; the first is the centre.
+
+    The others lie on a ring, so wide that the second moments are those of the filled ellipse.
+    """
+    ring = config.sub_rays - 1
+    if ring == 0:
+        return np.zeros((1, 2))
+    angles = math.tau * (np.arange(ring) + 0.5) / ring
+    width = math.sqrt(config.sub_rays / (2 * ring))
+    along = width * config.footprint_along * np.cos(angles)
+    across = width * config.footprint_across * np.sin(angles)
+    return np.vstack([np.zeros((1, 2)), np.stack([along, across], axis=1)])
+
+
+def mix(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> Mixed:
+    """Return what the receiver gets of sub-rays at ``distances`` (K, n) [m] with ``power`` (K, n).
+
+    Misses have infinite distance and no power.
+    """
+    if len(distances) == 1:
+        none = np.empty(0, np.int64)
+        return Mixed(distances[0], power[0], none, none)
+    near, far = distances.min(axis=0), distances.max(axis=0)
+    total = power.sum(axis=0)
+    edge = np.flatnonzero((far > near + EDGE) & (total > 0))
+    safe = distances if np.isfinite(far).all() else np.where(power > 0, distances, 0.0)
+    mean = (power * safe).sum(axis=0)
+    mean /= np.maximum(total, 1e-300)
+    mean[near == np.inf] = np.inf
+    total /= len(distances)
+    if len(edge) == 0:
+        return Mixed(mean, total, edge, edge)
+    phasors = _phasors(safe[:, edge], power[:, edge])
+    (mean[edge], _), (total[edge], _) = phasors
+    return Mixed(mean, total, edge, _codes(*phasors, config))
+
+
+def _phasors(distances: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return distance (2, n) [m] and power (2, n) of the sum of the sub-rays, by modulation."""
+    waves = np.array(WAVE_NUMBERS)[:, None]
+    first = distances[np.argmax(power, axis=0), np.arange(distances.shape[1])]
+    phases = waves[:, :, None] * (distances - first)
+    count = len(distances)
+    real, imaginary = ((power * part(phases)).sum(axis=1) / count for part in (np.cos, np.sin))
+    return first + np.arctan2(imaginary, real) / waves, np.hypot(real, imaginary)
+
+
+def _codes(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> IntArray:
+    """Return the error codes (n,) of beams whose modulations gave these (2, n)."""
+    codes = np.full(distances.shape[1], VALID)
+    apart: BoolArray = np.abs(distances[0] - distances[1]) > config.mixed_phase
+    codes[apart] = urg04lx.OTHER_ERROR
+    weak, strong = np.minimum(*power), np.maximum(*power)
+    codes[strong > config.mixed_amplitude * weak] = urg04lx.AMPLITUDES_DIFFER
+    return codes

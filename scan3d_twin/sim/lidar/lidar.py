@@ -1,0 +1,166 @@
+"""The simulated URG-04LX: free-running revolutions, each beam cast from its own pose."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
+from scan3d_twin.core.types import FloatArray, LidarSpec, ScanLine, read_only
+from scan3d_twin.sim.clock import SimClock
+from scan3d_twin.sim.lidar.noise import Draws, warm_up
+from scan3d_twin.sim.lidar.scanner import CHUNK, Evidence, Readings, Scanner
+from scan3d_twin.sim.world import RECENT, TIMESTEP, World
+
+UNREAD_LINES = 16
+"""Unread lines that are kept; assumption, the host's serial buffer of some 32 kB."""
+LONGEST_SWEEP = 0.9 * RECENT * TIMESTEP
+"""Of a sweep that is computed at once [s]; the lidar's poses are kept no longer."""
+
+# Streams of the lidar's seed.
+_NOISE, _JITTER, _LOSS = 0, 1, 2
+_BLOCK = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Revolution:
+    """A revolution not yet read: enough to compute its line later.
+
+    Attributes:
+        number: It counts the revolutions that are sent.
+        start: True time of step 0 [s].
+        qpos: Positions of the scene's moving objects.
+    """
+
+    number: int
+    start: float
+    qpos: FloatArray
+
+
+class SimLidar:
+    """A ``Lidar`` on the twin.
+
+    The noise of a revolution depends on the seed and its number alone, so a line that nobody reads
+    costs nothing and changes nothing, and a sweep read at once equals one read line by line.
+    """
+
+    def __init__(self, world: World, clock: SimClock, scanner: Scanner, seed: list[int]) -> None:
+        self._world = world
+        self._clock = clock
+        self._scanner = scanner
+        self._seed = seed
+        rng = np.random.default_rng(seed)
+        # The mirror turned before anyone listened.
+        self._start = float(rng.uniform(0.0, scanner.spec.line_period))
+        self._pace = 1 + scanner.config.revolution * float(rng.standard_normal())
+        self._jitter, self._drawn = np.empty(0), 0
+        self._next = 0
+        self._unread: deque[Revolution] = deque(maxlen=UNREAD_LINES)
+        self._last: Revolution | None = None
+        self.next_step = self._arrival(0)
+
+    @property
+    def spec(self) -> LidarSpec:
+        """See ``Lidar.spec``."""
+        return self._scanner.spec
+
+    def _arrival(self, number: int) -> int:
+        """Return the physics step at which line ``number`` arrives."""
+        return math.ceil((self._time(number) + self._scanner.config.latency) / self._world.timestep)
+
+    def service(self) -> None:
+        """Take in the line that has arrived, unless it is lost."""
+        number, start, self._next = self._next, self._time(self._next), self._next + 1
+        self.next_step = self._arrival(self._next)
+        loss = self._scanner.config.line_loss
+        if loss == 0 or np.random.default_rng([*self._seed, _LOSS, number]).random() >= loss:
+            turn = Revolution(number, start, self._world.scene_qpos())
+            self._unread.append(turn)
+
+    def read_line(self, timeout: float) -> ScanLine:
+        """See ``Lidar.read_line``."""
+        deadline = self._clock.step_after(timeout)
+        while not self._unread:
+            if self._world.steps >= deadline:
+                raise LinkTimeoutError(f"no scan line within {timeout:g} s")
+            self._clock.run_until(min(self.next_step, deadline))
+        self._last = self._unread.popleft()
+        return self._lines([self._last])[0]
+
+    def read_sweep(self, count: int) -> tuple[ScanLine, ...]:
+        """Return the next ``count`` lines, computed at once: the same bits as by ``read_line``.
+
+        Raises:
+            ConfigError: So many lines take longer than the lidar's poses are kept.
+            HazardError: As for ``Clock.sleep``.
+        """
+        if not (count >= 1 and count * self.spec.line_period <= LONGEST_SWEEP):
+            longest = int(LONGEST_SWEEP / self.spec.line_period)
+            raise ConfigError(f"a sweep read at once has 1 to {longest} lines, got {count}")
+        turns: list[Revolution] = []
+        while len(turns) < count:
+            while not self._unread:
+                self._clock.run_until(self.next_step)
+            turns.append(self._unread.popleft())
+        self._last = turns[-1]
+        return tuple(self._lines(turns))
+
+    def read_waiting(self) -> tuple[ScanLine, ...]:
+        """Return the lines that have arrived, computed at once: the same bits as by ``read_line``.
+
+        Only the last ``UNREAD_LINES`` wait.
+        """
+        turns = list(self._unread)
+        self._unread.clear()
+        self._last = turns[-1] if turns else self._last
+        return tuple(self._lines(turns))
+
+    def evidence(self) -> Evidence | None:
+        """Return what lay behind the line read last, for evaluation; None before the first."""
+        if self._last is None:
+            return None
+        return self._measure([self._last], evidence=True).evidence[0]
+
+    def _lines(self, turns: list[Revolution]) -> list[ScanLine]:
+        """Return the lines of ``turns``, a few at once where nothing else moves."""
+        lines = []
+        size = 1 if turns and len(turns[0].qpos) else CHUNK
+        for first in range(0, len(turns), size):
+            chunk = turns[first : first + size]
+            readings = self._measure(chunk)
+            for turn, ranges, codes in zip(chunk, readings.ranges, readings.codes, strict=True):
+                stamp = self._stamp(turn.start)
+                lines.append(ScanLine(stamp, read_only(ranges), read_only(codes, np.int64)))
+        return lines
+
+    def _measure(self, turns: list[Revolution], *, evidence: bool = False) -> Readings:
+        config, n = self._scanner.config, self.spec.n_beams
+        starts = np.array([turn.start for turn in turns])
+        times = starts[:, None] + self.spec.beam_times * self._pace
+        positions, rotations = self._world.lidar_poses(times.ravel())
+        rngs = [np.random.default_rng([*self._seed, _NOISE, turn.number]) for turn in turns]
+        return self._scanner.measure(
+            turns[0].qpos,
+            positions.reshape(len(turns), n, 3),
+            rotations.reshape(len(turns), n, 3, 3),
+            Draws.of(rngs, n, config),
+            np.array([warm_up(turn.start, config) for turn in turns]),
+            evidence=evidence,
+        )
+
+    def _time(self, number: int) -> float:
+        """Return the true time of step 0 of revolution ``number`` [s]; asked in their order."""
+        if number >= self._drawn:
+            rng = np.random.default_rng([*self._seed, _JITTER, self._drawn])
+            self._jitter = self._scanner.config.jitter * rng.standard_normal(_BLOCK)
+            self._drawn += _BLOCK
+        turn = number * self.spec.line_period * self._pace
+        return max(0.0, self._start + turn + float(self._jitter[number - self._drawn]))
+
+    def _stamp(self, start: float) -> float:
+        """Return ``start`` [s] as the sensor's timer shows it."""
+        step = self._scanner.config.stamp_step
+        return math.floor(start / step) * step if step > 0 else start

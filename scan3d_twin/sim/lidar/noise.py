@@ -1,0 +1,101 @@
+"""How a reading errs: repeatability (white noise) and accuracy (what averaging does not remove).
+
+Arrays have the shape (lines, beams); chance comes in as draws, so that a line reads the same alone
+and in a sweep.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scan3d_twin.core.types import FloatArray
+from scan3d_twin.sim.lidar.config import LidarModelConfig
+from scan3d_twin.sim.lidar.footprint import WAVE_NUMBERS
+
+FAR, FAR_WIDTH = 2.0, 0.2
+"""Where the range noise steps up, and over what distance [m]; see ``sigma_far``."""
+REPEAT_WITHIN = 2.0
+"""Neighbours this many standard deviations apart lie within their noise; assumption."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """The chance in a number of lines.
+
+    Attributes:
+        seen: Standard normal, for the detection (m, n).
+        noise: Standard normal, correlated between neighbours (m, n).
+        chance: Uniform in 0..1, for repeats and glitches (m, n).
+    """
+
+    seen: npt.NDArray[np.floating[Any]]
+    noise: FloatArray
+    chance: FloatArray
+
+    @staticmethod
+    def of(rngs: list[np.random.Generator], beams: int, config: LidarModelConfig) -> Draws:
+        """Draw for the lines of ``rngs``, one each."""
+        seen = np.empty((len(rngs), beams), np.float32)  # half as dear, and only compared
+        noise = np.empty((len(rngs), beams + 1))
+        chance = np.empty((len(rngs), beams))
+        for k, rng in enumerate(rngs):
+            rng.standard_normal(out=seen[k], dtype=np.float32)
+            rng.standard_normal(out=noise[k])
+            rng.random(out=chance[k])
+        return Draws(seen, _correlated(noise, config), chance)
+
+
+def _correlated(white: FloatArray, config: LidarModelConfig) -> FloatArray:
+    """Return ``white`` (m, n + 1) as (m, n) with correlation ``neighbours`` between neighbours."""
+    rho = config.neighbours
+    if rho == 0:
+        return white[:, 1:]
+    # x_i + b x_(i - 1) has the correlation b / (1 + b^2).
+    b = 2 * rho / (1 + math.sqrt(1 - 4 * rho**2))
+    mixed: FloatArray = white[:, 1:] + b * white[:, :-1]
+    mixed /= math.sqrt(1 + b**2)
+    return mixed
+
+
+def spread(
+    distances: FloatArray, power: FloatArray, cosines: FloatArray, config: LidarModelConfig
+) -> FloatArray:
+    """Return the standard deviation of readings [m], shaped as ``distances`` [m]."""
+    far = np.minimum(np.maximum((distances - FAR) / FAR_WIDTH, 0.0), 1.0)
+    sigma = config.sigma + config.sigma_per_metre * distances + config.sigma_far * far
+    sigma *= 1 + config.sigma_incidence - config.sigma_incidence * (cosines * cosines)
+    weak = config.sigma_weak**2 * config.threshold
+    result: FloatArray = np.sqrt(sigma * sigma + weak / np.maximum(power, config.threshold + 1e-12))
+    return result
+
+
+def cyclic_bias(distances: FloatArray, config: LidarModelConfig) -> FloatArray:
+    """Return the phase measurement's error [m]; two cycles per turn of the phase."""
+    result: FloatArray = config.bias * np.sin(2 * WAVE_NUMBERS[0] * distances)
+    return result
+
+
+def warm_up(time: float, config: LidarModelConfig) -> float:
+    """Return the error of a sensor switched on ``time`` [s] ago [m]."""
+    return config.warm_up * math.exp(-time / config.warm_up_time)
+
+
+def repeated(
+    readings: FloatArray, sigma: FloatArray, chance: FloatArray, config: LidarModelConfig
+) -> FloatArray:
+    """Return ``readings`` (m, n) [m], some of which repeat the one before, as the firmware's do."""
+    if config.repeats == 0:
+        return readings
+    repeats = chance < config.repeats
+    repeats[:, 0] = False
+    repeats[:, 1:] &= np.abs(readings[:, 1:] - readings[:, :-1]) < REPEAT_WITHIN * sigma[:, 1:]
+    source = np.arange(readings.size).reshape(readings.shape)
+    source[repeats] = 0
+    np.maximum.accumulate(source, axis=1, out=source)
+    result: FloatArray = readings.take(source)
+    return result

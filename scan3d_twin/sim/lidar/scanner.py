@@ -1,0 +1,254 @@
+"""From the lidar's motion to the readings of its lines: geometry, optics, firmware."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from scan3d_twin.core.types import FloatArray, IntArray, LidarSpec, read_only
+from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.sim.config import RobotName
+from scan3d_twin.sim.lidar.config import LidarModelConfig
+from scan3d_twin.sim.lidar.firmware import Light, read
+from scan3d_twin.sim.lidar.footprint import mix, offsets
+from scan3d_twin.sim.lidar.noise import Draws
+from scan3d_twin.sim.lidar.optics import Materials
+from scan3d_twin.sim.ray_casting import Hits, RayCaster
+from scan3d_twin.sim.world import robot_spec
+
+CHUNK = 12
+"""Lines computed at once; more do not fit the processor's cache."""
+
+
+def lidar_spec(link: str) -> LidarSpec:
+    """Return the geometry of the lines that come over ``link``."""
+    mode = urg04lx.LINKS[link]
+    return LidarSpec(
+        elevations=read_only([urg04lx.step_angle(step) for step in mode.steps]),
+        beam_times=read_only([urg04lx.step_time(step) for step in mode.steps]),
+        line_period=mode.line_period,
+        min_range=urg04lx.MIN_RANGE_MM / 1000,
+        max_range=urg04lx.MAX_RANGE_MM / 1000,
+    )
+
+
+def beam_directions(elevations: FloatArray) -> FloatArray:
+    """Return unit beam directions (n, 3) in the lidar's frame."""
+    return np.stack([np.cos(elevations), np.zeros_like(elevations), np.sin(elevations)], axis=-1)
+
+
+@cache
+def own_housing(robot: RobotName, elevations: tuple[float, ...]) -> Hits:
+    """Return what the beams see of the robot itself; it moves with the lidar, so it is constant."""
+    model = robot_spec(robot).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    n = len(elevations)
+    geoms, distances, normals = np.zeros(n, np.int32), np.zeros(n), np.zeros(3 * n)
+    rays = beam_directions(np.array(elevations)).ravel()
+    origin, mast = data.site("lidar").xpos, model.body("mast").id
+    mujoco.mj_multiRay(
+        model, data, origin, rays, None, True, mast, geoms, distances, normals, n, 10.0
+    )
+    reach = np.where(geoms < 0, np.inf, distances)
+    return Hits(reach, normals.reshape(n, 3), np.full(n, -1, np.int64))
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What lay behind a line's readings; for evaluation only, no planner sees it.
+
+    Attributes:
+        intensity: Power of the return, in units of a white surface at 1 m times 1 / pi (n_beams,).
+        distances: Noise-free distance along the middle of the beam (n_beams,) [m]; inf for a miss.
+        geoms: Geom ids in the scene's model (n_beams,); -1 for a miss or the robot itself.
+        normals: Of the surface, outwards, in ``map`` (n_beams, 3); 0 for a miss or the robot.
+        positions: The lidar's place at the beam's time, in ``map`` (n_beams, 3) [m].
+        directions: Of the beam, in ``map`` (n_beams, 3).
+    """
+
+    intensity: FloatArray
+    distances: FloatArray
+    geoms: IntArray
+    normals: FloatArray
+    positions: FloatArray
+    directions: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Lines as the sensor reports them.
+
+    Attributes:
+        ranges: (m, n_beams) [m]; NaN where there is none.
+        codes: (m, n_beams).
+        evidence: Per line; empty unless it was asked for.
+    """
+
+    ranges: FloatArray
+    codes: IntArray
+    evidence: tuple[Evidence, ...]
+
+
+class Scanner:
+    """Everything about the sensor that does not change while it runs."""
+
+    def __init__(
+        self,
+        scene_model: Any,
+        robot: RobotName,
+        spec: LidarSpec,
+        config: LidarModelConfig,
+        caster: RayCaster,
+        rng: np.random.Generator,
+    ) -> None:
+        self.spec = spec
+        self.config = config
+        self.caster = caster
+        self.materials = Materials.of(scene_model, config)
+        self.surface_bias = config.surface_bias * rng.standard_normal(scene_model.ngeom + 1)
+        self.beams = read_only(beam_directions(self.spec.elevations))
+        own = own_housing(robot, tuple(self.spec.elevations.tolist()))
+        cosines = np.abs(np.einsum("ni,ni->n", own.normals, self.beams))
+        self._own = Light(
+            own.distances[None],
+            self.materials.power(own.geoms, cosines, own.distances)[None],
+            cosines[None],
+            np.full((1, self.spec.n_beams), self.surface_bias[-1]),
+        )
+        self._free = _range(np.flatnonzero(np.isinf(own.distances)))
+        self._fan = self._sub_beams()
+
+    def _sub_beams(self) -> FloatArray:
+        """Return the sub-rays that pass the robot, in the lidar's frame (3, K, n_free)."""
+        along, across = offsets(self.config).T[:, :, None]
+        angles = self.spec.elevations[self._free] + along
+        fan = np.stack(
+            [
+                np.cos(across) * np.cos(angles),
+                np.broadcast_to(np.sin(across), angles.shape),
+                np.cos(across) * np.sin(angles),
+            ]
+        )
+        return read_only(fan)
+
+    def measure(
+        self,
+        qpos: FloatArray,
+        positions: FloatArray,
+        rotations: FloatArray,
+        draws: Draws,
+        drift: FloatArray,
+        *,
+        evidence: bool = False,
+    ) -> Readings:
+        """Return the readings of m lines.
+
+        Args:
+            qpos: Positions of the scene's moving objects.
+            positions: The lidar's position at each beam's time (m, n_beams, 3) [m].
+            rotations: The lidar's attitude at each beam's time (m, n_beams, 3, 3).
+            draws: The lines' chance.
+            drift: Error of each whole line (m,) [m].
+            evidence: Keep what lay behind the readings, for evaluation.
+        """
+        rays = self._directions(rotations[:, self._free])
+        light, hits, readings = self._read(qpos, positions[:, self._free], rays, draws, drift)
+        if not evidence:
+            return readings
+        return replace(readings, evidence=self._evidence(light, hits, positions, rotations))
+
+    def measure_upright(
+        self,
+        qpos: FloatArray,
+        positions: FloatArray,
+        heading: tuple[FloatArray, FloatArray],
+        draws: Draws,
+        drift: FloatArray,
+    ) -> Readings:
+        """Return what ``measure`` does for a lidar that stands upright.
+
+        Its ``heading`` at each beam's time is given by cosine and sine (m, n_beams).
+        """
+        c, s = (part[:, self._free] for part in heading)
+        x, y, z = self._fan[:, :, None]
+        rays = np.empty((len(x), *c.shape, 3))
+        rays[..., 0], rays[..., 1], rays[..., 2] = x * c - y * s, x * s + y * c, z
+        return self._read(qpos, positions[:, self._free], rays, draws, drift)[2]
+
+    def _read(
+        self, qpos: FloatArray, at: FloatArray, rays: FloatArray, draws: Draws, drift: FloatArray
+    ) -> tuple[Light, Hits, Readings]:
+        """Cast ``rays`` (K, m, n_free, 3) from ``at`` (m, n_free, 3) and read what comes back.
+
+        Returns:
+            The light of each beam, what the middle of each free beam hit, and the readings.
+        """
+        directions = rays.reshape(-1, 3)
+        origins = np.broadcast_to(at, rays.shape).reshape(-1, 3)
+        hits = self.caster.cast(qpos, origins, directions)
+        cosines = np.abs(np.einsum("ni,ni->n", hits.normals, directions))
+        power = self.materials.power(hits.geoms, cosines, hits.distances)
+        shape = (len(rays), at.shape[0] * at.shape[1])
+        mixed = mix(hits.distances.reshape(shape), power.reshape(shape), self.config)
+        middle = slice(0, shape[1])
+        bias = self.surface_bias.take(hits.geoms[middle])
+        light = self._with_housing(len(at), mixed.distances, mixed.power, cosines[middle], bias)
+        row, column = np.divmod(mixed.broken, at.shape[1])
+        broken = (row, np.arange(self.spec.n_beams)[self._free][column])
+        ranges, codes = read(light, (broken, mixed.codes), draws, drift, self.config)
+        behind = Hits(hits.distances[middle], hits.normals[middle], hits.geoms[middle])
+        return light, behind, Readings(ranges, codes, ())
+
+    def _directions(self, rotations: FloatArray) -> FloatArray:
+        """Return the sub-rays in ``map`` (K, m, n_free, 3) for ``rotations`` (m, n_free, 3, 3).
+
+        Components come first while they are worked out: loops over 3 numbers take thrice as long.
+        """
+        ahead, left, up = np.ascontiguousarray(rotations.transpose(3, 2, 0, 1))[:, :, None]
+        along, across, upwards = self._fan[:, :, None]
+        rays = along * ahead
+        rays += upwards * up
+        if len(along) > 1:
+            rays += across * left
+        result = np.empty((*rays.shape[1:], 3))
+        for component, values in enumerate(rays):
+            result[..., component] = values
+        return result
+
+    def _with_housing(self, m: int, *arrays: FloatArray) -> Light:
+        """Return ``arrays`` (m * n_free,) of the free beams as (m, n_beams), with the robot's."""
+        result = []
+        for own, array in zip(self._own.arrays(), arrays, strict=True):
+            whole = np.empty((m, own.shape[1]))
+            whole[:] = own
+            whole[:, self._free] = array.reshape(m, -1)
+            result.append(whole)
+        return Light(*result)
+
+    def _evidence(
+        self, light: Light, hits: Hits, positions: FloatArray, rotations: FloatArray
+    ) -> tuple[Evidence, ...]:
+        m, n = light.distances.shape
+        distances = np.repeat(self._own.distances, m, axis=0)
+        geoms, normals = np.full((m, n), -1), np.zeros((m, n, 3))
+        distances[:, self._free] = hits.distances.reshape(m, -1)
+        geoms[:, self._free] = hits.geoms.reshape(m, -1)
+        normals[:, self._free] = hits.normals.reshape(m, -1, 3)
+        directions = np.einsum("mnij,nj->mni", rotations, self.beams)
+        rows = (light.power, distances, geoms, normals, positions, directions)
+        kinds = (np.float64, np.float64, np.int64, np.float64, np.float64, np.float64)
+        return tuple(
+            Evidence(*(read_only(row[k], kind) for row, kind in zip(rows, kinds, strict=True)))
+            for k in range(m)
+        )
+
+
+def _range(indices: IntArray) -> slice | IntArray:
+    """Return ``indices`` (n,) as a slice where they have no gap; it costs no copies."""
+    first, last = int(indices[0]), int(indices[-1])
+    return slice(first, last + 1) if last - first + 1 == len(indices) else indices

@@ -1,0 +1,1 @@
+"""Scenes: MJCF files, meshes and random scenes, their surfaces and pictures."""

@@ -1,0 +1,143 @@
+"""A mesh file as a scene: true triangles for the rays, small boxes for the contacts.
+
+MuJoCo collides with a mesh's convex hull, which may swallow the robot, so the mesh itself has no
+contacts; its footprint below the robot's height is covered by invisible boxes instead.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from scan3d_twin.core.errors import SceneError
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+from scan3d_twin.sim.scenes.surface_samples import sample_triangles
+
+MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
+
+ROBOT_HEIGHT = 0.35
+"""What stands above this cannot touch the robot [m]."""
+SPAWN_DISTANCE = 1.5
+"""From the robot's start to the mesh [m]; as in the built-in scenes."""
+SIZE_LIMITS = (0.02, 20.0)
+"""Least and largest extent of a mesh that can be meant [m]; else its unit is wrong."""
+GRID = 24
+"""Cells of the collision grid along the longer side of the footprint."""
+
+
+def mesh_spec(path: Path, scale: float) -> Any:
+    """Return an ``MjSpec`` with the mesh of ``path`` as target, on the floor, 1.5 m ahead of spawn.
+
+    Args:
+        path: A .stl, .ply, .obj or .glb file; z is up, except in .glb where y is up by definition.
+        scale: Metres per unit of the file.
+
+    Raises:
+        SceneError: The file is not a mesh, is empty, or its size cannot be meant.
+    """
+    vertices, faces = _load(path, scale)
+    spec = mujoco.MjSpec()
+    spec.modelname = path.stem
+    spec.add_mesh(
+        name="target",
+        uservert=vertices.ravel(),
+        userface=faces.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,  # open sheets have no volume
+    )
+    spec.worldbody.add_geom(
+        name="target",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="target",
+        contype=0,
+        conaffinity=0,
+        rgba=[0.8, 0.75, 0.6, 1],
+    )
+    for low, high in _collision_boxes(vertices, faces):
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=(low + high) / 2,
+            size=(high - low) / 2,
+            rgba=[0, 0, 0, 0],  # rays pass through what is wholly transparent
+            group=3,
+        )
+    spec.worldbody.add_site(
+        name="spawn", pos=[vertices[:, 0].min() - SPAWN_DISTANCE, 0, 0], group=4
+    )
+    spec.worldbody.add_light(pos=[0, 0, 3], dir=[0.3, 0, -1])
+    spec.add_text(name="scan3d.tour", data="full")
+    spec.add_text(name="scan3d.description", data=f"mesh {path.name}")
+    return spec
+
+
+def _load(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
+    """Return vertices (n, 3) [m], centred at x = y = 0 and standing on z = 0, and faces (m, 3)."""
+    import trimesh  # slow to import, and only meshes need it
+
+    try:
+        mesh = trimesh.load_mesh(path)
+        vertices = np.array(mesh.vertices, dtype=np.float64) * scale
+        faces = np.array(mesh.faces, dtype=np.int64)
+    except Exception as error:  # noqa: BLE001 - each of trimesh's decoders fails in its own way
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise SceneError(f"{path} is not a mesh that can be read: {reason}") from None
+    faces = faces[_areas(vertices, faces) > 0]
+    if len(faces) == 0 or not np.isfinite(vertices).all():
+        raise SceneError(f"{path} holds no triangles; export it as a triangle mesh")
+    if path.suffix.lower() == ".glb":
+        vertices = vertices[:, [0, 2, 1]] * (1, -1, 1)  # glTF 2.0, section 3.4: +y is up
+    used = vertices[np.unique(faces)]
+    low, high = used.min(axis=0), used.max(axis=0)
+    largest = float((high - low).max())
+    if not SIZE_LIMITS[0] <= largest <= SIZE_LIMITS[1]:
+        raise SceneError(
+            f"{path} would be {largest:g} m large; give --mesh-scale, such as 0.001 for millimetres"
+        )
+    return vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], faces
+
+
+def _areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return the areas of the triangles (m,)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    areas: FloatArray = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return areas
+
+
+def _collision_boxes(vertices: FloatArray, faces: IntArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Return boxes (low, high corner) [m] that cover the surface below the robot's height.
+
+    Only cells that hold some surface are covered, so hollow things stay hollow.
+    """
+    extent = np.ptp(vertices[:, :2], axis=0)
+    cell = max(float(extent.max()) / GRID, SIZE_LIMITS[0])
+    points, _ = sample_triangles(vertices[faces], cell / 2)
+    points = np.concatenate([points, vertices[np.unique(faces)]])
+    points = points[points[:, 2] < ROBOT_HEIGHT]
+    if len(points) == 0:
+        return []
+    origin = points[:, :2].min(axis=0)
+    cells = ((points[:, :2] - origin) / cell).astype(int)
+    occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    occupied[tuple(cells.T)] = True
+    return [_box(points, cells, run, origin, cell) for run in _runs(occupied)]
+
+
+def _runs(occupied: BoolArray) -> list[tuple[int, int, int]]:
+    """Return maximal runs (row, first, last + 1) of occupied cells, row by row."""
+    padded = np.pad(occupied, ((0, 0), (1, 1))).astype(int)
+    rows, starts = np.nonzero(np.diff(padded, axis=1) == 1)
+    _, ends = np.nonzero(np.diff(padded, axis=1) == -1)
+    return list(zip(rows.tolist(), starts.tolist(), ends.tolist(), strict=True))
+
+
+def _box(
+    points: FloatArray, cells: IntArray, run: tuple[int, int, int], origin: FloatArray, cell: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the bounding box of the points in a run of cells, at least 5 mm thick."""
+    row, first, end = run
+    mask = (cells[:, 0] == row) & (cells[:, 1] >= first) & (cells[:, 1] < end)
+    low, high = points[mask].min(axis=0), points[mask].max(axis=0)
+    thin = np.maximum(0.0, 0.005 - (high - low)) / 2
+    return low - thin, high + thin

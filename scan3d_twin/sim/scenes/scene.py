@@ -1,0 +1,224 @@
+"""Scenes: plain MJCF without a robot, or a mesh file, with the few conventions below.
+
+* site ``spawn``: where the robot starts; its +x is the robot's heading.
+* target: bodies or geoms named ``target*``, or ``<custom><tuple name="target">``.
+* ``<custom><numeric name="scan3d.standoff"/>``: scanning distance [m], optional.
+* ``<custom><numeric name="scan3d.friction"/>``: of the tyres on this floor, optional.
+* ``<custom><text name="scan3d.tour" data="front|full"/>``; for front, a site ``front`` whose +x is
+  the outward normal of the front.
+* ``<custom><text name="scan3d.description" data="..."/>``: one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+
+from scan3d_twin.core.config import Tour
+from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
+from scan3d_twin.core.types import Pose2
+from scan3d_twin.sim.resources import resource_dir
+from scan3d_twin.sim.scenes.meshes import MESH_SUFFIXES, mesh_spec
+from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene without a robot.
+
+    Attributes:
+        name: For reports and folder names.
+        spec: Its editable model; copy before editing.
+        model: The compiled model: what the lidar's rays can hit.
+        spawn: ``T_map_base`` at the start; ``map`` is the scene's own frame.
+        tour: Whether it is scanned from the front or all round.
+        standoff: Scanning distance [m]; None leaves it to the run's configuration.
+        friction: Sliding friction of the tyres on this floor; None leaves it to the robot's errors.
+        targets: Names of the geoms of each named target.
+        front: Middle of the front, +x the outward normal, in ``map``; None for tour full.
+        description: One line.
+    """
+
+    name: str
+    spec: Any
+    model: Any
+    spawn: Pose2
+    tour: Tour
+    standoff: float | None
+    friction: float | None
+    targets: Mapping[str, tuple[str, ...]]
+    front: Pose2 | None
+    description: str
+
+    @property
+    def target_geoms(self) -> tuple[str, ...]:
+        """Names of all target geoms, each once."""
+        return tuple(dict.fromkeys(name for geoms in self.targets.values() for name in geoms))
+
+
+def scene_names() -> tuple[str, ...]:
+    """Return the names of the scenes that come with the package, sorted."""
+    return tuple(sorted(path.stem for path in resource_dir("scenes").glob("*.xml")))
+
+
+def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
+    """Return a built-in scene by name, or an MJCF or mesh file by path.
+
+    Args:
+        name_or_path: A name of ``scene_names()``, ``random:SEED``, or a path that ends in .xml .stl
+            .ply .obj .glb.
+        mesh_scale: Metres per unit of a mesh file.
+
+    Raises:
+        UnknownNameError: It is neither a path nor the name of a scene.
+        ConfigError: ``mesh_scale`` is not positive, or the SEED no whole number.
+        SceneError: The file is missing or broken, or holds no target.
+    """
+    if not (mesh_scale > 0 and np.isfinite(mesh_scale)):
+        raise ConfigError(f"mesh scale must be > 0, got {mesh_scale:g}")
+    if name_or_path.startswith("random:"):
+        from scan3d_twin.sim.scenes.random_scenes import scene_of_seed  # it builds on this module
+
+        return scene_of_seed(name_or_path)
+    path = Path(name_or_path)
+    suffix = path.suffix.lower()
+    if suffix == ".xml" or suffix in MESH_SUFFIXES:
+        if not path.is_file():
+            raise SceneError(f"no file {name_or_path}")
+        spec = _read_mjcf(path) if suffix == ".xml" else mesh_spec(path, mesh_scale)
+        return scene_from_spec(path.stem, spec, name_or_path)
+    if name_or_path not in scene_names():
+        raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))
+    return scene_from_spec(
+        name_or_path, _read_mjcf(resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path
+    )
+
+
+def _read_mjcf(path: Path) -> Any:
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except (ValueError, OSError) as error:
+        raise SceneError(f"{path} is not valid MJCF: {_one_line(error)}") from None
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
+    """Return the scene that an ``MjSpec`` without a robot describes by the conventions above.
+
+    Args:
+        name: The scene's.
+        spec: Gets a floor, and names for the target's geoms, where they are missing.
+        label: Names it in messages: a file.
+
+    Raises:
+        SceneError: It does not compile, or holds no target or spawn.
+    """
+    _add_floor(spec)
+    targets = _targets(spec, label)
+    try:
+        model = spec.copy().compile()
+    except ValueError as error:
+        raise SceneError(f"{label} does not compile: {_one_line(error)}") from None
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    texts = {text.name: text.data for text in spec.texts}
+    tour = texts.get("scan3d.tour", "full")
+    if tour not in ("front", "full"):
+        raise SceneError(f"{label}: scan3d.tour must be front or full, got {tour!r}")
+    spawn = _site_pose(model, data, "spawn")
+    if spawn is None:
+        raise SceneError(f"{label} has no site 'spawn'; add one where the robot starts")
+    front = _site_pose(model, data, "front") if tour == "front" else None
+    if tour == "front" and front is None:
+        raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
+    return Scene(
+        name=name,
+        spec=spec,
+        model=model,
+        spawn=spawn,
+        tour=cast(Tour, tour),
+        standoff=_positive(spec, "scan3d.standoff", "m", label),
+        friction=_positive(spec, "scan3d.friction", "", label),
+        targets=targets,
+        front=front,
+        description=texts.get("scan3d.description", ""),
+    )
+
+
+def _add_floor(spec: Any) -> None:
+    """Add a floor at z = 0 unless there is a plane or a geom named ``floor*``."""
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    if not any(geom.type == plane or geom.name.startswith("floor") for geom in spec.geoms):
+        spec.worldbody.add_geom(
+            name="floor", type=plane, size=[0, 0, 0.1], rgba=[0.55, 0.55, 0.55, 1]
+        )
+
+
+def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
+    """Return the geom names of each target; unnamed geoms of a target body get a name."""
+    bodies, geoms = _target_names(spec)
+    targets = {}
+    for name in bodies:
+        body = spec.body(name)
+        parts = body.find_all("geom") if body is not None else []
+        for number, geom in enumerate(parts):
+            geom.name = geom.name or f"{name}/{number}"
+        if parts:
+            targets[name] = tuple(geom.name for geom in parts)
+    for name in geoms:
+        if name not in targets and not any(name in parts for parts in targets.values()):
+            targets[name] = (name,)
+    if not targets:
+        raise SceneError(
+            f"{label} has no target; name a geom or body 'target...' or add <tuple name=\"target\">"
+        )
+    for name in (name for parts in targets.values() for name in parts):
+        geom = spec.geom(name)
+        if geom is None:
+            raise SceneError(f"{label}: the tuple 'target' names {name!r}, which is no geom")
+        if geom.type not in SAMPLED_TYPES:
+            raise SceneError(f"{label}: target {name!r} must be a solid primitive or a mesh")
+    return targets
+
+
+def _target_names(spec: Any) -> tuple[list[str], list[str]]:
+    """Return the names of target bodies and target geoms."""
+    for group in spec.tuples:
+        if group.name == "target":
+            pairs = list(zip(group.objtype, group.objname, strict=True))
+            body, geom = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM
+            return [n for t, n in pairs if t == body], [n for t, n in pairs if t == geom]
+    return (
+        [body.name for body in spec.bodies if body.name.startswith("target")],
+        [geom.name for geom in spec.geoms if geom.name.startswith("target")],
+    )
+
+
+def _positive(spec: Any, name: str, unit: str, label: str) -> float | None:
+    """Return the number that the scene states as ``name``; None if it does not."""
+    for numeric in spec.numerics:
+        if numeric.name == name:
+            value = float(np.atleast_1d(numeric.data)[0])
+            if not (value > 0 and np.isfinite(value)):
+                limit = f"> 0 {unit}".rstrip()
+                raise SceneError(f"{label}: {name} must be {limit}, got {value:g}")
+            return value
+    return None
+
+
+def _site_pose(model: Any, data: Any, name: str) -> Pose2 | None:
+    """Return the planar pose of a site in ``map``; None when there is no such site."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    if site < 0:
+        return None
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
+    return Pose2.from_matrix(T)

@@ -1,0 +1,205 @@
+"""Views registered by the grid engine within a session, and what the closed form predicts of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import ROOM, Box, observe
+
+from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
+from scan3d_twin.core.digitize import integrate
+from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.mapping.scan_matching import SURFELS, motion_prior, surfels_of
+from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.error_prediction import Forecast
+from scan3d_twin.core.registration.pose_prior import PLANAR
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import FloatArray, Observation, Pose2, rms
+
+WALL = (Box((1.0, -5.0, 0.0), (1.2, 5.0, 1.5)),)
+PILASTERS = tuple(
+    Box((1.0 + 0.08 * (k % 2), 1.0 - 0.2 * (k + 1), 0.0), (1.4, 1.0 - 0.2 * k, 1.0))
+    for k in range(20)
+)
+
+
+def config(scope: str = "target", **planning: float) -> Config:
+    return Config(
+        planner="fisher",
+        registration=RegistrationConfig(engine="grid", scope=scope),  # type: ignore[arg-type]
+        planning=replace(PlanningConfig(), **planning),  # type: ignore[arg-type]
+    )
+
+
+def session_at(boxes: tuple[Box, ...], settings: Config, room: bool = False) -> Session:
+    """Return a session with a look around and one view of the wall straight ahead."""
+    around = observe(Pose2(), boxes, room=room, width=math.tau - 1e-3, step=math.radians(2.0))
+    hint = np.column_stack([np.full(41, 1.0), np.linspace(1.0, -1.0, 41)])
+    session = Session(settings, 0, hint, np.array([-1.0, 0.0]), ((0, around), (1, around)))
+    view = observe(Pose2(), boxes, room=room, sigma=0.004, rng=np.random.default_rng(4))
+    return integrate(session, Observation(view.image, Pose2()))
+
+
+def second_view(
+    session: Session, boxes: tuple[Box, ...], true: Pose2, room: bool = False
+) -> Session:
+    """Return the session with a view from ``true``, which odometry takes for somewhere else."""
+    view = observe(true, boxes, room=False, sigma=0.004, rng=np.random.default_rng(5))
+    wrong = Pose2(true.x + 0.01, true.y - 0.03, true.yaw + 0.03)
+    return integrate(session, Observation(view.image, wrong))
+
+
+def error(session: Session, true: Pose2) -> float:
+    view = session.views[-1]
+    points: FloatArray = view.target.points
+    return rms(view.T_world_scan.apply(points) - true.apply(points))
+
+
+@pytest.mark.parametrize("scope", ["target", "sweep"])
+def test_features_fix_the_next_view(scope: str) -> None:
+    true = Pose2(0.0, -0.4, 0.1)
+    session = second_view(session_at(PILASTERS, config(scope)), PILASTERS, true)
+    result = session.views[-1].registration
+    assert result is not None
+    assert result.converged
+    assert error(session, true) < 0.004
+    assert result.predicted_rmse < 0.010
+
+
+def test_a_wall_leaves_the_slide_to_odometry() -> None:
+    true = Pose2(0.0, -0.4, 0.0)
+    session = second_view(session_at(WALL, config()), WALL, true)
+    result = session.views[-1].registration
+    assert result is not None
+    assert len(result.degenerate_directions) == 1
+    assert error(session, true) <= 1.1 * 0.03
+
+
+@pytest.mark.parametrize("scope", ["target", "sweep"])
+def test_the_surfels_of_the_latest_view_alone_are_kept_and_are_the_same(scope: str) -> None:
+    session = session_at(PILASTERS, config(scope))
+    for y in (0.3, 0.5):
+        session = second_view(session, PILASTERS, Pose2(0.0, y, 0.0))
+    kept = [SURFELS in view.observation.image.derived for view in session.views]
+    assert kept == [False, False, True]
+    view = session.views[-1]
+    image = replace(view.observation.image)
+    anew = replace(view, observation=replace(view.observation, image=image))
+    found, made = (surfels_of(each, session.config) for each in (view, anew))
+    assert found.rows is view.observation.image.derived[SURFELS][2]
+    np.testing.assert_array_equal(found.rows, made.rows)
+    np.testing.assert_array_equal(found.index, made.index)
+    np.testing.assert_array_equal(found.valid, made.valid)
+    assert found.noise == made.noise
+
+
+def test_views_without_overlap_keep_the_odometry() -> None:
+    true = Pose2(0.0, -2.6, 0.0)
+    session = second_view(session_at(PILASTERS, config()), PILASTERS, true)
+    view = session.views[-1]
+    assert view.registration is not None
+    assert not view.registration.converged
+    assert view.T_world_scan == Pose2(true.x + 0.01, true.y - 0.03, true.yaw + 0.03)
+
+
+def test_the_room_helps_where_the_target_does_not() -> None:
+    """The bare wall stands in a room: with the whole sweep its corner fixes the slide."""
+    wall = (Box((1.0, ROOM[1][0], 0.0), (1.2, 1.0, 1.5)),)
+    true = Pose2(0.0, -0.3, 0.0)
+    wide = replace(config("sweep"), sweep=SweepConfig(margin=math.radians(45.0)))
+    errors = []
+    for settings in (config("target"), wide):
+        width = settings.sweep.width + 2 * settings.sweep.margin
+        session = session_at(wall, settings, room=True)
+        first = observe(
+            Pose2(), wall, room=True, sigma=0.004, rng=np.random.default_rng(4), width=width
+        )
+        session = replace(session, views=())
+        session = integrate(session, Observation(first.image, Pose2()))
+        view = observe(
+            true, wall, room=True, sigma=0.004, rng=np.random.default_rng(5), width=width
+        )
+        session = integrate(session, Observation(view.image, Pose2(0.01, -0.33, 0.03)))
+        errors.append(error(session, true))
+    assert errors[1] < 0.005 < errors[0]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_the_motion_prior_is_that_of_turn_drive_turn(yaw: float) -> None:
+    settings = PlanningConfig()
+    move = Pose2(0.1, -0.5, yaw)
+    rng = np.random.default_rng(0)
+    bearing = math.atan2(move.y, move.x)
+    D, n = math.hypot(move.x, move.y), 20000
+    first = settings.gamma * abs(bearing) * rng.standard_normal(n)
+    drift = settings.drift * D * rng.standard_normal(n)
+    second = settings.gamma * abs(Pose2(0, 0, yaw - bearing).yaw) * rng.standard_normal(n)
+    along = settings.lambda_ * D * rng.standard_normal(n)
+    across = settings.lambda_ * D * rng.standard_normal(n) + D * first + D * drift / 2
+    c, s = math.cos(bearing), math.sin(bearing)
+    x, y = c * along - s * across, s * along + c * across
+    prior = motion_prior(move, settings).covariance[np.ix_(PLANAR, PLANAR)]
+    assert np.cov(x, y) == pytest.approx(prior[:2, :2], rel=0.1, abs=2e-5)
+    assert prior[2, 2] >= np.var(first + drift + second)
+
+
+def test_the_forecast_tells_features_from_a_wall() -> None:
+    errors = []
+    for boxes in (WALL, PILASTERS):
+        situation = Situation(session_at(boxes, config()))
+        viewpoint = situation.place(0.7).viewpoint
+        assert viewpoint is not None
+        errors.append(Forecast.of(situation).error(viewpoint))
+    assert errors[1] < 0.005
+    assert errors[0] > 3 * errors[1]
+
+
+def test_the_forecast_is_what_registration_then_reports() -> None:
+    session = session_at(PILASTERS, config())
+    viewpoint = Pose2(0.0, -0.5, 0.2)
+    forecast = Forecast.of(Situation(session)).error(viewpoint)
+    seen = second_view(session, PILASTERS, viewpoint)
+    result = seen.views[-1].registration
+    assert result is not None
+    assert 0.3 < forecast / result.predicted_rmse < 2.0
+
+
+def test_out_of_sight_is_no_overlap() -> None:
+    situation = Situation(session_at(PILASTERS, config()))
+    assert Forecast.of(situation).error(Pose2(0.0, 0.0, math.pi)) == math.inf
+
+
+def test_the_closed_form_planner_steps_farther_on_features() -> None:
+    rng = np.random.default_rng(0)
+    plans = [
+        make_planner("fisher").plan(session_at(boxes, config()), rng) for boxes in (WALL, PILASTERS)
+    ]
+    assert plans[1].overlap < plans[0].overlap
+    assert plans[1].predicted_rmse <= 0.010
+    assert not plans[1].fell_back
+
+
+def test_the_calibration_makes_it_careful() -> None:
+    rng = np.random.default_rng(0)
+    session = session_at(PILASTERS, config(calibration=20.0))
+    assert make_planner("fisher").plan(session, rng).overlap > 0.2
+
+
+@pytest.mark.parametrize(
+    ("section", "values"),
+    [
+        (RegistrationConfig, {"starts": 0}),
+        (RegistrationConfig, {"bias_sigma": -1.0}),
+        (RegistrationConfig, {"yaw_scale_sigma": 2.0}),
+        (SweepConfig, {"margin": -0.1}),
+        (PlanningConfig, {"calibration": 0.0}),
+        (PlanningConfig, {"drift": -1.0}),
+    ],
+)
+def test_wrong_settings_are_refused(section: type, values: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        section(**values)

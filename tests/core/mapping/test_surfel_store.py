@@ -1,0 +1,48 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sessions import PILASTERS, WALL, session_at
+
+from scan3d_twin.core.config import Config, RegistrationConfig
+from scan3d_twin.core.mapping.scan_matching import surfels_of
+from scan3d_twin.core.mapping.surfel_store import AT_ONCE, Prepared
+from scan3d_twin.core.session import View
+from scan3d_twin.core.types import Scan3D
+
+CONFIG = Config(registration=RegistrationConfig(engine="grid"))
+
+
+@pytest.fixture(scope="module")
+def views() -> list[View]:
+    return [session_at(boxes, CONFIG).views[0] for boxes in (WALL, PILASTERS, WALL)]
+
+
+def kept(prepared: Prepared) -> list[int]:
+    return list(prepared._kept)
+
+
+def test_with_memory_to_spare_each_is_prepared_once(views: list[View]) -> None:
+    prepared = Prepared(views, CONFIG)
+    grids = list(prepared)
+    assert len(prepared) == len(views)
+    assert all(again is grid for again, grid in zip(prepared, grids, strict=True))
+
+
+def test_else_those_asked_for_latest_are_kept(views: list[View]) -> None:
+    prepared = Prepared(views, replace(CONFIG, spare="memory"))
+    first = prepared[0]
+    assert prepared[1] is not None
+    assert prepared[0] is first
+    assert prepared[2] is not None
+    assert kept(prepared) == [0, 2]
+    assert len(kept(prepared)) == AT_ONCE
+    again, fresh = prepared[1], surfels_of(views[1], CONFIG)
+    assert again is not None
+    assert np.array_equal(again.rows, fresh.rows)
+
+
+def test_a_view_without_surface_has_none(views: list[View]) -> None:
+    nothing = Scan3D(np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int), 1)
+    blind = replace(views[0], target=nothing, sweep=nothing)
+    assert list(Prepared([blind], CONFIG)) == [None]

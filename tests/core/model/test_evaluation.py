@@ -1,0 +1,213 @@
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from synthetic import Box, cast, observe
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.digitize import integrate
+from scan3d_twin.core.model.evaluation import (
+    COVERAGE_DISTANCE,
+    SPACING,
+    Distances,
+    Evaluation,
+    Reference,
+    coverable_surface,
+    displacement,
+    evaluate_model,
+    shows_target,
+    surface_distance,
+    true_pose,
+)
+from scan3d_twin.core.model.fused_cloud import build_model, voxel_thin
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import FloatArray, Observation, Pose2
+
+BOX = Box((0.6, -0.4, 0.0), (1.0, 0.4, 0.6))
+SPAWN = Pose2(-0.9, 0.0, 0.0)
+FIRST, SECOND = Pose2(-0.4, 0.3, -0.1), Pose2(-0.4, -0.3, 0.1)
+"""True poses of two views, in ``map``; ``odom`` is the same frame here."""
+
+
+@dataclass(frozen=True)
+class BoxTruth:
+    """A box in a room, and a robot that was where the stamps of its sweeps say."""
+
+    poses: tuple[Pose2, ...]
+    front: Pose2 | None = None
+    spawn: Pose2 = SPAWN
+
+    def pose_at(self, stamp: float) -> Pose2:
+        """Sweep k has stamps from 1000 k on; the robot turned, so add the heading of the line."""
+        k, line = divmod(stamp, 1000.0)
+        image = observe(self.poses[int(k)], (BOX,)).image
+        index = min(int(line / 0.1), image.n_lines - 1)
+        return self.poses[int(k)] @ Pose2(0.0, 0.0, float(image.yaws[index, 0]))
+
+    def surface(self, spacing: float) -> tuple[FloatArray, FloatArray]:
+        """The four sides."""
+        points, normals = [], []
+        for axis, value, sign in ((0, 0.6, -1), (0, 1.0, 1), (1, -0.4, -1), (1, 0.4, 1)):
+            low, high = BOX.low[1 - axis], BOX.high[1 - axis]
+            a, z = np.meshgrid(
+                np.arange(low, high, spacing) + spacing / 2,
+                np.arange(0.0, 0.6, spacing) + spacing / 2,
+            )
+            side = np.empty((a.size, 3))
+            side[:, axis], side[:, 1 - axis], side[:, 2] = value, a.ravel(), z.ravel()
+            points.append(side)
+            normals.append(np.tile(np.eye(3)[axis] * sign, (len(side), 1)))
+        return np.concatenate(points), np.concatenate(normals)
+
+    def first_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """The box and the room."""
+        return cast(np.asarray(origins), np.asarray(directions), (BOX,), room=True)
+
+
+def at(pose: Pose2, k: int, sigma: float = 0.0) -> Observation:
+    seen = observe(pose, (BOX,), sigma=sigma, rng=np.random.default_rng(k))
+    image = replace(seen.image, stamps=seen.image.stamps + 1000.0 * k)
+    return Observation(image, pose)
+
+
+def session_of(*odometry: Pose2, true: tuple[Pose2, ...] = (FIRST, SECOND)) -> Session:
+    hint = np.array([[0.6, 0.0]])
+    session = Session(Config(tour="full"), 0, hint, np.array([-1.0, 0.0]))
+    for k, (told, pose) in enumerate(zip(odometry, true, strict=False)):
+        observation = Observation(at(pose, k).image, told)
+        session = integrate(session, observation)
+    return session
+
+
+def evaluated(session: Session) -> Evaluation:
+    reference = Reference.of(session, BoxTruth((FIRST, SECOND)))
+    return evaluate_model(session, build_model(session), reference)
+
+
+def test_coverage_grows_view_by_view_to_that_of_the_whole_model() -> None:
+    session = session_of(FIRST, SECOND)
+    result = evaluated(session)
+    alone = evaluated(replace(session, views=session.views[:1]))
+    assert result.coverage_by_view[0] == alone.coverage
+    assert result.coverage_by_view[0] < result.coverage_by_view[1] == result.coverage
+    truth = BoxTruth((FIRST, SECOND))
+    reference = Reference.of(session, truth)
+    points = reference.T_map_world.apply(build_model(session).points)
+    surface, normals = truth.surface(SPACING)
+    wanted = surface[coverable_surface(surface, normals, truth, session.config)]
+    assert result.coverage == np.mean(cKDTree(points).query(wanted)[0] <= COVERAGE_DISTANCE)
+
+
+def test_the_true_pose_is_that_of_the_middle_line() -> None:
+    session = session_of(FIRST)
+    pose = true_pose(session.views[0], BoxTruth((FIRST,)))
+    assert (pose.x, pose.y, pose.yaw) == pytest.approx((FIRST.x, FIRST.y, FIRST.yaw), abs=1e-6)
+
+
+def test_a_perfect_run_is_accurate_and_covers_what_it_saw() -> None:
+    session = session_of(FIRST, SECOND)
+    exact = tuple(
+        replace(view, T_world_scan=pose)
+        for view, pose in zip(session.views, (FIRST, SECOND), strict=True)
+    )
+    result = evaluated(replace(session, views=exact))
+    assert result.accuracy.p95 < 0.002
+    assert result.pairs[0].error == pytest.approx(0.0, abs=1e-9)
+    assert result.pairs[0].odometry_error == pytest.approx(0.0, abs=1e-9)
+    front = 0.8 / (2 * 0.8 + 2 * 0.4)
+    assert result.coverable_share > 0.95
+    assert result.coverage == pytest.approx(front, abs=0.06)
+    assert result.f_score[0.020] == pytest.approx(2 * front / (1 + front), abs=0.06)
+
+
+def test_the_truth_is_about_its_own_target_only() -> None:
+    session = session_of(FIRST)
+    assert shows_target(session, BoxTruth((FIRST,)))
+    other = replace(session, hint=np.array([[0.6, 1.5], [0.6, 1.7]]))
+    assert not shows_target(other, BoxTruth((FIRST,)))
+
+
+def test_the_error_of_a_pair_is_that_of_its_relative_pose() -> None:
+    session = session_of(FIRST, SECOND)
+    first, second = session.views
+    off = replace(second, T_world_scan=SECOND @ Pose2(-0.02, 0.0, 0.0))
+    result = evaluated(replace(session, views=(replace(first, T_world_scan=FIRST), off)))
+    assert result.pairs[0].error == pytest.approx(0.02, abs=1e-6)
+    assert result.pairs[0].pose_error == pytest.approx(0.02, abs=1e-6)
+    assert result.pairs[0].odometry_error == pytest.approx(0.0, abs=1e-9)
+    assert result.accuracy.mean > 0.005
+
+
+def test_the_first_pose_is_the_gauge() -> None:
+    shift = Pose2(0.3, -0.2, 0.4)
+    session = session_of(FIRST, SECOND)
+    placed = zip(session.views, (FIRST, SECOND), strict=True)
+    moved = tuple(replace(view, T_world_scan=shift @ pose) for view, pose in placed)
+    result = evaluated(replace(session, views=moved))
+    assert result.accuracy.p95 < 0.002
+    assert result.pairs[0].pose_error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_only_the_front_is_coverable_on_a_tour_of_the_front() -> None:
+    truth = BoxTruth((FIRST,), front=Pose2(0.6, 0.0, math.pi))
+    surface, normals = truth.surface(0.02)
+    all_round = coverable_surface(surface, normals, truth, Config(tour="full"))
+    front = coverable_surface(surface, normals, truth, Config(tour="front"))
+    back = normals[:, 0] > 0.5
+    assert all_round[back].mean() > 0.9
+    assert not front[back].any()
+    assert front[normals[:, 0] < -0.5].mean() > 0.95
+    assert front[np.abs(normals[:, 1]) > 0.5].mean() > 0.9  # seen from beside, still in front
+
+
+def test_what_stands_too_close_to_a_wall_is_not_coverable() -> None:
+    against = BoxTruth((FIRST,))
+    surface, normals = against.surface(0.02)
+    buried = surface + np.array([1.45, 0.0, 0.0])  # 5 cm in front of the wall at x = 2.5
+    seen = coverable_surface(buried, normals, _Against(), Config(tour="full"))
+    assert not seen[normals[:, 0] > 0.5].any()
+    assert seen[normals[:, 0] < -0.5].mean() > 0.9
+
+
+class _Against(BoxTruth):
+    """The box 5 cm in front of the wall."""
+
+    def __init__(self) -> None:
+        super().__init__((FIRST,))
+
+    def first_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """The box where it stands now, and the room."""
+        moved = Box((2.05, -0.4, 0.0), (2.45, 0.4, 0.6))
+        return cast(np.asarray(origins), np.asarray(directions), (moved,), room=True)
+
+
+def test_distance_to_a_sampled_plane_has_no_share_of_the_sampling() -> None:
+    y, z = np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 1, 0.02))
+    surface = np.stack([np.zeros(y.size), y.ravel(), z.ravel()], axis=1)
+    normals = np.tile([1.0, 0.0, 0.0], (len(surface), 1))
+    points = np.array([[0.003, 0.507, 0.313], [0.0, 0.5, 1.2]])
+    distance = surface_distance(points, surface, normals, 0.02)
+    assert distance[0] == pytest.approx(0.003)
+    assert distance[1] == pytest.approx(1.2 - 0.98 - 0.02 / math.sqrt(2), abs=1e-6)
+
+
+def test_statistics() -> None:
+    of = Distances.of(np.arange(101) / 100)
+    assert (of.mean, of.median, of.p95) == pytest.approx((0.5, 0.5, 0.95))
+
+
+def test_displacement_of_a_turn_grows_with_the_distance() -> None:
+    near, far = np.array([[1.0, 0.0, 0.0]]), np.array([[2.0, 0.0, 0.0]])
+    turn = Pose2(0.0, 0.0, 0.01)
+    assert displacement(near, Pose2(), turn) == pytest.approx(0.01, rel=1e-4)
+    assert displacement(far, Pose2(), turn) == pytest.approx(0.02, rel=1e-4)
+
+
+def test_voxels_are_means() -> None:
+    points = np.array([[0.01, 0.01, 0.01], [0.03, 0.01, 0.01], [0.91, 0.0, 0.0]])
+    assert voxel_thin(points, 0.1) == pytest.approx(np.array([[0.02, 0.01, 0.01], [0.91, 0, 0]]))
+    assert voxel_thin(np.zeros((0, 3)), 0.1).shape == (0, 3)

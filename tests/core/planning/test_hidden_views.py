@@ -1,0 +1,150 @@
+"""What a finished contour still hides, and the views that are added for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sessions import session_at
+from synthetic import THREE_BOXES, Box
+
+from scan3d_twin.core.config import Config, PlanningConfig, SweepConfig
+from scan3d_twin.core.planning import hidden_views as closing
+from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.hidden_surface import DEPTH, Hidden
+from scan3d_twin.core.planning.hidden_views import over
+from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import FloatArray, Pose2
+
+BOXES = tuple(
+    Box((box.low[0] + 0.3, *box.low[1:]), (box.high[0] + 0.3, *box.high[1:])) for box in THREE_BOXES
+)
+"""Side by side with gaps of 0.1 m; the one in the middle goes from x = 1.05 to 1.35."""
+BESIDE = (Pose2(0.1, 1.0, math.radians(-25.0)), Pose2(0.1, -1.0, math.radians(25.0)))
+WIDE = replace(Config(), sweep=SweepConfig(width=math.radians(90.0)))
+
+
+def standing(x: float, y: float) -> Pose2:
+    """Return the pose at a place that faces the front."""
+    return Pose2(x, y, 0.0)
+
+
+@pytest.fixture(scope="module")
+def seen() -> Session:
+    """Return three boxes with gaps of 0.1 m, as seen from beside them on both sides."""
+    return session_at(BOXES, WIDE, poses=BESIDE, half=1.2)
+
+
+def on_face(session: Session, y: float, outward: float) -> FloatArray:
+    """Return the x of the hidden pieces on a side face at ``y``, (n,)."""
+    faces = Hidden(session).faces
+    side = (np.abs(faces.points[:, 1] - y) < 0.04) & (faces.normals[:, 1] * outward > 0.8)
+    return faces.points[side, 0]
+
+
+def test_the_sides_in_the_gaps_are_expected_and_not_seen(seen: Session) -> None:
+    for y, outward in ((0.25, 1.0), (-0.15, -1.0)):
+        places = on_face(seen, y, outward)
+        assert len(places) > 10
+        assert places.min() > 1.05
+        assert places.max() < 1.05 + DEPTH
+
+
+def test_what_was_seen_is_not_hidden(seen: Session) -> None:
+    assert len(on_face(seen, 1.15, 1.0)) == 0
+    assert len(on_face(seen, -1.15, -1.0)) == 0
+
+
+def test_a_viewpoint_shows_what_it_looks_at_and_no_surface_hides(seen: Session) -> None:
+    hidden = Hidden(seen)
+    into, away = hidden.areas([standing(-0.1, 0.55), Pose2(-0.1, 0.55, math.pi)])
+    assert into > 0.005
+    assert away == 0.0
+    gap = hidden.faces.select(np.abs(hidden.faces.points[:, 1] - 0.25) < 0.04)
+    # The front of the box on the left stands before the gap beside it.
+    assert hidden.slices.hides(gap, np.array([0.3, 1.6])).all()
+    assert not hidden.slices.hides(gap, np.array([-0.1, 0.55])).all()
+
+
+def test_what_a_view_into_the_gap_settled_is_hidden_no_more(seen: Session) -> None:
+    poses = [view.observation.T_odom_scan for view in seen.views]
+    more = session_at(BOXES, WIDE, poses=(*poses, standing(-0.1, 0.7)), half=1.2)
+    before, after = (on_face(each, 0.25, 1.0) for each in (seen, more))
+    depth = 1.17  # so far the box on the left lets it look
+    assert np.count_nonzero(before < depth) > 10
+    assert np.count_nonzero(after < depth) <= 2
+    assert np.count_nonzero(after > depth) > 10
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_does_not_decide_how_much_is_hidden(seed: int) -> None:
+    """The sides in the gaps are expected, and show to one who looks into them, with any noise."""
+    session = session_at(BOXES, WIDE, poses=BESIDE, half=1.2, sigma=0.008, seed=seed)
+    for y, outward in ((0.25, 1.0), (-0.15, -1.0)):
+        assert len(on_face(session, y, outward)) >= 50  # of 29 in each of two slices
+    area = Hidden(session).areas([standing(-0.1, 0.7)])[0]
+    assert area == pytest.approx(0.016, abs=0.005)
+
+
+def test_an_edge_that_two_views_saw_counts_once(seen: Session) -> None:
+    again = session_at(BOXES, WIDE, poses=(*BESIDE, *BESIDE), half=1.2)
+    areas = [Hidden(each).areas([standing(-0.1, 0.7)])[0] for each in (seen, again)]
+    assert areas[1] == pytest.approx(areas[0], rel=0.4)
+
+
+def test_a_flat_sight_settles_nothing(seen: Session) -> None:
+    """Beams along a face pass it by a finger's breadth and say nothing of it."""
+    along = session_at(BOXES, WIDE, poses=(*BESIDE, standing(-0.1, 0.3)), half=1.2)
+    before, after = (on_face(each, 0.25, 1.0) for each in (seen, along))
+    assert len(after) > 0.8 * len(before)
+
+
+def finished(session: Session, how: str) -> Situation:
+    """Return the situation after a session whose contour is done."""
+    planning = replace(PlanningConfig(), closing=how, epsilon=10.0)  # type: ignore[arg-type]
+    situation = Situation(replace(session, config=replace(session.config, planning=planning)))
+    situation.__dict__["contour_done"] = True
+    return situation
+
+
+def test_a_finished_contour_ends_the_run_unless_more_is_wanted(seen: Session) -> None:
+    plan = over(finished(seen, "none"))
+    assert plan is not None
+    assert plan.viewpoint is None
+    assert plan.reason == "front complete"
+
+
+def test_a_view_is_added_where_most_may_show(seen: Session) -> None:
+    situation = finished(seen, "hidden")
+    plan = over(situation)
+    assert plan is not None
+    assert plan.viewpoint is not None
+    areas = Hidden(situation.session).areas(Prospects.on(situation).poses)
+    assert Hidden(situation.session).areas([plan.viewpoint])[0] == pytest.approx(areas.max())
+
+
+def test_no_view_is_added_that_would_not_register(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(closing.Forecast, "error", lambda self, viewpoint: math.inf)
+    plan = over(finished(seen, "hidden"))
+    assert plan is not None
+    assert plan.viewpoint is None
+
+
+def test_a_step_along_the_contour_comes_first(seen: Session) -> None:
+    situation = finished(seen, "hidden")
+    situation.__dict__["contour_done"] = False
+    assert over(situation) is None
+
+
+def test_a_contour_that_was_done_stays_done() -> None:
+    end = Pose2(0.4, -1.6, math.radians(40.0))
+    session = session_at(BOXES, WIDE, poses=(end,), half=1.2)
+    assert Situation(session).contour_done
+    on = session_at(BOXES, WIDE, poses=(end, standing(-0.1, 0.0)), half=1.2)
+    assert not Situation(replace(on, views=on.views[1:])).contour_done
+    assert Situation(on).contour_done

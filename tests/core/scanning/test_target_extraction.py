@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from synthetic import THREE_BOXES, Box, observe
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import SceneError
+from scan3d_twin.core.scanning.target_extraction import (
+    all_points,
+    extract_target,
+    find_target,
+    in_window,
+)
+from scan3d_twin.core.types import Observation, Pose2
+
+CONFIG = Config()
+SPAWN = Pose2(-0.9, 0.0, 0.0)
+
+
+def look(
+    boxes: tuple[Box, ...] = THREE_BOXES, *, room: bool = True, spawn: Pose2 = SPAWN
+) -> Observation:
+    seen = observe(spawn, boxes, width=math.tau - 1e-3, step=math.radians(2.0), room=room)
+    return Observation(seen.image, Pose2())  # odom is where the robot was opened
+
+
+def test_floor_robot_and_far_things_are_left_out() -> None:
+    image = observe(SPAWN).image
+    scan = all_points(image, CONFIG)
+    ranges = image.ranges[scan.lines, scan.beams]
+    assert scan.points[:, 2].min() > CONFIG.target.floor_height
+    assert ranges.max() <= CONFIG.target.max_range
+    assert np.hypot(scan.points[:, 0], scan.points[:, 1]).min() > CONFIG.motion.self_radius
+    assert np.isfinite(image.points[..., 2]).sum() > len(scan)
+
+
+def test_the_window_is_213_beams_around_384() -> None:
+    image = observe(SPAWN).image
+    inside = np.flatnonzero(in_window(image, np.arange(image.spec.n_beams), CONFIG.target))
+    middle = image.spec.n_beams // 2
+    assert len(inside) == 213
+    assert (inside[0], inside[-1]) == (middle - 106, middle + 106)
+
+
+def test_the_look_around_finds_the_boxes_not_the_room() -> None:
+    hint = find_target(look(), None, CONFIG)
+    assert hint[:, 0].min() == pytest.approx(1.5, abs=0.02)
+    assert hint[:, 1].min() == pytest.approx(-1.15, abs=0.08)
+    assert hint[:, 1].max() == pytest.approx(1.15, abs=0.08)
+    assert hint[:, 0].max() < 2.2  # the wall behind is at 3.4
+
+
+def test_a_wall_is_found_when_there_is_nothing_else() -> None:
+    wall = (Box((1.3, -5.0, 0.0), (1.4, 5.0, 2.5)),)
+    hint = find_target(look(wall, room=False, spawn=Pose2(0.0, 4.0, 0.0)), None, CONFIG)
+    assert np.ptp(hint[:, 1]) > 3.0
+    assert hint[:, 0].min() == pytest.approx(1.3, abs=0.01)
+
+
+def test_the_wanted_place_overrides_what_is_salient() -> None:
+    small = Box((-0.2, 1.2, 0.0), (0.0, 1.4, 0.3))
+    scene = (*THREE_BOXES, small)
+    assert find_target(look(scene), None, CONFIG)[:, 0].min() > 1.0
+    hint = find_target(look(scene), (0.75, 1.25), CONFIG)
+    assert hint[:, 0].max() < 1.0
+    assert hint[:, 1].min() == pytest.approx(1.2, abs=0.05)
+
+
+def test_nothing_near_the_wanted_place_is_an_error_that_says_so() -> None:
+    with pytest.raises(SceneError, match=r"no target within 0.5 m of \(-0.90, 0.30\)"):
+        find_target(look(), (-0.9, 0.3), CONFIG)
+
+
+def test_an_empty_floor_is_an_error_that_says_so() -> None:
+    with pytest.raises(SceneError, match="saw nothing within 4 m"):
+        find_target(look((), room=False), None, CONFIG)
+
+
+def test_the_target_is_extracted_without_the_room() -> None:
+    observation = observe(Pose2(-0.4, 0.0, 0.0))
+    sweep = all_points(observation.image, CONFIG)
+    known = np.array([[1.0, 0.5]])  # one point of the front is enough to tell which group it is
+    target = extract_target(observation.image, sweep, known, CONFIG.target)
+    x, y = observation.T_odom_scan.apply(target.points)[:, :2].T
+    assert len(target) > 5000
+    assert x.min() > 0.59
+    assert x.max() < 1.16
+    assert np.abs(y).max() < 1.16
+    assert len(target) < len(sweep)
+
+
+def test_stray_points_are_left_out() -> None:
+    observation = observe(Pose2(-0.4, 0.0, 0.0))
+    ranges = observation.image.ranges.copy()
+    ranges[60, 341] = 0.7  # in the air, in front of the boxes
+    object.__setattr__(observation.image, "ranges", ranges)
+    sweep = all_points(observation.image, CONFIG)
+    known = np.array([[1.0, 0.5], [0.7, 0.0]])
+    target = extract_target(observation.image, sweep, known, CONFIG.target)
+    assert np.hypot(target.points[:, 0], target.points[:, 1]).min() > 0.9
+
+
+def test_a_target_out_of_sight_is_empty() -> None:
+    observation = observe(Pose2(-0.4, 0.0, math.pi))
+    sweep = all_points(observation.image, CONFIG)
+    known = np.array([[-1.2, 0.0]])
+    assert len(extract_target(observation.image, sweep, known, CONFIG.target)) == 0
+
+
+def test_a_group_is_the_target_when_it_comes_within_the_gap_of_what_is_known() -> None:
+    box = Box((0.3, -0.4, 0.0), (0.7, 0.4, 0.6))
+    image = observe(SPAWN, (box,), room=False).image
+    sweep = all_points(image, CONFIG)
+    top, rng, gap = sweep.points[:, :2], np.random.default_rng(0), CONFIG.target.cluster_gap
+    outcomes = []
+    for _ in range(60):
+        bearing = rng.uniform(-np.pi, np.pi)
+        away = rng.uniform(0.0, 2 * gap) * np.array([np.cos(bearing), np.sin(bearing)])
+        known = top[[rng.integers(len(top))]] + away
+        near = np.linalg.norm(top - known, axis=1).min() <= gap
+        target = extract_target(image, sweep, known, CONFIG.target)
+        assert (len(target) > 0) == near
+        outcomes.append(near)
+    assert 10 < sum(outcomes) < 50
+
+
+def test_a_twig_close_by_is_less_salient_than_a_box_behind_it() -> None:
+    """The twig fills more of the view; the box shows more area."""
+    box = Box((1.6, -0.3, 0.0), (2.0, 0.3, 0.6))
+    twig = Box((0.3, 0.35, 0.0), (0.45, 0.5, 0.9))
+    look = observe(Pose2(), (box, twig), width=math.tau - 1e-3, step=math.radians(2.0))
+    found = find_target(look, None, Config())
+    assert found[:, 0].min() > 1.4
+
+
+def test_of_two_alike_the_one_ahead_is_the_target() -> None:
+    ahead, behind = Box((1.3, -0.3, 0.0), (1.6, 0.3, 0.6)), Box((-1.5, -0.3, 0.0), (-1.2, 0.3, 0.6))
+    look = observe(Pose2(), (ahead, behind), width=math.tau - 1e-3, step=math.radians(2.0))
+    assert find_target(look, None, Config())[:, 0].min() > 1.0

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import Box, observe
+from two_targets import TWO
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import SceneError
+from scan3d_twin.core.multi_target import digitize_each
+from scan3d_twin.core.observer import Unobserved
+from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.scanning.target_extraction import find_targets
+from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.scenes.scene import load_scene
+
+NEAR = Box((1.3, 0.5, 0.0), (1.7, 1.1, 0.6))
+SMALL = Box((1.3, -0.9, 0.0), (1.5, -0.6, 0.4))
+
+
+def middles(hints: list[FloatArray]) -> list[float]:
+    return [float(np.median(hint[:, 1])) for hint in hints]
+
+
+def test_the_most_salient_comes_first_and_walls_are_no_targets() -> None:
+    look = observe(Pose2(), (NEAR, SMALL), width=math.tau - 1e-3, step=math.radians(2.0))
+    found = find_targets(look, 5, Config())
+    assert len(found) == 2
+    first, second = middles(found)
+    assert first > 0.4
+    assert second < -0.4
+    assert middles(find_targets(look, 1, Config())) == [first]
+
+
+def test_an_empty_floor_has_no_targets() -> None:
+    look = observe(Pose2(), (), room=False, width=math.tau - 1e-3, step=math.radians(2.0))
+    with pytest.raises(SceneError):
+        find_targets(look, 2, Config())
+
+
+def test_two_targets_are_digitised_one_after_the_other(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "two.xml"
+    path.write_text(TWO)
+    config = replace(Config(), max_views=2)
+    with open_sim(load_scene(str(path)), 0, TwinConfig.ideal()) as (robot, _):
+        sessions = list(digitize_each(robot, make_planner("fixed50"), config, 0, Unobserved(), 2))
+    assert [len(session.views) for session in sessions] == [2, 2]
+    for session, (x, y) in zip(sessions, [(1.3, 0.9), (1.35, -0.8)], strict=True):
+        points = np.concatenate([v.T_world_scan.apply(v.target.points) for v in session.views])
+        assert np.median(points[:, 0]) == pytest.approx(x, abs=0.1)
+        assert np.median(points[:, 1]) == pytest.approx(y, abs=0.25)

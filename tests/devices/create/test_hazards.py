@@ -1,0 +1,87 @@
+"""What readings say about safety, packet by packet."""
+
+import pytest
+
+from scan3d_twin.core.types import Hazards
+from scan3d_twin.devices.create.hazards import blocking, hazards_of, why_not_safe
+from scan3d_twin.devices.create.link import COMMON
+from scan3d_twin.devices.create.packets import BumpsDrops, Overcurrents, Packet
+
+SAFE = {
+    **dict.fromkeys(COMMON, 0),
+    Packet.VOLTAGE: 15_000,
+    Packet.CHARGE: 1000,
+    Packet.CAPACITY: 2500,
+    Packet.MODE: 2,
+}
+
+
+def with_packets(**values):
+    return SAFE | {Packet[name.upper()]: value for name, value in values.items()}
+
+
+def test_nothing_is_wrong_with_a_base_on_the_floor():
+    assert hazards_of(SAFE) == Hazards(battery=0.4)
+    assert hazards_of(SAFE).active() == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "names"),
+    [
+        ({"bumps_drops": BumpsDrops.BUMP_LEFT}, ("bump left",)),
+        ({"bumps_drops": BumpsDrops.BUMP_RIGHT}, ("bump right",)),
+        ({"bumps_drops": BumpsDrops.DROP_LEFT}, ("wheel drop left",)),
+        ({"bumps_drops": BumpsDrops.DROP_RIGHT}, ("wheel drop right",)),
+        ({"bumps_drops": BumpsDrops.DROP_CASTER}, ("wheel drop left", "wheel drop right")),
+        ({"cliff_left": 1}, ("cliff left",)),
+        ({"cliff_front_left": 1}, ("cliff front left",)),
+        ({"cliff_front_right": 1}, ("cliff front right",)),
+        ({"cliff_right": 1}, ("cliff right",)),
+        ({"overcurrents": Overcurrents.LEFT_WHEEL}, ("overcurrent left",)),
+        ({"overcurrents": Overcurrents.RIGHT_WHEEL}, ("overcurrent right",)),
+    ],
+)
+def test_every_packet_means_what_the_manual_says(values, names):
+    assert hazards_of(with_packets(**values)).active() == names
+
+
+@pytest.mark.parametrize(
+    ("charge", "capacity", "millivolts", "share"),
+    [
+        (1348, 2696, 15_000, 0.5),
+        (3000, 2696, 15_000, 1.0),
+        (0, 0, 14_100, 0.5),
+        (0, 0, 12_600, 0.0),
+        (0, 0, 11_000, 0.0),
+        (0, 0, 15_600, 1.0),
+        (0, 0, 16_500, 1.0),
+    ],
+)
+def test_the_battery_is_known_by_its_charge_or_else_by_its_voltage(
+    charge, capacity, millivolts, share
+):
+    values = with_packets(charge=charge, capacity=capacity, voltage=millivolts)
+    assert hazards_of(values).battery == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "ahead", "names"),
+    [
+        (Hazards(), Hazards(bump_left=True), 0, ("bump left",)),
+        (Hazards(bump_left=True), Hazards(bump_left=True), 0, ()),
+        (Hazards(bump_left=True), Hazards(bump_left=True), 1, ("bump left",)),
+        (Hazards(bump_left=True), Hazards(bump_left=True), -1, ()),
+        (Hazards(bump_left=True), Hazards(cliff_left=True), -1, ("cliff left",)),
+    ],
+)
+def test_new_hazards_stop_and_old_ones_forbid_to_drive_on(before, now, ahead, names):
+    assert blocking(before, now, ahead) == names
+
+
+def test_why_safe_mode_was_left():
+    assert why_not_safe(with_packets(charging_sources=2), Hazards()) == [
+        "the charger was plugged in"
+    ]
+    assert why_not_safe(SAFE, Hazards(wheel_drop_left=True)) == ["wheel drop left"]
+    (why,) = why_not_safe(SAFE, Hazards())
+    assert "guard" in why

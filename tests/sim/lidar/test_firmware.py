@@ -1,0 +1,120 @@
+"""Error codes: each has its cause."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan3d_twin.core.types import VALID
+from scan3d_twin.sim.config import IDEAL_ROBOT, LidarModelConfig, TwinConfig
+from scan3d_twin.sim.lidar.config import IDEAL_LIDAR
+from scan3d_twin.sim.lidar.firmware import Light, read
+from scan3d_twin.sim.lidar.noise import Draws
+from scan3d_twin.sim.robot import open_sim
+
+NOTHING_BROKEN = ((np.empty(0, int), np.empty(0, int)), np.empty(0, int))
+
+
+def codes_of(distances, power, config=IDEAL_LIDAR, broken=NOTHING_BROKEN, chance=0.5):
+    distances, power = np.array([distances], float), np.array([power], float)
+    one = np.ones_like(distances)
+    draws = Draws(0 * one, 0 * one, chance * one)
+    light = Light(distances, power, one, 0 * one)
+    ranges, codes = read(light, broken, draws, np.zeros(1), config)
+    assert np.array_equal(np.isfinite(ranges), codes == VALID)
+    return codes[0].tolist()
+
+
+def test_nothing_came_back():
+    assert codes_of([np.inf, 1, 1], [0, 1, 1]) == [0, VALID, VALID]
+
+
+def test_too_far_or_too_near():
+    assert codes_of([4.0954, 4.0956, 0.0194, 0.0196, 1], [1] * 5)[:4] == [VALID, 0, 0, VALID]
+
+
+def test_weak_returns_differ_from_none():
+    threshold = LidarModelConfig().threshold
+    config = replace(IDEAL_LIDAR, threshold=threshold)
+    powers = [1, 1, 0.9 * threshold, 0.3 * threshold, 1, 1]
+    assert codes_of([1] * 6, powers, config) == [VALID, VALID, 2, 0, VALID, VALID]
+
+
+def test_too_strong():
+    config = replace(IDEAL_LIDAR, saturation=80)
+    assert codes_of([1] * 3, [1, 1, 81], config) == [VALID, VALID, 18]
+
+
+def test_a_reading_without_valid_neighbours():
+    codes = codes_of([1, np.inf, 1, np.inf, 1, 1], [1, 0, 1, 0, 1, 1])
+    assert codes == [VALID, 0, 7, 0, VALID, VALID]  # the first step has but one neighbour
+
+
+def test_a_glitch():
+    config = replace(IDEAL_LIDAR, glitch=0.2)
+    assert codes_of([1] * 4, [1] * 4, config, chance=np.array([0.5, 0.9, 0.5, 0.5]))[1] == 10
+
+
+def test_a_mixed_pixel_has_the_code_of_its_mixture():
+    broken = ((np.array([0, 0]), np.array([1, 2])), np.array([6, VALID]))
+    assert codes_of([1] * 5, [1] * 5, broken=broken) == [VALID, 6, VALID, VALID, VALID]
+
+
+RETRO = (
+    '<asset><material name="tape"/></asset><custom><tuple name="retro">'
+    '<element objtype="material" objname="tape" prm="70"/></tuple></custom>'
+)
+
+
+def level_beam(scene, config=None):
+    with open_sim(scene, 0, config or TwinConfig(errors=IDEAL_ROBOT)) as (robot, truth):
+        line = robot.lidar.read_line(1.0)
+        front = int(np.argmin(np.abs(robot.lidar.spec.elevations)))
+        return int(line.codes[front]), float(truth.evidence().intensity[front])
+
+
+def surface(distance, material="", turn=0):
+    return (
+        f'<geom name="target" type="box" size=".02 .6 .4" pos="{distance + 0.07} 0 .4" '
+        f'euler="0 0 {turn}" {material}/>'
+    )
+
+
+@pytest.mark.parametrize(("distance", "code"), [(0.5, 18), (2.0, VALID)])
+def test_retro_reflective_tape_blinds_the_sensor_near_by(scene_of, distance, code):
+    scene = scene_of(surface(distance, 'material="tape"'), head=RETRO)
+    assert level_beam(scene)[0] == code
+
+
+MATERIALS = (
+    '<asset><material name="chrome" metallic="1" roughness=".1" rgba=".9 .9 .9 1"/>'
+    '<material name="gloss" metallic="0" roughness=".1" rgba=".9 .9 .9 1"/>'
+    '<material name="matte" rgba=".9 .9 .9 1"/><material name="black" rgba=".03 .03 .03 1"/>'
+    "</asset>"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "turn", "seen"),
+    [
+        ("matte", 0, True),
+        ("matte", 40, True),
+        ("gloss", 40, True),
+        ("chrome", 0, True),
+        ("chrome", 40, False),
+        ("black", 60, False),
+    ],
+)
+def test_surfaces_differ_in_what_comes_back(scene_of, name, turn, seen):
+    config = TwinConfig(lidar=LidarModelConfig(saturation=1e6), errors=IDEAL_ROBOT)
+    distance = 3.5 if name == "black" else 1.5
+    scene = scene_of(surface(distance, f'material="{name}"', turn), head=MATERIALS)
+    assert (level_beam(scene, config)[0] == VALID) == seen
+
+
+def test_intensity_falls_from_white_to_black(scene_of):
+    levels = [
+        level_beam(scene_of(surface(1.0, f'material="{name}"'), head=MATERIALS))[1]
+        for name in ("gloss", "matte", "black")
+    ]
+    assert levels[0] > levels[1] > 5 * levels[2]

@@ -1,0 +1,118 @@
+import mujoco
+import numpy as np
+import pytest
+
+from scan3d_twin.sim.ray_casting import EmbreeCaster, MujocoCaster, choose_caster
+from scan3d_twin.sim.scenes.scene import load_scene, scene_names
+
+
+def rays(rng, count):
+    origins = rng.uniform([-1, -1, 0.1], [1, 1, 0.6], (count, 3))
+    directions = rng.standard_normal((count, 3))
+    return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_rays_agree_with_mj_ray(name):
+    scene = load_scene(name)
+    data = mujoco.MjData(scene.model)
+    mujoco.mj_forward(scene.model, data)
+    origins, directions = rays(np.random.default_rng(1), 300)
+    hits = MujocoCaster(scene.model).cast(np.empty(0), origins, directions)
+    geom = np.zeros(1, np.int32)
+    for k in range(len(origins)):
+        expected = mujoco.mj_ray(
+            scene.model, data, origins[k], directions[k], None, 1, -1, geom, None
+        )
+        assert hits.geoms[k] == geom[0]
+        assert hits.distances[k] == (pytest.approx(expected) if geom[0] >= 0 else np.inf)
+
+
+CURVED = [
+    int(kind)
+    for kind in (
+        mujoco.mjtGeom.mjGEOM_SPHERE,
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        mujoco.mjtGeom.mjGEOM_CYLINDER,
+        mujoco.mjtGeom.mjGEOM_CAPSULE,
+    )
+]
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_embree_and_mujoco_see_the_same(name):
+    pytest.importorskip("embreex")
+    model = load_scene(name).model
+    origins, directions = rays(np.random.default_rng(2), 40_000)
+    exact = MujocoCaster(model).cast(np.empty(0), origins, directions)
+    fast = EmbreeCaster(model).cast(np.empty(0), origins, directions)
+    assert (np.isfinite(exact.distances) != np.isfinite(fast.distances)).mean() < 1e-4
+    same = (exact.geoms == fast.geoms) & (exact.geoms >= 0) & (exact.distances < 10)
+    # A ray that starts within a chord's height of a surface may start on either side of it.
+    same &= np.minimum(exact.distances, fast.distances) > 1e-3
+    assert same.sum() > 0.99 * (exact.geoms >= 0).sum() - (exact.distances >= 10).sum()
+    error = np.abs(np.where(same, exact.distances, 0) - np.where(same, fast.distances, 0))
+    curved = np.isin(model.geom_type[exact.geoms], CURVED)
+    assert error[same & ~curved].max() < 1e-5
+    assert error[same & curved].max(initial=0.0) < 2e-4
+    aslant = np.abs(np.einsum("ni,ni->n", exact.normals, directions)) > 0.05
+    turned = np.linalg.norm(exact.normals - fast.normals, axis=1)[same & aslant]
+    # Where two faces meet either normal is right.
+    assert (turned > 1e-3).mean() < 1e-3
+
+
+def test_embree_is_chosen_for_crowds_and_large_meshes_that_stand_still(scene_of):
+    pytest.importorskip("embreex")
+    chosen = {name: choose_caster(load_scene(name).model) for name in scene_names()}
+    assert isinstance(chosen["clutter_100"], EmbreeCaster)
+    assert isinstance(chosen["sine_box"], EmbreeCaster)
+    assert isinstance(chosen["plain_wall"], MujocoCaster)
+    crowd = "".join(f'<geom size=".1" pos="{x} 3 .1"/>' for x in range(20))
+    ball = '<body pos="2 0 1"><freejoint/><geom size=".1"/></body>'
+    target = '<geom name="target" size=".1" pos="9 0 .1"/>'
+    assert isinstance(choose_caster(scene_of(crowd + target).model), EmbreeCaster)
+    assert isinstance(choose_caster(scene_of(crowd + ball + target).model), MujocoCaster)
+
+
+def test_without_embree_mujoco_casts_all(monkeypatch):
+    monkeypatch.setattr("scan3d_twin.sim.ray_casting.available", lambda: False)
+    assert isinstance(choose_caster(load_scene("clutter_100").model), MujocoCaster)
+
+
+def test_rays_pass_through_what_is_transparent_in_both(scene_of):
+    pytest.importorskip("embreex")
+    body = '<geom type="box" size=".1 1 1" pos="1 0 1" rgba="0 0 0 0"/>'
+    model = scene_of(body + '<geom name="target" type="box" size=".1 1 1" pos="3 0 1"/>').model
+    origin, ahead = np.array([[0.0, 0.2, 1.0]]), np.array([[1.0, 0.0, 0.0]])
+    for caster in (MujocoCaster(model), EmbreeCaster(model)):
+        assert caster.cast(np.empty(0), origin, ahead).distances == pytest.approx([2.9])
+
+
+def test_normals_of_a_cylinder_are_exact():
+    scene = load_scene("shiny_cylinder")
+    origins = np.array([[-1.0, 0.07, 0.3], [-1.0, -0.14, 0.2]])
+    directions = np.tile([1.0, 0.0, 0.0], (2, 1))
+    hits = MujocoCaster(scene.model).cast(np.empty(0), origins, directions)
+    points = origins + hits.distances[:, None] * directions
+    expected = points * (1, 1, 0) / 0.15
+    assert hits.normals == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_miss_is_infinite():
+    scene = load_scene("plain_wall")
+    hits = MujocoCaster(scene.model).cast(
+        np.empty(0), np.array([[0.0, 0.0, 1.0]]), np.array([[-1.0, 0.0, 0.0]])
+    )
+    assert hits.distances[0] == np.inf
+    assert hits.geoms[0] == -1
+
+
+def test_moving_objects_are_where_they_are_now(scene_of):
+    ball = '<body pos="2 0 1"><freejoint/><geom size=".1"/></body>'
+    scene = scene_of(ball + '<geom name="target" size=".1" pos="9 0 0"/>')
+    caster = MujocoCaster(scene.model)
+    origin, ahead = np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]])
+    near = caster.cast(np.array([1.0, 0, 1, 1, 0, 0, 0]), origin, ahead)
+    gone = caster.cast(np.array([1.0, 5, 1, 1, 0, 0, 0]), origin, ahead)
+    assert near.distances == pytest.approx([0.9])
+    assert gone.distances[0] == np.inf
