@@ -100,7 +100,7 @@ def report_json(report: Report) -> str:
 
 def report_schema() -> dict[str, Any]:
     """Return the JSON schema of a report."""
-    path = files("scan3d_twin.recording") / "report.schema.json"
+    path = files("scan3d_twin.run") / "report.schema.json"
     schema: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return schema
 
