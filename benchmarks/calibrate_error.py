@@ -84,7 +84,7 @@ def steps(seed: int, name: str, factor: float | None) -> list[Step]:
     scene, watcher = load_scene(f"random:{seed}"), Watcher()
     standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
     own = {"tour": scene.tour, "planning": standoff, "max_views": MOST_VIEWS}
-    extra = {"alignment": {"when": "never"}}
+    extra = {"alignment": {"mode": "off"}}
     if factor is not None:
         extra["planning"] = {"calibration": factor}
     config = settings([preset(name), own, extra]).config

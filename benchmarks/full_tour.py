@@ -21,7 +21,7 @@ import numpy as np
 
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.mapping.loop_closure import placed, solve
+from scan3d_twin.core.mapping.loop_closure import apply_alignment, solve
 from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -55,7 +55,7 @@ def tour(scene: str, seed: int) -> Tour:
     options = [
         {"tour": "full", "planning": standoff},
         preset("best"),
-        {"alignment": {"when": "never"}},
+        {"alignment": {"mode": "off"}},
     ]
     config = settings(options).config
     with open_sim(loaded, seed) as (robot, truth):
@@ -66,7 +66,7 @@ def tour(scene: str, seed: int) -> Tour:
         if len(session.views) < 2:
             return Tour(scene, seed, session.stop_reason, len(session.views))
         alignment = solve(session)
-        aligned = placed(replace(session), alignment)
+        aligned = apply_alignment(replace(session), alignment)
         before, after = (figures(evaluate(s, truth)) for s in (session, aligned))
     links, misfits = len(alignment.links), len(alignment.misfits)
     return Tour(scene, seed, session.stop_reason, len(session.views), links, misfits, before, after)

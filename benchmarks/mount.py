@@ -19,8 +19,12 @@ from typing import Any
 import numpy as np
 
 from scan3d_twin.core.config import Config, SweepConfig
-from scan3d_twin.core.scanning.extrinsic_calibration import Calibration, calibrate, calibrate_look
-from scan3d_twin.core.scanning.sweep import look_around, sweep
+from scan3d_twin.core.scanning.extrinsic_calibration import (
+    Calibration,
+    calibrate,
+    calibrate_on_panorama,
+)
+from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.types import RangeImage
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
@@ -91,7 +95,7 @@ def look_error(scene: str, seed: int) -> float:
     """Return by how much the yaw scale of a look around is off for the sweep after it."""
     config = replace(Config(), sweep=SweepConfig(width=math.radians(150.0)))
     with open_sim(scene, seed) as (robot, truth):
-        found = calibrate_look(look_around(robot, config, lambda line: None).image)
+        found = calibrate_on_panorama(take_panorama(robot, config, lambda line: None).image)
         image = sweep(robot, 0.0, config, lambda line: None).image
         assert found is not None
         return found.mount.yaw_scale - turning(image, truth)[1]

@@ -25,7 +25,7 @@ from scan3d_twin.core.mapping.scan_matching import kept_surfels
 from scan3d_twin.core.model.evaluation import Truth
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import Planner, make_planner, planner_names
-from scan3d_twin.core.planning.context import Situation, finish
+from scan3d_twin.core.planning.context import PlanningContext, finish
 from scan3d_twin.core.presets import preset
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
@@ -86,8 +86,8 @@ class Placing:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """See ``Planner.plan``."""
-        situation = Situation(session)
-        return finish(situation.finished() or str(situation.place(0.2)))
+        context = PlanningContext(session)
+        return finish(context.finished() or str(context.place(0.2)))
 
 
 def with_planning(**changes: object) -> Callable[[Session], Session]:

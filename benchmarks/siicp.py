@@ -36,7 +36,7 @@ from scipy.stats import spearmanr
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.scan_matching import motion_prior
-from scan3d_twin.core.planning.error_prediction import Forecast
+from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.simulated_registration import Simulation, displaced
 from scan3d_twin.core.registration import SurfelGrid, prepare, register
 from scan3d_twin.core.registration.multistart import AMBIGUOUS
@@ -118,7 +118,7 @@ def measure(name: str, overlap: float, sigma: float, runs: int) -> Setting:
         first = scan(scene, Pose2(), HALF, Noise(sigma), rng)
         second = scan(scene, O2, HALF, Noise(sigma), rng)
         grid = prepare(first)
-        predicted.append(Forecast(grid, grid.valid, settings).error(O2))
+        predicted.append(ErrorPrediction(grid, grid.valid, settings).error(O2))
         if run < SIMULATED:
             simulation = Simulation(grid, grid.valid, settings, run)
             simulated += list(simulation.errors(O2, DRAWS))
@@ -215,7 +215,7 @@ def costs(runs: int) -> Iterator[list[float]]:
 
 def plan(image: RangeImage, _: np.random.Generator) -> None:
     grid = prepare(image)
-    forecast = Forecast(grid, grid.valid, config())
+    forecast = ErrorPrediction(grid, grid.valid, config())
     for eta in OVERLAPS:
         forecast.error(candidate(eta))
 

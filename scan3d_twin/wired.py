@@ -20,7 +20,7 @@ from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.truth import Truth
 
 
-class Unhindered:
+class HazardFreeClock:
     """The twin's clock for those who must learn of hazards from bytes."""
 
     def __init__(self, clock: Clock) -> None:
@@ -50,7 +50,7 @@ def open_wired(
     """
     config = TwinConfig() if config is None else config
     with open_sim(scene, seed, config) as (twin, truth):
-        clock = Unhindered(twin.clock)
+        clock = HazardFreeClock(twin.clock)
         profile = UrgProfile(usb=config.lidar_link == "usb")
         firmware = oi.MODELS[twin.base.spec.name]
         base, lidar = CreateEmulator(twin.base, firmware), UrgEmulator(twin.lidar, profile)

@@ -45,7 +45,7 @@ def test_the_wheel_holds_every_module_and_the_schema(wheel):
     for name in MODULES:
         stem = name.replace(".", "/")
         assert {f"{stem}.py", f"{stem}/__init__.py"} & wheel, name
-    assert "scan3d_twin/recording/report.schema.json" in wheel
+    assert "scan3d_twin/run/report.schema.json" in wheel
     assert any(name.endswith("licenses/LICENSE") for name in wheel)
 
 

@@ -26,5 +26,5 @@ class ViewSaver(Unobserved):
             write_file(self._folder / "config.toml", settings_toml(self._settings))
             self._settings_saved = True
         write_file(view_path(self._folder, index), view_bytes(session.views[index]))
-        if session.config.spare == "memory":
-            session.fold()
+        if session.config.optimize_for == "memory":
+            session.compress()

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scan3d_twin.core.planning.context import MIN_LINES, Situation
+from scan3d_twin.core.planning.context import MIN_LINES, PlanningContext
 from scan3d_twin.core.planning.planners.curvature import feature_score
 from scan3d_twin.core.planning.surface_patches import eye_height, patches_of
 from scan3d_twin.core.session import Session
@@ -23,9 +23,9 @@ def feature_before(session: Session, k: int) -> float | None:
     """
     if k + 1 >= len(session.views):
         return None
-    situation = Situation(replace(session, views=session.views[: k + 1]))
-    if situation.n_lines < MIN_LINES:
+    context = PlanningContext(replace(session, views=session.views[: k + 1]))
+    if context.n_lines < MIN_LINES:
         return None
-    eye = np.array([0.0, 0.0, eye_height(situation.view)])
-    Q = patches_of(situation.P.last_lines(situation.n_Q(SHARE)).points, eye)
-    return feature_score(Q, len(patches_of(situation.P.points, eye)), "normals")
+    eye = np.array([0.0, 0.0, eye_height(context.view)])
+    Q = patches_of(context.P.last_lines(context.n_Q(SHARE)).points, eye)
+    return feature_score(Q, len(patches_of(context.P.points, eye)), "normals")

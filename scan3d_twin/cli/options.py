@@ -39,7 +39,7 @@ class ScanOptions:
     """The run's one seed; in the twin the same seed gives the same files (default 0)."""
     max_views: Annotated[int | None, env("MAX_VIEWS")] = None
     """Stop after this many views (default 20)."""
-    spare: Annotated[Literal["time", "memory"] | None, env("SPARE")] = None
+    optimize_for: Annotated[Literal["speed", "memory"] | None, env("OPTIMIZE_FOR")] = None
     """What this computer has least of; the results are the same (default: time; memory for the
     real robot)."""
     target: Annotated[str | None, Parameter(env_var="TWIN_TARGET", allow_leading_hyphen=True)] = (
@@ -85,7 +85,7 @@ def _flat(options: ScanOptions, sections: Options) -> Options:
             run[name] = _absolute(value)
         elif name in ("seed", "preset", "world", "target", "mesh_scale"):
             run[name] = value
-        elif name in ("tour", "planner", "max_views", "spare", "robot", "lidar_link"):
+        elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
             top[name] = value
     planning = {}
     if options.epsilon is not None:

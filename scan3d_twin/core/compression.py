@@ -1,7 +1,8 @@
-"""Large arrays of values that are kept for long but seldom read: folded, without loss of a bit.
+"""Lossless compression of large arrays that are kept for long but seldom read.
 
-A session keeps all its views, and a robot's computer may be small. What is folded reads as before,
-only slower: it is unfolded when it is read, and what was read last is kept at hand. Ranges are
+A session keeps all its views, and a robot's computer may be small. A compressed
+array reads as before, only slower: it is decompressed when it is read, and the last ones read are
+cached. Ranges are
 whole millimetres and codes small numbers, so that two bytes do for each; headings run smoothly, so
 that their second differences are small.
 """
@@ -23,7 +24,7 @@ from scan3d_twin.core.errors import ConfigError
 AnyArray = npt.NDArray[Any]
 T = TypeVar("T")
 AT_HAND = 4
-"""Arrays that were read last and are kept unfolded: most of those of one view."""
+"""Arrays that were read last and are kept decompressed: most of those of one view."""
 LIMIT = 32_000
 """Whole numbers, or thousandths, up to this are kept in two bytes."""
 OTHER = -32_768
@@ -35,8 +36,8 @@ FAST = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Folded:
-    """A folded array of 8-byte numbers.
+class CompressedArray:
+    """A compressed array of 8-byte numbers.
 
     Attributes:
         shape: Of the array.
@@ -53,39 +54,41 @@ class Folded:
     values: npt.NDArray[np.uint64]
 
     @staticmethod
-    def of(array: AnyArray) -> Folded:
+    def of(array: AnyArray) -> CompressedArray:
         """Fold ``array`` (n_lines, n_beams).
 
         Raises:
             ConfigError: It has other than 8-byte numbers.
         """
         if array.dtype.itemsize != 8:
-            raise ConfigError(f"only numbers of 8 bytes can be folded, not {array.dtype}")
+            raise ConfigError(f"only numbers of 8 bytes can be compressed, not {array.dtype}")
         bits = np.ascontiguousarray(array).view(np.uint64)
         short = _shortened(array)
         others = np.flatnonzero(_lengthened(short, array.dtype).view(np.uint64) != bits)
         if len(others) * SOME > bits.size:
             packed = _packed(_differences(_differences(bits)))
-            return Folded(array.shape, array.dtype, packed, None, bits[:0].ravel())
+            return CompressedArray(array.shape, array.dtype, packed, None, bits[:0].ravel())
         values = bits.reshape(-1)[others]
-        return Folded(array.shape, array.dtype, _packed(short), others.astype(np.int32), values)
+        return CompressedArray(
+            array.shape, array.dtype, _packed(short), others.astype(np.int32), values
+        )
 
-    def unfold(self) -> AnyArray:
+    def decompress(self) -> AnyArray:
         """Return the array, which refuses writes."""
-        return _unfolded(self)
+        return _decompressed(self)
 
 
 @lru_cache(maxsize=AT_HAND)
-def _unfolded(folded: Folded) -> AnyArray:
-    if folded.others is None:
-        twice = _unpacked(folded.packed, np.dtype(np.uint64)).reshape(folded.shape)
+def _decompressed(compressed: CompressedArray) -> AnyArray:
+    if compressed.others is None:
+        twice = _unpacked(compressed.packed, np.dtype(np.uint64)).reshape(compressed.shape)
         once = np.cumsum(twice, axis=-1, dtype=np.uint64)
         bits = np.cumsum(once, axis=-1, dtype=np.uint64, out=once)
     else:
-        short = _unpacked(folded.packed, np.dtype(np.int16)).reshape(folded.shape)
-        bits = _lengthened(short, folded.dtype).view(np.uint64)
-        bits.reshape(-1)[folded.others] = folded.values
-    array = np.asarray(bits.view(folded.dtype))
+        short = _unpacked(compressed.packed, np.dtype(np.int16)).reshape(compressed.shape)
+        bits = _lengthened(short, compressed.dtype).view(np.uint64)
+        bits.reshape(-1)[compressed.others] = compressed.values
+    array = np.asarray(bits.view(compressed.dtype))
     array.flags.writeable = False
     return array
 
@@ -106,56 +109,56 @@ def _lengthened(short: npt.NDArray[np.int16], dtype: np.dtype[Any]) -> AnyArray:
     return numbers
 
 
-class Unfolds(Protocol):
+class Compressed(Protocol):
     """Stands for an array that was put away."""
 
-    def unfold(self) -> AnyArray:
+    def decompress(self) -> AnyArray:
         """Return the array."""
         ...
 
 
-class Foldable:
+class CompressibleField:
     """A field whose array may have been put away; reading it gives the array."""
 
     def __init__(self, name: str) -> None:
         self._place = f"_{name}"
 
     def __get__(self, instance: object, owner: type) -> AnyArray:
-        held: AnyArray | Unfolds = instance.__dict__[self._place]
-        return held if isinstance(held, np.ndarray) else held.unfold()
+        held: AnyArray | Compressed = instance.__dict__[self._place]
+        return held if isinstance(held, np.ndarray) else held.decompress()
 
-    def __set__(self, instance: object, value: AnyArray | Unfolds) -> None:
+    def __set__(self, instance: object, value: AnyArray | Compressed) -> None:
         instance.__dict__[self._place] = value
 
 
-def foldable(*names: str) -> Callable[[type[T]], type[T]]:
-    """Return a decorator for a dataclass whose fields ``names`` are ``Foldable``."""
+def compressible(*names: str) -> Callable[[type[T]], type[T]]:
+    """Return a decorator for a dataclass whose fields ``names`` are ``CompressibleField``."""
 
     def decorate(cls: type[T]) -> type[T]:
         for name in names:
-            setattr(cls, name, Foldable(name))
+            setattr(cls, name, CompressibleField(name))
         return cls
 
     return decorate
 
 
-def is_folded(instance: object, name: str) -> bool:
-    """Tell whether the array in the ``Foldable`` of that ``name`` was put away."""
+def is_compressed(instance: object, name: str) -> bool:
+    """Tell whether the array in the ``CompressibleField`` of that ``name`` was put away."""
     return not isinstance(instance.__dict__[f"_{name}"], np.ndarray)
 
 
-def fold(names: Sequence[str], *instances: object) -> None:
-    """Put the arrays in the ``Foldable`` of those ``names`` away; doing so twice does nothing.
+def compress_fields(names: Sequence[str], *instances: object) -> None:
+    """Compress the ``CompressibleField`` of those ``names``; doing so twice does nothing.
 
-    An array that several of the ``instances`` share is folded once.
+    An array that several of the ``instances`` share is compressed once.
     """
-    folded: dict[int, tuple[AnyArray, Folded]] = {}
+    compressed: dict[int, tuple[AnyArray, CompressedArray]] = {}
     for instance, name in product(instances, names):
-        if not is_folded(instance, name):
+        if not is_compressed(instance, name):
             array = getattr(instance, name)
-            if id(array) not in folded:
-                folded[id(array)] = array, Folded.of(array)
-            object.__setattr__(instance, name, folded[id(array)][1])
+            if id(array) not in compressed:
+                compressed[id(array)] = array, CompressedArray.of(array)
+            object.__setattr__(instance, name, compressed[id(array)][1])
 
 
 def _differences(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:

@@ -16,15 +16,19 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.drive_to_viewpoint import drive
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.mapping.loop_closure import closed, concluded
-from scan3d_twin.core.mapping.scan_matching import place_view
+from scan3d_twin.core.mapping.loop_closure import align_final, align_on_loop_closure
+from scan3d_twin.core.mapping.scan_matching import match_to_previous
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.planning import Planner
-from scan3d_twin.core.scanning.extrinsic_calibration import calibrate_look, suspicion, with_turning
+from scan3d_twin.core.scanning.extrinsic_calibration import (
+    calibrate_on_panorama,
+    suspicion,
+    with_turning,
+)
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import without_mixed_pixels
-from scan3d_twin.core.scanning.sweep import look_around, sweep
+from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.scanning.target_extraction import all_points, extract_target, find_target
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import (
@@ -35,7 +39,7 @@ from scan3d_twin.core.types import (
 )
 from scan3d_twin.core.viewpoints import (
     first_segment,
-    look_contour,
+    panorama_contour,
     place,
     sweep_width,
 )
@@ -95,7 +99,7 @@ def digitize(
     return conclude(planned, observer).ended(reason)
 
 
-class Scout(Protocol):
+class ScanSource(Protocol):
     """Takes the images that the loop asks for, by whatever means."""
 
     def look(self, session: Session) -> Observation:
@@ -113,7 +117,7 @@ def unplanned(session: Session) -> Session:
 
 
 def views(
-    scout: Scout, session: Session, viewpoint: Pose2 | None
+    scout: ScanSource, session: Session, viewpoint: Pose2 | None
 ) -> Generator[Session, Plan, None]:
     """The loop of Fig. 5, the decisions left open: yield the session after each view, take a plan.
 
@@ -129,8 +133,8 @@ def views(
         if viewpoint is not None:
             session = integrate(session, scout.observe(viewpoint, session))
         plan = yield session
-        if plan.needs_look:
-            session = session.with_look(scout.look(session))
+        if plan.needs_panorama:
+            session = session.with_panorama(scout.look(session))
             plan = yield session
         session = session.with_plan(plan)
         viewpoint = _in_odom(session, plan)
@@ -143,12 +147,12 @@ class _Watched:
         self._robot, self._observer = robot, observer
 
     def look(self, session: Session) -> Observation:
-        """See ``Scout``."""
+        """See ``ScanSource``."""
         self._observer.on_event("looking around for free space")
-        return look_around(self._robot, session.config, self._observer.on_line)
+        return take_panorama(self._robot, session.config, self._observer.on_line)
 
     def observe(self, viewpoint: Pose2, session: Session) -> Observation:
-        """See ``Scout``."""
+        """See ``ScanSource``."""
         return observe(self._robot, viewpoint, session, self._observer)
 
 
@@ -161,8 +165,8 @@ def begin(
 ) -> tuple[Session, Pose2]:
     """Look around for the target; return an empty session and the first viewpoint in ``odom``."""
     observer.on_event("looking around for the target")
-    look = look_around(robot, config, observer.on_line)
-    found = calibrate_look(look.image)
+    look = take_panorama(robot, config, observer.on_line)
+    found = calibrate_on_panorama(look.image)
     if warning := suspicion(found):
         observer.on_event(f"warning: {warning}")
     tuned = with_turning(config, found)
@@ -173,7 +177,7 @@ def begin(
 
 def config_for(session: Session, config: Config) -> Config:
     """Return ``config`` as a run has it that goes on from ``session``: by its first look around."""
-    return with_turning(config, calibrate_look(session.looks[0][1].image))
+    return with_turning(config, calibrate_on_panorama(session.panoramas[0][1].image))
 
 
 def start(
@@ -188,7 +192,7 @@ def start(
     Pure, as ``integrate``. The robot stands ``here`` in ``odom``.
     """
     hint = find_target(look, target, config)
-    contour = look_contour(here.inverse().apply(hint))
+    contour = panorama_contour(here.inverse().apply(hint))
     session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, look),))
     costmap = build_costmap(session.observations(), config, here)
     segment = first_segment(contour, sweep_width(config), from_left=config.tour == "front")
@@ -237,13 +241,13 @@ def integrate(session: Session, observation: Observation) -> Session:
     target = extract_target(image, points, known, config.target)
     view = View(observation, image, target, points, prior, None)
     if session.views:
-        view = place_view(view, session.views, config)
-    return closed(session.with_view(view))
+        view = match_to_previous(view, session.views, config)
+    return align_on_loop_closure(session.with_view(view))
 
 
 def conclude(session: Session, observer: Observer) -> Session:
     """Return a finished session with its views aligned, if wanted; tell which do not fit."""
-    result = concluded(session)
+    result = align_final(session)
     if len(result.views) < len(session.views):
         observer.on_event(
             f"left out {len(session.views) - len(result.views)} views that do not fit"
@@ -273,7 +277,7 @@ def _plan(
 ) -> tuple[Session, Plan]:
     """Plan; if the way is not known to be free, look around once and plan again."""
     plan = ask(planner, session)
-    if plan.needs_look:
+    if plan.needs_panorama:
         session = loop.send(plan)
         plan = ask(planner, session)
     return session, plan

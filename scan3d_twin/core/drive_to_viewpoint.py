@@ -18,7 +18,7 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.navigation.costmap import RESOLUTION, build_costmap
 from scan3d_twin.core.navigation.motion_control import back_off, follow
 from scan3d_twin.core.observer import Observer
-from scan3d_twin.core.scanning.sweep import look_around
+from scan3d_twin.core.scanning.sweep import take_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Hazards, Observation, Pose2
 
@@ -48,7 +48,7 @@ def drive(
         path = _way(robot, viewpoint, seen, touched, config)
         if path is None and tries_left:
             observer.on_event("the way is blocked: looking around for another one")
-            seen = (*seen, look_around(robot, config, observer.on_line))
+            seen = (*seen, take_panorama(robot, config, observer.on_line))
             path = _way(robot, viewpoint, seen, touched, config)
         if path is None:
             break
@@ -63,7 +63,7 @@ def drive(
             touched += _contacts(robot.base.odometry().T_odom_base, hazards, half_width, config)
         observer.on_event(f"{_words(hazards)}: backing off to find a way around")
         back_off(robot, BACK_OFF, config.motion)
-        seen = (*seen, look_around(robot, config, observer.on_line))
+        seen = (*seen, take_panorama(robot, config, observer.on_line))
     raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
 
 

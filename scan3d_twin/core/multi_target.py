@@ -12,7 +12,7 @@ from scan3d_twin.core.drive_to_viewpoint import drive
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.planning import Planner
-from scan3d_twin.core.scanning.sweep import look_around
+from scan3d_twin.core.scanning.sweep import take_panorama
 from scan3d_twin.core.scanning.target_extraction import find_targets
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
@@ -54,7 +54,7 @@ def find_places(robot: Robot, config: Config, observer: Observer, count: int) ->
         SceneError: There is no target.
     """
     start = robot.base.odometry().T_odom_base
-    hints = find_targets(look_around(robot, config, observer.on_line), count, config)
+    hints = find_targets(take_panorama(robot, config, observer.on_line), count, config)
     return [_nearest_point(hint, np.array([start.x, start.y])) for hint in hints]
 
 

@@ -14,11 +14,11 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "planner": "fisher",
         "sweep": {"width": math.radians(90.0), "margin": math.radians(30.0), "turning": "look"},
         "registration": {"engine": "grid", "scope": "sweep"},
-        "alignment": {"when": "closed"},
+        "alignment": {"mode": "loop_closure"},
         "planning": {
             "calibration": 2.67,
             "checks": 6,
-            "bend": "silhouette",
+            "corner_model": "silhouette",
             "closing": "hidden",
             "quantile": 0.8,
             "lambda": 0.005,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.options import renamed
 from scan3d_twin.core.types import (
     FloatArray,
     Observation,
@@ -37,10 +38,10 @@ class View:
     T_world_scan: Pose2
     registration: RegistrationResult | None
 
-    def fold(self) -> None:
+    def compress(self) -> None:
         """Put the large arrays away: earlier views are kept, but seldom read."""
-        self.sweep.fold(self.image)
-        self.image.fold(self.observation.image)
+        self.sweep.compress(self.image)
+        self.image.compress(self.observation.image)
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Session:
         seed: The run's one seed.
         hint: Top-view points (n, 2) of the target in ``odom``, found by the look around [m].
         front: Outward unit normal (2,) in ``world`` of the target as the robot first saw it.
-        looks: Coarse sweeps all round, each with the number of views taken before it.
+        panoramas: Coarse sweeps all round, each with the number of views taken before it.
         views: In the order they were taken.
         plans: ``plans[k]`` was made after ``views[k]``.
         misfits: Views that contradict most others, by the latest alignment.
@@ -66,7 +67,7 @@ class Session:
     seed: int
     hint: FloatArray
     front: FloatArray
-    looks: tuple[tuple[int, Observation], ...] = ()
+    panoramas: tuple[tuple[int, Observation], ...] = renamed((), "looks")
     views: tuple[View, ...] = ()
     plans: tuple[Plan, ...] = ()
     misfits: tuple[int, ...] = ()
@@ -77,9 +78,9 @@ class Session:
         """Return a session with ``view`` appended."""
         return replace(self, views=(*self.views, view))
 
-    def with_look(self, look: Observation) -> Session:
+    def with_panorama(self, look: Observation) -> Session:
         """Return a session with a look around from the latest viewpoint appended."""
-        return replace(self, looks=(*self.looks, (len(self.views), look)))
+        return replace(self, panoramas=(*self.panoramas, (len(self.views), look)))
 
     def with_plan(self, plan: Plan) -> Session:
         """Return a session with ``plan`` appended."""
@@ -89,17 +90,17 @@ class Session:
         """Return a session that ended for ``reason``."""
         return replace(self, stop_reason=reason)
 
-    def fold(self) -> None:
+    def compress(self) -> None:
         """Put the large arrays of all but the latest view away; everything reads as before."""
-        for _, look in self.looks:
-            look.image.fold()
+        for _, look in self.panoramas:
+            look.image.compress()
         for view in self.views[:-1]:
-            view.fold()
+            view.compress()
 
     def observations(self) -> tuple[Observation, ...]:
         """Return all looks around and sweeps in the order in which they were taken."""
         result: list[Observation] = []
         for k in range(len(self.views) + 1):
-            result += [look for taken, look in self.looks if taken == k]
+            result += [look for taken, look in self.panoramas if taken == k]
             result += [view.observation for view in self.views[k : k + 1]]
         return tuple(result)

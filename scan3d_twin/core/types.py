@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scan3d_twin.core.compression import Folded, fold, foldable, is_folded
+from scan3d_twin.core.compression import (
+    CompressedArray,
+    compress_fields,
+    compressible,
+    is_compressed,
+)
+from scan3d_twin.core.options import renamed
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -191,7 +197,7 @@ class Hazards:
         return tuple(name.replace("_", " ") for name in flags if getattr(self, name))
 
 
-@foldable("yaws", "ranges", "codes")
+@compressible("yaws", "ranges", "codes")
 @dataclass(frozen=True)
 class RangeImage:
     """One sweep, the paper's P = {l_1 .. l_n}: lines by beams, in frame ``scan``.
@@ -219,9 +225,9 @@ class RangeImage:
         """Number of scan lines."""
         return len(self.stamps)
 
-    def fold(self, *others: RangeImage) -> None:
+    def compress(self, *others: RangeImage) -> None:
         """Put the large arrays of this and ``others`` away, as images kept but seldom read."""
-        fold(("yaws", "ranges", "codes"), self, *others)
+        compress_fields(("yaws", "ranges", "codes"), self, *others)
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
@@ -294,7 +300,7 @@ class Observation:
     touched: tuple[tuple[float, float], ...] = ()
 
 
-@foldable("points", "lines", "beams")
+@compressible("points", "lines", "beams")
 @dataclass(frozen=True)
 class Scan3D:
     """Points of one sweep in frame ``scan``, sorted by line, left to right.
@@ -314,16 +320,16 @@ class Scan3D:
     def __len__(self) -> int:
         return len(self.points)
 
-    def fold(self, image: RangeImage) -> None:
+    def compress(self, image: RangeImage) -> None:
         """Put the arrays away, as a scan that is kept but seldom read.
 
         Its points are looked up in ``image`` from then on, if they are those.
         """
-        if is_folded(self, "points"):
+        if is_compressed(self, "points"):
             return
-        lines, beams = Folded.of(self.lines), Folded.of(self.beams)
+        lines, beams = CompressedArray.of(self.lines), CompressedArray.of(self.beams)
         placed = _PointsOf(image, lines, beams)
-        if np.array_equal(placed.unfold(), self.points):
+        if np.array_equal(placed.decompress(), self.points):
             for name, folded in (("points", placed), ("lines", lines), ("beams", beams)):
                 object.__setattr__(self, name, folded)
 
@@ -370,12 +376,12 @@ class _PointsOf:
     """The points of an image at ``lines`` and ``beams``."""
 
     image: RangeImage
-    lines: Folded
-    beams: Folded
+    lines: CompressedArray
+    beams: CompressedArray
 
-    def unfold(self) -> FloatArray:
+    def decompress(self) -> FloatArray:
         """Return the points (n, 3) [m], which refuse writes."""
-        points = self.image.points_at(self.lines.unfold(), self.beams.unfold())
+        points = self.image.points_at(self.lines.decompress(), self.beams.decompress())
         points.flags.writeable = False
         return points
 
@@ -461,7 +467,7 @@ class Plan:
         fell_back: Whether no overlap met epsilon, so that the 80 % default was taken.
         candidates: Everything that was considered, in the order of consideration.
         reason: In words, for people.
-        needs_look: Whether a look around from here could show that a better viewpoint is free.
+        needs_panorama: Whether a look around from here could show that a better viewpoint is free.
     """
 
     viewpoint: Pose2 | None
@@ -470,4 +476,4 @@ class Plan:
     fell_back: bool
     candidates: tuple[Candidate, ...]
     reason: str
-    needs_look: bool = False
+    needs_panorama: bool = renamed(False, "needs_look")

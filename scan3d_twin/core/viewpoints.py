@@ -231,7 +231,7 @@ def next_segment(
     return Segment(middle, limit(normal, normal_known, MAX_INCIDENCE))
 
 
-def contour_bend(contour: Contour) -> float:
+def corner_angle(contour: Contour) -> float:
     """Return the angle [rad] by which a contour bends over its next width if it goes on as it is.
 
     A curved contour as curved as it is; a straight one by a right angle.
@@ -264,7 +264,7 @@ def sweep_width(config: Config) -> float:
     return 2 * config.planning.standoff * math.tan(half)
 
 
-def look_contour(points: FloatArray) -> Contour:
+def panorama_contour(points: FloatArray) -> Contour:
     """Return the contour of a coarse top view (n, 2) [m] around the robot at the origin."""
     return trace(_left_to_right(points))
 

@@ -114,7 +114,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
 
     def complete(self) -> str | None:
         """Return why the tour is over, or None."""
-        return self.episode.situation.finished()
+        return self.episode.context.finished()
 
     # The environment.
 
@@ -242,7 +242,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
         return f"view lost: registered {1e3 * self._error():.0f} mm off"
 
     def _observation(self) -> Observation:
-        return {**observe(self.episode.situation), **self.own_values()}
+        return {**observe(self.episode.context), **self.own_values()}
 
     def _info(self, terms: dict[str, float], overlap: float) -> dict[str, Any]:
         """Return the metrics; they know the truth."""

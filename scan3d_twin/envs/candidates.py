@@ -70,13 +70,13 @@ class CandidatesEnv(ViewPlanEnv[np.int64]):
 
     def _offer(self) -> tuple[Candidate, ...]:
         """Return the candidates in frame ``scan`` of the latest view."""
-        situation, offered = self.episode.situation, []
+        context, offered = self.episode.context, []
         standoff = self.session.config.planning.standoff
         for eta in ETAS:
-            place = situation.place(eta).viewpoint
+            place = context.place(eta).viewpoint
             for turn in TURNS:
                 pose = Pose2() if place is None else _turned(place, standoff, turn)
-                feasible = place is not None and situation.feasible(pose)
+                feasible = place is not None and context.feasible(pose)
                 offered.append(Candidate(pose, eta, math.nan, feasible))
         return tuple(offered)
 
@@ -87,7 +87,7 @@ class CandidatesEnv(ViewPlanEnv[np.int64]):
         if index not in free:
             index = min(free, key=lambda k: self._candidates[k].viewpoint.distance(wanted))
         chosen = self._candidates[index]
-        pose = in_world(self.episode.situation, chosen.viewpoint)
+        pose = in_world(self.episode.context, chosen.viewpoint)
         reason = f"action {int(action)}: candidate {index}"
         return Plan(pose, chosen.overlap, math.nan, False, (), reason), index != int(action)
 

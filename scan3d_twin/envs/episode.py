@@ -7,7 +7,7 @@ from functools import cached_property
 
 from scan3d_twin.core.digitize import start, views
 from scan3d_twin.core.navigation.costmap import Costmap
-from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.observations import sees_target
@@ -15,7 +15,7 @@ from scan3d_twin.envs.scoring import Score
 from scan3d_twin.envs.scouts import EpisodeScout
 from scan3d_twin.envs.stage import Stage
 
-LOOK = Plan(None, 0.0, math.nan, False, (), "look around", needs_look=True)
+LOOK = Plan(None, 0.0, math.nan, False, (), "look around", needs_panorama=True)
 
 
 class Episode:
@@ -37,12 +37,12 @@ class Episode:
         self.score.update(self.session)
 
     @cached_property
-    def _known(self) -> tuple[Session, Situation]:
-        """The situation after the latest view or look."""
-        return self.session, Situation.on(self.session, self.costmap)
+    def _known(self) -> tuple[Session, PlanningContext]:
+        """The context after the latest view or look."""
+        return self.session, PlanningContext(self.session, self.costmap)
 
     @property
-    def situation(self) -> Situation:
+    def context(self) -> PlanningContext:
         """What the planners ask first, on the costmap that the robot keeps."""
         if self._known[0] is not self.session:
             del self._known
@@ -56,7 +56,7 @@ class Episode:
     @property
     def sees_target(self) -> bool:
         """Whether the latest view shows enough of the target for a contour."""
-        return sees_target(self.situation)
+        return sees_target(self.context)
 
     def go(self, plan: Plan) -> None:
         """Carry out ``plan``, which has a viewpoint.
@@ -69,7 +69,7 @@ class Episode:
 
     def look(self) -> None:
         """Look around from here, unless this was done already."""
-        if not self.situation.looked:
+        if not self.context.looked:
             self.session = self._loop.send(LOOK)
 
     def close(self) -> None:

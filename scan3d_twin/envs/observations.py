@@ -1,6 +1,6 @@
 """What an agent sees: only what the robot knows. Bounded arrays in a flat dictionary.
 
-No argument here holds the truth: the session, the costmap and the situation are the robot's own.
+No argument here holds the truth: the session, the costmap and the context are the robot's own.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from scan3d_twin.core.navigation.costmap import FREE, OBSTACLE, RESOLUTION, Costmap
-from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, wrap
 
@@ -27,7 +27,7 @@ BINS = 64
 FAR = 5.0
 """Positions are shown in units of this [m], and clipped."""
 LOST = "target lost"
-"""How a situation's reason begins that has no target in it."""
+"""How a context's reason begins that has no target in it."""
 WORST = 5.0
 """Errors are shown in units of this times epsilon, and clipped."""
 Image = npt.NDArray[np.uint8]
@@ -45,21 +45,21 @@ def observation_space() -> dict[str, spaces.Space[Any]]:
     }
 
 
-def observe(situation: Situation) -> dict[str, Any]:
+def observe(context: PlanningContext) -> dict[str, Any]:
     """Return the values of ``observation_space`` after the latest view."""
-    session, view = situation.session, situation.view
+    session, view = context.session, context.view
     return {
-        "topdown": topdown(session, situation.costmap),
+        "topdown": topdown(session, context.costmap),
         "range": range_image(view, session.config.target.max_range),
         "profile": profile(view, session).ravel(),
         "pose": pose(session),
-        "stats": stats(situation),
+        "stats": stats(context),
     }
 
 
-def sees_target(situation: Situation) -> bool:
+def sees_target(context: PlanningContext) -> bool:
     """Tell whether the latest view shows enough of the target to go on from."""
-    return not (situation.finished() or "").startswith(LOST)
+    return not (context.finished() or "").startswith(LOST)
 
 
 def topdown(session: Session, costmap: Costmap) -> Image:
@@ -152,13 +152,13 @@ def pose(session: Session) -> Values:
     return _shown(np.array(values), -1.0)
 
 
-def stats(situation: Situation) -> Values:
+def stats(context: PlanningContext) -> Values:
     """Return what the robot knows of its progress (8,), each 0..1.
 
     Views of the most allowed; turn about the target, of a full one; lines on the target; whether it
     ends in view; of the latest registration fitness, predicted error and residual; tour all round.
     """
-    config, views, view = situation.session.config, situation.session.views, situation.view
+    config, views, view = context.session.config, context.session.views, context.view
     headings = [seen.T_world_scan.yaw for seen in views]
     turned = sum(wrap(b - a) for a, b in pairwise(headings))
     lines = len(view.target.occupied_lines)
@@ -172,7 +172,7 @@ def stats(situation: Situation) -> Values:
         len(views) / config.max_views,
         abs(turned) / math.tau,
         lines / view.image.n_lines,
-        float(sees_target(situation) and situation.ends),
+        float(sees_target(context) and context.ends),
         fit,
         predicted,
         residual,

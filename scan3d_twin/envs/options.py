@@ -161,5 +161,5 @@ def _rigid(twin: TwinConfig) -> TwinConfig:
 def _quick(config: Config) -> Config:
     registration = config.registration
     quick = replace(registration, max_points=min(MOST_POINTS, registration.max_points))
-    alignment = replace(config.alignment, when="never")
+    alignment = replace(config.alignment, mode="off")
     return replace(config, registration=quick, alignment=alignment)

@@ -53,8 +53,8 @@ class OverlapEnv(ViewPlanEnv[np.int64]):
         return any(placement.viewpoint is not None for placement in self._placements)
 
     def _place(self) -> list[Placement]:
-        situation = self.episode.situation
-        return [situation.place(eta) for eta in ETAS]
+        context = self.episode.context
+        return [context.place(eta) for eta in ETAS]
 
     def decode(self, action: np.int64) -> tuple[Plan, bool]:
         """See ``ViewPlanEnv``."""
@@ -63,7 +63,7 @@ class OverlapEnv(ViewPlanEnv[np.int64]):
         viewpoint = self._placements[index].viewpoint
         if viewpoint is None:
             raise ValueError("the episode goes on without a viewpoint")
-        pose = in_world(self.episode.situation, viewpoint)
+        pose = in_world(self.episode.context, viewpoint)
         reason = f"action {int(action)}: overlap {ETAS[index]:.0%}"
         return Plan(pose, ETAS[index], math.nan, False, (), reason), index != int(action)
 

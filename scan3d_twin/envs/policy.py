@@ -35,7 +35,7 @@ class PlannerPolicy:
     def plan(self, env: ViewPlanEnv[Any]) -> Plan:
         """Return the planner's plan; looks around first if it asks for that."""
         plan = ask(self._planner, env.session)
-        if plan.needs_look:
+        if plan.needs_panorama:
             env.look()
             plan = ask(self._planner, env.session)
         return plan

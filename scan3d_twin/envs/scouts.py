@@ -16,7 +16,7 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.model.evaluation import Truth
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extended
 from scan3d_twin.core.navigation.motion_control import follow
-from scan3d_twin.core.scanning.sweep import look_around, read_lines, sweep
+from scan3d_twin.core.scanning.sweep import read_lines, sweep, take_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, LidarSpec, Observation, Pose2, ScanLine
 from scan3d_twin.envs.stage import Stage
@@ -29,7 +29,7 @@ from scan3d_twin.sim.world import Solver
 
 
 class EpisodeScout(ABC):
-    """A ``Scout`` that remembers the floor it has seen and the way it has driven.
+    """A ``ScanSource`` that remembers the floor it has seen and the way it has driven.
 
     Attributes:
         driven: [m].
@@ -66,11 +66,11 @@ class EpisodeScout(ABC):
         """Stop the robot."""
 
     def look(self, session: Session | None = None) -> Observation:
-        """See ``Scout``."""
+        """See ``ScanSource``."""
         return self._noted(self._look())
 
     def observe(self, viewpoint: Pose2, session: Session) -> Observation:
-        """See ``Scout``."""
+        """See ``ScanSource``."""
         path = find_path(self.floor(self.here), viewpoint)
         here = self.here
         places = [np.array([here.x, here.y]), *path]
@@ -127,7 +127,7 @@ class PhysicsScout(EpisodeScout):
         self._open.close()
 
     def _look(self) -> Observation:
-        return look_around(self._robot, self.config, _unseen, _read_bunches)
+        return take_panorama(self._robot, self.config, _unseen, _read_bunches)
 
     def _go(self, path: FloatArray, yaw: float) -> Observation:
         follow(self._robot, path, self.config.motion)

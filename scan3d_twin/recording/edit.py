@@ -10,7 +10,7 @@ import numpy as np
 
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, FileError
-from scan3d_twin.core.mapping.loop_closure import Alignment, align, placed
+from scan3d_twin.core.mapping.loop_closure import Alignment, align, apply_alignment
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.load import Recorded, load_session, session_path
 from scan3d_twin.recording.mcap import ros_records
@@ -56,11 +56,11 @@ def without_view(session: Session, index: int) -> Session:
         )
     if len(session.views) == 1:
         raise ConfigError("the only view cannot be dropped")
-    if session.config.alignment.when != "never":
+    if session.config.alignment.mode != "off":
         return align(session, leave_out=[index])
     views = tuple(k for k in range(len(session.views)) if k != index)
     poses = tuple(session.views[k].T_world_scan for k in views)
-    rest = placed(session, Alignment(views, poses, np.zeros((len(views), 3)), (), ()))
+    rest = apply_alignment(session, Alignment(views, poses, np.zeros((len(views), 3)), (), ()))
     again = replace(rest, views=())
     for view in rest.views:
         again = integrate(again, view.observation)

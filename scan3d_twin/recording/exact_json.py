@@ -16,6 +16,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.options import former_names
 
 Packed = tuple[str, bytes]
 """A JSON text, and the arrays it points into."""
@@ -122,6 +123,7 @@ class _Unpacker:
 
     def value(self, hint: Any, tree: Any) -> Any:
         """Return what ``tree`` stands for as a ``hint``."""
+        hint = _expanded(hint)
         origin = get_origin(hint)
         if hint is np.ndarray or origin is np.ndarray:
             return self._array(tree)
@@ -137,8 +139,15 @@ class _Unpacker:
 
     def fields(self, cls: type, tree: Any) -> dict[str, Any]:
         """Return the fields of ``cls`` that are in ``tree``."""
-        hints, known = _hints(cls), {f.name for f in stored_fields(cls)}
-        return {name: self.value(hints[name], each) for name, each in tree.items() if name in known}
+        hints, former = _hints(cls), former_names(cls)
+        known = {f.name for f in stored_fields(cls)}
+        result = {}
+        for name, each in tree.items():
+            today, values = former.get(name, (name, {}))
+            if today in known:
+                each = values.get(each, each) if isinstance(each, str) else each
+                result[today] = self.value(hints[today], each)
+        return result
 
     def _tuple(self, hints: tuple[Any, ...], tree: Any) -> tuple[Any, ...]:
         if len(hints) == 2 and hints[1] is Ellipsis:
@@ -153,6 +162,12 @@ class _Unpacker:
             array.flags.writeable = False
             self._arrays[str(place)] = array
         return self._arrays[str(place)]
+
+
+def _expanded(hint: Any) -> Any:
+    """Return what a type alias stands for: from NumPy 2.5 on, ``NDArray`` is one on Python 3.12."""
+    alias = getattr(hint, "__origin__", hint)
+    return getattr(alias, "__value__", hint)
 
 
 def _narrowed(array: Array) -> Array:

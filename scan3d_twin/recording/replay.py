@@ -9,7 +9,7 @@ from typing import Any
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import ask, config_for, integrate
-from scan3d_twin.core.mapping.loop_closure import concluded
+from scan3d_twin.core.mapping.loop_closure import align_final
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Plan, Pose2, wrap
@@ -33,9 +33,9 @@ def replay(
         planner: Decides after each view; nobody goes there.
         step: Is told the index of each view that is done.
     """
-    first = tuple(look for look in session.looks if look[0] == 0)
+    first = tuple(look for look in session.panoramas if look[0] == 0)
     config = config_for(session, config)
-    again = replace(session, config=config, looks=first, views=(), plans=(), misfits=())
+    again = replace(session, config=config, panoramas=first, views=(), plans=(), misfits=())
     for k, view in enumerate(session.views):
         again = integrate(again, view.observation)
         if k < len(session.plans):
@@ -46,9 +46,9 @@ def replay(
 
 def _planned(again: Session, session: Session, planner: Planner) -> Session:
     plan = ask(planner, again)
-    looks = [look for taken, look in session.looks if taken == len(again.views)]
-    if plan.needs_look and looks:
-        again = again.with_look(looks[0])
+    looks = [look for taken, look in session.panoramas if taken == len(again.views)]
+    if plan.needs_panorama and looks:
+        again = again.with_panorama(looks[0])
         plan = ask(planner, again)
     return again.with_plan(plan)
 
@@ -56,7 +56,7 @@ def _planned(again: Session, session: Session, planner: Planner) -> Session:
 def finished(again: Session, recorded: Session) -> Session:
     """Return the replayed session as it ends, if the ``recorded`` one has ended by itself."""
     reasons = {STOPPED, *(plan.reason for plan in recorded.plans[-1:])}
-    return concluded(again) if recorded.stop_reason in reasons else again
+    return align_final(again) if recorded.stop_reason in reasons else again
 
 
 def identical(a: object, b: object) -> bool:

@@ -19,6 +19,7 @@ import tomli_w
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, FileError, UnknownNameError
+from scan3d_twin.core.options import check_options, former_names, number
 from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
 
@@ -34,7 +35,7 @@ class Run:
 
     scene: str = "three_boxes"
     """Name of a built-in scene, or path of an .xml or mesh file."""
-    seed: int = 0
+    seed: int = number(0, 0, 2**63 - 1)
     """The run's one seed."""
     preset: str = DEFAULT_PRESET
     """Named set of options."""
@@ -42,16 +43,13 @@ class Run:
     """Named set of the twin's errors: ideal, typical or harsh."""
     target: str = ""
     """Name of a body of the scene, or x,y [m] in the odometry frame; empty: what stands out."""
-    mesh_scale: float = 1.0
+    mesh_scale: float = number(1.0, most=1e6)
     """Metres per unit of a mesh file."""
     version: str = __version__
     """Version of the software; what another version wrote is read as it is."""
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise ConfigError(f"run.seed must be >= 0, got {self.seed}")
-        if not self.mesh_scale > 0:
-            raise ConfigError(f"run.mesh_scale must be > 0, got {self.mesh_scale:g}")
+        check_options(self, "run")
         if self.world not in WORLDS:
             raise UnknownNameError("world", self.world, WORLDS)
 
@@ -89,7 +87,8 @@ def settings(sources: Iterable[Options]) -> Settings:
     """
     options = merge(sources)
     for name in options:
-        _check_known(name, _known_keys())
+        if name not in former_names(Config):
+            _check_known(name, _known_keys())
     return Settings(
         run=_build(Run, options.get("run", {}), "run."),
         config=_build(Config, _part(options, Config), ""),
@@ -126,7 +125,7 @@ def settings_toml(effective: Settings) -> str:
 
 
 def _part(options: Options, cls: type) -> dict[str, Any]:
-    names = {key(f.name) for f in fields(cls)}
+    names = {key(f.name) for f in fields(cls)} | set(former_names(cls))
     return {name: value for name, value in options.items() if name in names}
 
 
@@ -147,33 +146,24 @@ def _build(cls: type[T], values: Any, where: str) -> T:
     if not isinstance(values, Mapping):
         raise ConfigError(f"{where.rstrip('.')} must be a table, got {values!r}")
     names = {key(f.name): f.name for f in fields(cls)}  # type: ignore[arg-type]
-    hints = get_type_hints(cls)
-    arguments = {}
+    hints, former = get_type_hints(cls), former_names(cls)
+    arguments: dict[str, Any] = {}
     for name, value in values.items():
-        _check_known(name, list(names), where)
-        hint = hints[names[name]]
+        if name not in former:
+            _check_known(name, list(names), where)
+        field_name, renames = former.get(name) or (names[name], {})
+        hint = hints[field_name]
         if is_dataclass(hint):
-            arguments[names[name]] = _build(hint, value, f"{where}{name}.")  # type: ignore[arg-type]
+            arguments[field_name] = _build(hint, value, f"{where}{name}.")  # type: ignore[arg-type]
         else:
-            arguments[names[name]] = _checked(value, hint, where + name)
+            value = renames.get(value, value) if isinstance(value, str) else value
+            arguments[field_name] = float(value) if _is_whole(value, hint) else value
     return cls(**arguments)
 
 
-def _checked(value: Any, hint: Any, where: str) -> Any:
-    """Return ``value`` if it fits the type ``hint``: an int is a float too, a bool is neither."""
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    choices = getattr(hint, "__args__", None)
-    if choices is not None:
-        if value not in choices:
-            known = ", ".join(str(choice) for choice in choices)
-            raise ConfigError(f"{where} must be one of {known}; got {value!r}")
-    elif not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
-        raise ConfigError(f"{where} must be {_WORDS.get(hint, hint)}, got {value!r}")
-    return value
-
-
-_WORDS: Mapping[Any, str] = {float: "a number", int: "a whole number", str: "text"}
+def _is_whole(value: Any, hint: Any) -> bool:
+    """Return whether ``value`` is a whole number where any number will do."""
+    return hint is float and isinstance(value, int) and not isinstance(value, bool)
 
 
 def _plain(value: Any) -> Any:

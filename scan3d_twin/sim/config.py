@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.options import check_options, number
 from scan3d_twin.devices.urg.model import LINKS
-from scan3d_twin.sim.checks import check, within
 from scan3d_twin.sim.lidar.config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelConfig
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
@@ -29,55 +29,46 @@ class RobotErrorConfig:
     deviations), typical of the Create; MuJoCo's slip alone gives a tenth of that.
     """
 
-    wheel_radius: float = 0.006
+    wheel_radius: float = number(0.006, 0.0, 0.05)
     """Relative error of each wheel's radius, standard deviation; tyre wear and load."""
-    wheel_base: float = 0.01
+    wheel_base: float = number(0.01, 0.0, 0.05)
     """Relative error of the wheel base, standard deviation; contact patch of the tyres."""
-    friction_min: float = 0.5
+    friction_min: float = number(0.5, most=2.0)
     """Lowest sliding friction of the tyres; smooth floor."""
-    friction_max: float = 0.9
+    friction_max: float = number(0.9, most=2.0)
     """Highest sliding friction of the tyres; carpet."""
-    cogging: float = 0.03
+    cogging: float = number(0.03, 0.0, 0.1)
     """Amplitude of the wheel torque's cogging [N m]; .02 to .04 shake the scan plane by .01 deg."""
 
-    uneven: float = 0.0
+    uneven: float = number(0.0, 0.0, 0.01)
     """Unevenness of plane floors, standard deviation of the height [m]."""
-    uneven_length: float = 0.3
+    uneven_length: float = number(0.3, 0.1, 2.0)
     """Length over which an uneven floor changes [m]; assumption, parquet and carpet edges."""
-    mount_lateral: float = 0.0
+    mount_lateral: float = number(0.0, -0.05, 0.05)
     """The lidar sits this far to the left of where it should [m]."""
-    mount_roll: float = 0.0
+    mount_roll: float = number(0.0, -0.2, 0.2)
     """It leans to its right by this, about the axis ahead [rad]."""
-    mount_pitch: float = 0.0
+    mount_pitch: float = number(0.0, -0.2, 0.2)
     """It looks down by this, about the axis to the left [rad]."""
-    battery_life: float = 7200.0
+    battery_life: float = number(7200.0, 1.0, 1e9)
     """Time in which the battery is drained [s]; about 2 h, as in the paper."""
     reckoning: Reckoning = "driver"
     """create1: odometry as the driver reckons it (driver), by commands that packets 19 and 20
     correct at rest, or by what the wheels turned (wheels), as an emulator of the base needs it."""
     truncates: bool = True
     """create1: packets 19 and 20 lose the fraction at each read (libcreate issue 22)."""
-    angle_gain: float = 1.0
+    angle_gain: float = number(1.0, 0.0, 2.0)
     """create1: factor of packet 20; .25 on firmware 2012-03-22 (robotics.stackexchange 7121)."""
     distance_unsigned: bool = False
     """create1: packet 19 grows in reverse too (answers.ros.org 12338)."""
 
     def __post_init__(self) -> None:
-        within("errors.uneven", self.uneven, 0.0, 0.01)
-        within("errors.uneven_length", self.uneven_length, 0.1, 2.0)
-        within("errors.mount_lateral", self.mount_lateral, -0.05, 0.05)
-        within("errors.mount_roll", self.mount_roll, -0.2, 0.2)
-        within("errors.mount_pitch", self.mount_pitch, -0.2, 0.2)
-        within("errors.battery_life", self.battery_life, 1.0, 1e9)
-        within("errors.angle_gain", self.angle_gain, 0.0, 2.0)
-        within("errors.wheel_radius", self.wheel_radius, 0.0, 0.05)
-        within("errors.wheel_base", self.wheel_base, 0.0, 0.05)
-        within("errors.cogging", self.cogging, 0.0, 0.1)
-        check(
-            0 < self.friction_min <= self.friction_max <= 2,
-            "errors.friction_min and errors.friction_max must be in (0, 2], in this order,"
-            f" got {self.friction_min:g} and {self.friction_max:g}",
-        )
+        check_options(self, "errors")
+        if self.friction_min > self.friction_max:
+            raise ConfigError(
+                "errors.friction_min must be <= errors.friction_max, got "
+                f"{self.friction_min:g} and {self.friction_max:g}"
+            )
 
 
 IDEAL_ROBOT = RobotErrorConfig(
@@ -116,7 +107,7 @@ class TwinConfig:
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
 
     def __post_init__(self) -> None:
-        check(self.robot in ROBOTS, f"robot must be one of {', '.join(ROBOTS)}, got {self.robot!r}")
+        check_options(self)
         if self.lidar_link not in LINKS:
             raise UnknownNameError("lidar link", self.lidar_link, LINKS)
 

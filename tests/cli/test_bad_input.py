@@ -55,9 +55,11 @@ def test_a_scene_without_a_target(fails, tmp_path):
     assert "empty_room.xml has no target" in error
 
 
-@pytest.mark.parametrize("epsilon", ["0", "-1", "nan", "inf"])
-def test_an_epsilon_that_is_not_positive(fails, epsilon):
-    assert "epsilon must be > 0" in fails(OPTION, "sim", f"--epsilon={epsilon}")
+@pytest.mark.parametrize(
+    ("epsilon", "wanted"), [("0", "> 0"), ("-1", "> 0"), ("nan", "finite"), ("inf", "finite")]
+)
+def test_an_epsilon_that_is_not_positive(fails, epsilon, wanted):
+    assert f"epsilon must be {wanted}" in fails(OPTION, "sim", f"--epsilon={epsilon}")
 
 
 def test_an_epsilon_that_is_not_a_number(fails):

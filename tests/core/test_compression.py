@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 from synthetic import observe
 
-from scan3d_twin.core.compression import Folded, fold, foldable, is_folded
+from scan3d_twin.core.compression import (
+    CompressedArray,
+    compress_fields,
+    compressible,
+    is_compressed,
+)
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.scanning.target_extraction import all_points
@@ -32,7 +37,7 @@ def same_bits(a, b):
 @pytest.mark.parametrize("name", ARRAYS)
 def test_what_was_folded_unfolds_bit_by_bit(name):
     array = ARRAYS[name]
-    unfolded = Folded.of(array).unfold()
+    unfolded = CompressedArray.of(array).decompress()
     assert same_bits(unfolded, array)
     assert not unfolded.flags.writeable
     assert unfolded.flags.c_contiguous
@@ -40,16 +45,16 @@ def test_what_was_folded_unfolds_bit_by_bit(name):
 
 @pytest.mark.parametrize(("name", "least"), [("ranges", 2), ("codes", 8), ("headings", 5)])
 def test_what_a_lidar_reads_becomes_much_smaller(name, least):
-    folded = Folded.of(ARRAYS[name])
+    folded = CompressedArray.of(ARRAYS[name])
     assert least * (len(folded.packed) + 12 * len(folded.values)) < ARRAYS[name].nbytes
 
 
 def test_other_numbers_are_refused():
     with pytest.raises(ConfigError, match="float32"):
-        Folded.of(np.zeros((2, 2), np.float32))
+        CompressedArray.of(np.zeros((2, 2), np.float32))
 
 
-@foldable("values")
+@compressible("values")
 @dataclass(frozen=True)
 class Holder:
     values: FloatArray
@@ -59,10 +64,10 @@ class Holder:
 def test_a_folded_field_reads_as_before():
     holder = Holder(ARRAYS["ranges"], "x")
     assert holder.values is ARRAYS["ranges"]
-    assert not is_folded(holder, "values")
-    fold(["values"], holder)
-    fold(["values"], holder)
-    assert is_folded(holder, "values")
+    assert not is_compressed(holder, "values")
+    compress_fields(["values"], holder)
+    compress_fields(["values"], holder)
+    assert is_compressed(holder, "values")
     assert same_bits(holder.values, ARRAYS["ranges"])
     assert same_bits(replace(holder, name="y").values, ARRAYS["ranges"])
     assert same_bits(pickle.loads(pickle.dumps(holder)).values, ARRAYS["ranges"])
@@ -70,15 +75,15 @@ def test_a_folded_field_reads_as_before():
 
 def test_what_was_read_last_is_not_unfolded_again():
     holder = Holder(ARRAYS["ranges"].copy(), "x")
-    fold(["values"], holder)
+    compress_fields(["values"], holder)
     assert holder.values is holder.values
 
 
 def test_an_array_that_two_share_is_folded_once():
     one = Holder(ARRAYS["headings"], "one")
     other = replace(one, name="other")
-    fold(["values"], one, other)
-    assert is_folded(one, "values")
+    compress_fields(["values"], one, other)
+    assert is_compressed(one, "values")
     assert one.values is other.values
 
 
@@ -93,11 +98,11 @@ def test_a_folded_image_and_the_points_on_it_read_as_before():
     names = [(image, name) for name in ("yaws", "ranges", "codes")]
     names += [(scan, name) for name in ("points", "lines", "beams")]
     before = [(*place, getattr(*place).copy()) for place in names]
-    scan.fold(image)
-    image.fold()
-    scan.fold(image)
+    scan.compress(image)
+    image.compress()
+    scan.compress(image)
     for each, name, array in before:
-        assert is_folded(each, name)
+        assert is_compressed(each, name)
         assert same_bits(getattr(each, name), array)
     assert len(scan) == len(before[3][2])
 
@@ -106,6 +111,6 @@ def test_points_that_are_not_on_the_image_are_kept_as_they_are():
     image = observe(Pose2()).image
     scan = all_points(image, Config())
     moved = replace(scan, points=scan.points + 0.001)
-    moved.fold(image)
-    assert not is_folded(moved, "points")
+    moved.compress(image)
+    assert not is_compressed(moved, "points")
     assert np.array_equal(moved.points, scan.points + 0.001)

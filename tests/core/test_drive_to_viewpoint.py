@@ -132,9 +132,9 @@ def session_of(observation: Observation, retries: int = 3) -> Session:
 
 
 def first_look(robot: Robot) -> Observation:
-    from scan3d_twin.core.scanning.sweep import look_around
+    from scan3d_twin.core.scanning.sweep import take_panorama
 
-    return look_around(robot, CONFIG, lambda line: None)
+    return take_panorama(robot, CONFIG, lambda line: None)
 
 
 def test_a_pane_of_glass_is_touched_once_and_gone_around(glass_house: Robot) -> None:
@@ -198,7 +198,7 @@ def test_no_way_is_an_error_after_a_look(monkeypatch: pytest.MonkeyPatch) -> Non
     from scan3d_twin.core import drive_to_viewpoint as driving
 
     looks = []
-    monkeypatch.setattr(driving, "look_around", lambda *_: looks.append(1) or look((), Pose2()))
+    monkeypatch.setattr(driving, "take_panorama", lambda *_: looks.append(1) or look((), Pose2()))
     robot, _ = at(Pose2())
     with pytest.raises(ScanError, match="no way"):
         drive(robot, Pose2(9.0, 0.0, 0.0), session_of(look((), Pose2())), Unobserved())
@@ -218,7 +218,7 @@ def test_blocked_wheels_are_an_obstacle_too(monkeypatch: pytest.MonkeyPatch) -> 
         follow(robot, path, config)
 
     monkeypatch.setattr(driving, "follow", blocked_once)
-    monkeypatch.setattr(driving, "look_around", lambda *_: look((), Pose2(-BACK_OFF, 0.0, 0.0)))
+    monkeypatch.setattr(driving, "take_panorama", lambda *_: look((), Pose2(-BACK_OFF, 0.0, 0.0)))
     touched = drive(robot, Pose2(1.0, 0.0, 0.0), session_of(look((), Pose2())), Unobserved())
     assert len(touched) == 5
     assert all(0.15 < x < 0.25 for x, _ in touched)

@@ -14,8 +14,8 @@ from scan3d_twin.core.viewpoints import (
     MAX_INCIDENCE,
     angle_between,
     bends_after,
-    contour_bend,
     contour_of,
+    corner_angle,
     ends_in_view,
     first_segment,
     limit,
@@ -94,7 +94,7 @@ def test_a_curved_body_is_followed_as_it_curves() -> None:
     angles = np.radians(np.linspace(20.0, -20.0, 21))
     arc = np.column_stack([1.15 - 0.15 * np.cos(angles), 0.15 * np.sin(angles)])
     contour = trace(arc)
-    segment = next_segment(contour, 10, 1.0, None, ends=True, bend=contour_bend(contour))
+    segment = next_segment(contour, 10, 1.0, None, ends=True, bend=corner_angle(contour))
     assert math.degrees(segment.viewpoint(1.0).yaw) == pytest.approx(0.5 * 40.0, abs=4.0)
 
 

@@ -12,7 +12,7 @@ from scan3d_twin.devices.urg import codec as scip
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.sim.base import drive_base as sim_base
 from scan3d_twin.sim.robot import open_robot
-from scan3d_twin.wired import Unhindered
+from scan3d_twin.wired import HazardFreeClock
 
 HISTORY, SURPLUS = 400, 100
 """Odometry for 6 s instead of 5 minutes, so that the test need not wait for it to fill."""
@@ -37,7 +37,7 @@ def test_an_emulated_robot_that_streams_and_turns_holds_no_more_later(monkeypatc
     monkeypatch.setattr(sim_base, "HISTORY", HISTORY)
     monkeypatch.setattr(sim_base, "SURPLUS", SURPLUS)
     with open_robot("three_boxes", 0) as robot:
-        clock = Unhindered(robot.clock)
+        clock = HazardFreeClock(robot.clock)
         base, lidar = Wire(CreateEmulator(robot.base), clock), Wire(UrgEmulator(robot.lidar), clock)
         base.write(oi.command(Op.START) + oi.command(Op.SAFE) + oi.drive_direct(50, -50))
         base.write(oi.command(Op.STREAM, 1, Packet.BUMPS_DROPS))

@@ -31,9 +31,9 @@ def three():
     return replace(session, views=views).ended("enough")
 
 
-@pytest.mark.parametrize("when", ["never", "end"])
-def test_the_rest_is_placed_without_the_bad_view(three, when):
-    config = replace(three.config, alignment=AlignmentConfig(when=when))
+@pytest.mark.parametrize("mode", ["off", "loop_closure"])
+def test_the_rest_is_placed_without_the_bad_view(three, mode):
+    config = replace(three.config, alignment=AlignmentConfig(mode=mode))
     rest = without_view(replace(three, config=config), 1)
     assert len(rest.views) == len(rest.plans) == 2
     for view, y in zip(rest.views, (PLACES[0], PLACES[2]), strict=True):

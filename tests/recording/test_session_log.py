@@ -13,7 +13,7 @@ def states(session):
     start = replace(session, views=(), plans=(), stop_reason="")
     one = start.with_view(session.views[0])
     look = (1, session.views[0].observation)
-    two = replace(one, looks=(look,)).with_plan(session.plans[0])
+    two = replace(one, panoramas=(look,)).with_plan(session.plans[0])
     three = two.with_view(session.views[1])
     aligned = [replace(view, T_world_scan=Pose2(0.1, 0.2, 0.3)) for view in three.views]
     four = replace(three, views=tuple(aligned), misfits=(1,))

@@ -75,18 +75,18 @@ def without_scale(
 
 
 def determined(
-    H: FloatArray, faked: FloatArray, reach: float
+    H: FloatArray, spurious: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Tell which directions the scans determine.
 
     Args:
         H: Information of the scans (k, k), on x, y, theta or all six.
-        faked: What noise of the normals fakes of it (k, k).
+        spurious: What noise of the normals fakes of it (k, k).
         reach: Length that makes turns comparable with shifts [m].
 
     Returns:
         The projector K (k, k) such that K H K^T and K g keep the determined directions, the same
-        with each shortened by the root of the share that is not faked (k, k), and the others as
+        with each shortened by the root of the share that is not spurious (k, k), and the others as
         unit rows (j, k).
     """
     k = len(H)
@@ -99,7 +99,7 @@ def determined(
     kept, honest, dropped, n = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), 0
     for m in range(k):
         direction = vectors[:, m] * unit
-        noise = quadratic(faked, direction)
+        noise = quadratic(spurious, direction)
         if values[m] > 0 and values[m] >= SIGNAL * max(noise, 1e-12 * values[-1]):
             share = math.sqrt(1.0 - noise / values[m])
             for i in range(k):

@@ -8,8 +8,9 @@ tightened from step to step, the odometry as prior about the viewpoint and verti
 H_kept holds those eigenvectors v of the scans' information H whose information exceeds twice what
 noise of the normals fakes, v^T H v >= 2 v^T H_faked v (Hatleskog and Alexis, arXiv 2410.10784): on
 a wall the rest would be a slide that looks like knowledge, so it is left to prior and edges. Twice
-means: as much signal as noise. The covariance is the inverse of the left side, less what is faked
-and what yaw jitter hides; for point to plane that is sound (Bonnabel et al., arXiv 1410.7632).
+means: as much signal as noise. The covariance is the inverse of the left side, less what is
+spurious and what yaw jitter hides; for point to plane that is sound (Bonnabel et al., arXiv
+1410.7632).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from reference.edges import edge_sums
 from reference.point_to_plane import (
     Equations,
     Gate,
-    Weighting,
+    PairNoise,
     normal_equations,
 )
 from reference.pose_prior import (
@@ -96,7 +97,7 @@ class Scans(NamedTuple):
     every: Sample
     target_edges: FloatArray
     source_edges: FloatArray
-    both: Weighting
+    both: PairNoise
     moments: Moments
 
 
@@ -129,7 +130,7 @@ class Solution(NamedTuple):
     Attributes:
         step: Of x y z rx ry rz about the viewpoint (6,).
         scale_step: Of the yaw scale error.
-        information: Left side of the equation, less what is faked (k, k).
+        information: Left side of the equation, less what is spurious (k, k).
         dropped: Directions (j, k) that the surfels do not determine.
         edges: Information of the edges (k, k).
         equations: Of the surfels.
@@ -267,7 +268,7 @@ def solve(
     H, g, per_step = without_scale(equations, prior.yaw_scale, state.scale)
     k = len(rows)
     kept, honest, dropped = determined(
-        equations.information[:k, :k], equations.faked, reach(scans.moments)
+        equations.information[:k, :k], equations.spurious, reach(scans.moments)
     )
     H_edges, g_edges = edge_sums(
         scans.target_edges, scans.source_edges, state.T, gate.distance, EDGE_ROBUST * gate.robust

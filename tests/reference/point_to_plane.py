@@ -54,7 +54,7 @@ class Gate(NamedTuple):
     robust: float
 
 
-class Weighting(NamedTuple):
+class PairNoise(NamedTuple):
     """What two sweeps err by beside the noise of single readings.
 
     Attributes:
@@ -79,7 +79,7 @@ class Equations(NamedTuple):
         information: J^T W J (k + 1, k + 1).
         lost: What of it the yaw jitter leaves unknown (k + 1, k + 1).
         gradient: J^T W e, less what is lost (k + 1,).
-        faked: Share of the information that noise of the normals fakes (k, k).
+        spurious: Share of the information that noise of the normals fakes (k, k).
         pairs: Number of pairs.
         square: Sum of their squared residuals [m2].
     """
@@ -87,7 +87,7 @@ class Equations(NamedTuple):
     information: FloatArray
     lost: FloatArray
     gradient: FloatArray
-    faked: FloatArray
+    spurious: FloatArray
     pairs: int
     square: float
 
@@ -98,7 +98,7 @@ def normal_equations(
     T: FloatArray,
     scale: float,
     gate: Gate,
-    both: Weighting,
+    both: PairNoise,
     entries: tuple[int, ...],
 ) -> Equations:
     """Return the normal equations; the method is at the module's head.
@@ -143,9 +143,9 @@ def normal_equations(
         lost, taken = _lost(_per_line(w, own, J, e, sample.lines[paired]), area)
         gradient -= taken
     nu = (rows[paired, NORMAL_VARIANCE] + met[paired, NORMAL_VARIANCE]) / 4 + both.tilt
-    faked = swung(w * nu, a)[np.ix_(entries, entries)]
-    faked -= (J[:, :-1] * (w * nu)[:, None]).T @ J[:, :-1]
-    return Equations(information, lost, gradient, faked, len(e), float(e @ e))
+    spurious = swung(w * nu, a)[np.ix_(entries, entries)]
+    spurious -= (J[:, :-1] * (w * nu)[:, None]).T @ J[:, :-1]
+    return Equations(information, lost, gradient, spurious, len(e), float(e @ e))
 
 
 def _lines_per_line(n: FloatArray, a: FloatArray, q: FloatArray, density: float) -> FloatArray:
@@ -179,7 +179,7 @@ def _lost(per_line: FloatArray, area: float) -> tuple[FloatArray, FloatArray]:
     return (h * share[:, None]).T @ h, h.T @ (share * r)
 
 
-def faked_information(weights: FloatArray, a: FloatArray, J: FloatArray) -> FloatArray:
+def spurious_information(weights: FloatArray, a: FloatArray, J: FloatArray) -> FloatArray:
     """Return sum w nu (B B^T - J J^T) (6, 6)."""
     return swung(weights, a) - (J * weights[:, None]).T @ J
 

@@ -9,7 +9,7 @@ from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.links.line_model import Wire
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.wired import Unhindered
+from scan3d_twin.wired import HazardFreeClock
 
 HEAVY = ("mujoco", "trimesh", "open3d", "matplotlib", "viser")
 QUICK = """
@@ -31,7 +31,7 @@ baselines.fixed_overlap = 0.85
 def digitised(folder, options):
     """Return the report of a run of the drivers alone on `three_boxes`, and what they imported."""
     with open_sim("three_boxes", 0) as (robot, _):
-        clock = Unhindered(robot.clock)
+        clock = HazardFreeClock(robot.clock)
         base, lidar = CreateEmulator(robot.base), UrgEmulator(robot.lidar)
         wires = {"base": Wire(base, clock), "lidar": Wire(lidar, clock)}
         with far_drivers(wires, clock, folder, options.strip().splitlines()) as ended:

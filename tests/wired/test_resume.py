@@ -23,7 +23,7 @@ from scan3d_twin.run.closed_loop import Earlier, close_loop
 from scan3d_twin.run.report import Journey
 from scan3d_twin.run.settings import Settings
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.wired import Unhindered
+from scan3d_twin.wired import HazardFreeClock
 
 pytestmark = pytest.mark.timeout(300)
 SWEEP = SweepConfig(width=0.9, yaw_rate=0.3, look_rate=1.0)
@@ -50,7 +50,7 @@ def gone_on(tmp_path_factory):
     """A session of three views, the last by reopened drivers, and what was said of that one."""
     folder, timer = tmp_path_factory.mktemp("run"), itertools.count().__next__
     with open_sim("three_boxes", 0) as (twin, _):
-        clock = Unhindered(twin.clock)
+        clock = HazardFreeClock(twin.clock)
         base = CreateEmulator(twin.base, oi.MODELS[twin.base.spec.name])
         lidar = UrgEmulator(twin.lidar, UrgProfile(usb=True))
         opening = lambda: open_over(  # noqa: E731

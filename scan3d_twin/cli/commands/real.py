@@ -33,7 +33,7 @@ else:
 
 REHEARSED_LINES = 20
 """Lines read by a dry run: 2 s at 10 Hz."""
-SMALL_COMPUTER = {"spare": "memory"}
+SMALL_COMPUTER = {"optimize_for": "memory"}
 """What a robot's own computer asks for unless told otherwise."""
 USABLE_SHARE = 0.1
 """A lidar that sees less than this share of its beams is blind; a cover is on it."""

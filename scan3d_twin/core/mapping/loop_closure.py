@@ -112,10 +112,10 @@ def align(session: Session, leave_out: Collection[int] = ()) -> Session:
     Raises:
         ConfigError: A view to leave out does not exist, or none is left.
     """
-    return placed(session, solve(session, leave_out))
+    return apply_alignment(session, solve(session, leave_out))
 
 
-def placed(session: Session, alignment: Alignment) -> Session:
+def apply_alignment(session: Session, alignment: Alignment) -> Session:
     """Return ``session`` with its views where ``alignment`` has them, without the others.
 
     With a view goes the plan that led to it, with the first one the plan made after it. Looks
@@ -132,33 +132,33 @@ def placed(session: Session, alignment: Alignment) -> Session:
         session,
         views=views,
         plans=tuple(plan for k, plan in enumerate(session.plans) if k not in unplanned),
-        looks=tuple(
-            (taken - sum(k < taken for k in dropped), look) for taken, look in session.looks
+        panoramas=tuple(
+            (taken - sum(k < taken for k in dropped), look) for taken, look in session.panoramas
         ),
         misfits=tuple(kept.index(k) for k in alignment.misfits),
     )
 
 
-def closed(session: Session) -> Session:
+def align_on_loop_closure(session: Session) -> Session:
     """Return ``session`` aligned if the latest view closes the contour; else as it is."""
-    if session.config.alignment.when == "never" or not _turned_round(session):
+    if session.config.alignment.mode == "off" or not _turned_round(session):
         return session
     return align(session)
 
 
-def concluded(session: Session) -> Session:
+def align_final(session: Session) -> Session:
     """Return a finished ``session`` aligned as its configuration wants it.
 
     With ``alignment.misfits`` drop, views that contradict most others are left out and the rest is
     aligned again, as long as two are left.
     """
-    if session.config.alignment.when == "never":
+    if session.config.alignment.mode == "off":
         return session
     alignment = solve(session)
     left = len(session.views) - len(alignment.misfits)
     if session.config.alignment.misfits == "drop" and alignment.misfits and left >= 2:
         alignment = solve(session, alignment.misfits)
-    return placed(session, alignment)
+    return apply_alignment(session, alignment)
 
 
 def _turned_round(session: Session) -> bool:

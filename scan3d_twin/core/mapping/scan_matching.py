@@ -37,7 +37,7 @@ TOLD = 0.5
 """Registration tells of odometry where it takes away at least this share of its variance."""
 
 
-def place_view(view: View, views: Sequence[View], config: Config) -> View:
+def match_to_previous(view: View, views: Sequence[View], config: Config) -> View:
     """Return ``view`` registered on the last of ``views``; by odometry where that has failed."""
     if config.registration.engine == "grid":
         return _place_by_grid(view, views, config)

@@ -20,7 +20,7 @@ class Prepared:
 
     def __init__(self, views: Sequence[View], config: Config) -> None:
         self._views, self._config = views, config
-        self._most = AT_ONCE if config.spare == "memory" else len(views)
+        self._most = AT_ONCE if config.optimize_for == "memory" else len(views)
         self._kept: OrderedDict[int, SurfelGrid | None] = OrderedDict()
 
     def __len__(self) -> int:

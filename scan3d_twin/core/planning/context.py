@@ -23,8 +23,8 @@ from scan3d_twin.core.viewpoints import (
     Contour,
     angle_between,
     bends_after,
-    contour_bend,
     contour_of,
+    corner_angle,
     ends_in_view,
     foreseen_segment,
     limit,
@@ -60,17 +60,12 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Situation:
+class PlanningContext:
     """The latest view and what follows from it."""
 
     session: Session
-
-    @staticmethod
-    def on(session: Session, costmap: Costmap) -> Situation:
-        """Return the situation for whoever has the costmap of ``session`` already."""
-        situation = Situation(session)
-        situation.__dict__["costmap"] = costmap
-        return situation
+    known_costmap: Costmap | None = None
+    """The costmap of ``session`` where the caller has built it already."""
 
     @property
     def view(self) -> View:
@@ -143,6 +138,8 @@ class Situation:
     @cached_property
     def costmap(self) -> Costmap:
         """Where the robot can go from here."""
+        if self.known_costmap is not None:
+            return self.known_costmap
         session = self.session
         start = self.view.observation.T_odom_scan
         return build_costmap(session.observations(), session.config, start)
@@ -150,7 +147,7 @@ class Situation:
     @property
     def looked(self) -> bool:
         """Whether the robot has looked around since the latest view."""
-        return any(taken == len(self.session.views) for taken, _ in self.session.looks)
+        return any(taken == len(self.session.views) for taken, _ in self.session.panoramas)
 
     @cached_property
     def n_lines(self) -> int:
@@ -209,7 +206,7 @@ class Situation:
         if self._in_sight and self._ends_contour():
             return True
         earlier = self.session.views[:-1]
-        return bool(earlier) and Situation(replace(self.session, views=earlier)).contour_done
+        return bool(earlier) and PlanningContext(replace(self.session, views=earlier)).contour_done
 
     def _ends_contour(self) -> bool:
         if self.session.config.tour == "front":
@@ -219,8 +216,8 @@ class Situation:
     @cached_property
     def _bend(self) -> float:
         """Angle by which the contour is expected to bend where it ends in view [rad]."""
-        wanted = self.session.config.planning.bend
-        return contour_bend(self.contour) if wanted == "contour" else BEND
+        wanted = self.session.config.planning.corner_model
+        return corner_angle(self.contour) if wanted == "contour" else BEND
 
     @cached_property
     def _front(self) -> FloatArray:
@@ -250,12 +247,12 @@ def finish(reason: str) -> Plan:
     return Plan(None, 0.0, math.nan, False, (), reason)
 
 
-def blocked(situation: Situation) -> Plan:
+def blocked(context: PlanningContext) -> Plan:
     """Return the plan for when no viewpoint can be reached: look around first, then give up."""
-    if situation.looked:
+    if context.looked:
         return finish("no viewpoint left: none that shows the next segment can be reached")
     reason = "no viewpoint is known to be free: look around"
-    return Plan(None, 0.0, math.nan, False, (), reason, needs_look=True)
+    return Plan(None, 0.0, math.nan, False, (), reason, needs_panorama=True)
 
 
 def readings_of(scan: Scan3D, image: RangeImage) -> BoolArray:
@@ -265,6 +262,6 @@ def readings_of(scan: Scan3D, image: RangeImage) -> BoolArray:
     return mask
 
 
-def in_world(situation: Situation, viewpoint: Pose2) -> Pose2:
+def in_world(context: PlanningContext, viewpoint: Pose2) -> Pose2:
     """Return ``T_world_next`` of a viewpoint given in ``scan``."""
-    return situation.view.T_world_scan @ viewpoint
+    return context.view.T_world_scan @ viewpoint

@@ -21,7 +21,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
-from scan3d_twin.core.planning.context import Situation, readings_of
+from scan3d_twin.core.planning.context import PlanningContext, readings_of
 from scan3d_twin.core.planning.visibility import NextSweep, Visible, ranges_here, visible_from
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.algebra import find_determined, marginalise
@@ -53,7 +53,7 @@ MIN_SEEN = 10
 
 
 @dataclass(frozen=True)
-class Forecast:
+class ErrorPrediction:
     """Predicts registrations on the latest view.
 
     Attributes:
@@ -69,12 +69,12 @@ class Forecast:
     scale: float = 1.0
 
     @staticmethod
-    def of(situation: Situation) -> Forecast:
+    def of(context: PlanningContext) -> ErrorPrediction:
         """Return the forecast of registrations on the latest view of a session."""
-        view, config = situation.view, situation.session.config
-        scale = odometry_scale(situation.session.views, config)
+        view, config = context.view, context.session.config
+        scale = odometry_scale(context.session.views, config)
         on_target = readings_of(view.target, view.image)
-        return Forecast(surfels_of(view, config), on_target, config, scale)
+        return ErrorPrediction(surfels_of(view, config), on_target, config, scale)
 
     def error(self, viewpoint: Pose2) -> float:
         """Return the predicted error [m] of the next view's target, times the calibration.

@@ -10,43 +10,43 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.planning.context import Situation, finish
-from scan3d_twin.core.planning.error_prediction import Forecast
+from scan3d_twin.core.planning.context import PlanningContext, finish
+from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_surface import Hidden
-from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.types import Plan
 
 MOST_TRIED = 20
 """Viewpoints whose error is predicted; the rest show less."""
 
 
-def over(situation: Situation) -> Plan | None:
+def termination_plan(context: PlanningContext) -> Plan | None:
     """Return the plan for when there is no next step along the contour; None while there is one.
 
     It ends the run, or goes where most of what the target hides may show, if ``planning.closing``
     wants that and the predicted error meets epsilon.
     """
-    reason = situation.finished()
+    reason = context.finished()
     if reason is None:
         return None
-    wanted = situation.session.config.planning.closing == "hidden"
-    if not (wanted and situation.going and situation.contour_done):
+    wanted = context.session.config.planning.closing == "hidden"
+    if not (wanted and context.going and context.contour_done):
         return finish(reason)
-    return _closing_view(situation) or finish(reason)
+    return _closing_view(context) or finish(reason)
 
 
-def _closing_view(situation: Situation) -> Plan | None:
-    session, config = situation.session, situation.session.config.planning
-    prospects = Prospects.on(situation)
-    areas = Hidden(session).areas(prospects.poses)
+def _closing_view(context: PlanningContext) -> Plan | None:
+    session, config = context.session, context.session.config.planning
+    candidates = PoseCandidates(context)
+    areas = Hidden(session).areas(candidates.poses)
     try:
-        forecast = Forecast.of(situation)
+        forecast = ErrorPrediction.of(context)
     except RegistrationError:
         return None
-    here = situation.view.T_world_scan.inverse()
+    here = context.view.T_world_scan.inverse()
     order = np.argsort(-areas, kind="stable")
     for i in order[areas[order] >= config.least_hidden][:MOST_TRIED]:
-        pose = prospects.poses[i]
+        pose = candidates.poses[i]
         if forecast.error(here @ pose) <= config.epsilon:
-            return prospects.go(pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
+            return candidates.go(pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
     return None

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.planning.context import MIN_LINES, Situation, finish
+from scan3d_twin.core.planning.context import MIN_LINES, PlanningContext, finish
 from scan3d_twin.core.planning.overlap_step import predicted_error
 from scan3d_twin.core.planning.surface_patches import (
     Eye,
@@ -40,22 +40,20 @@ KEPT = 10
 
 
 @dataclass(frozen=True)
-class Prospects:
+class PoseCandidates:
     """All candidates for the next viewpoint; arrays are in their order."""
 
-    session: Session
+    context: PlanningContext
 
     @staticmethod
-    def on(situation: Situation) -> Prospects:
-        """Return the candidates for whoever has the situation of a session already."""
-        prospects = Prospects(situation.session)
-        prospects.__dict__["situation"] = situation
-        return prospects
+    def of(session: Session) -> PoseCandidates:
+        """Return the candidates after the latest view of ``session``."""
+        return PoseCandidates(PlanningContext(session))
 
-    @cached_property
-    def situation(self) -> Situation:
-        """The latest view."""
-        return Situation(self.session)
+    @property
+    def session(self) -> Session:
+        """The session so far."""
+        return self.context.session
 
     @cached_property
     def eye(self) -> Eye:
@@ -110,7 +108,7 @@ class Prospects:
     def ways(self, places: FloatArray) -> FloatArray:
         """Return the length of the way (n,) [m] to ``places`` (n, 2) in ``world``; inf for none."""
         T_odom_world = self.session.views[-1].observation.T_odom_scan @ self._here.inverse()
-        return self.situation.costmap.ways(T_odom_world.apply(places))
+        return self.context.costmap.ways(T_odom_world.apply(places))
 
     def allowed(self, pose: Pose2) -> bool:
         """Tell whether ``pose`` belongs to the tour and was not taken yet."""
@@ -142,7 +140,7 @@ class Prospects:
         least = self.session.config.baselines.min_new_area
         return tuple(int(i) for i in np.flatnonzero(self.new_area >= least))
 
-    def over(self) -> str | None:
+    def termination_reason(self) -> str | None:
         """Return why no further view can be planned, whatever the planner; None if it can."""
         views, config = self.session.views, self.session.config
         if len(views[-1].target.occupied_lines) < MIN_LINES or len(self.surface) == 0:
@@ -153,14 +151,14 @@ class Prospects:
 
     def nothing_new(self) -> Plan:
         """Return the plan for when no candidate is worthwhile: look around first, then finish."""
-        if self.situation.looked:
+        if self.context.looked:
             return finish(f"{self.session.config.tour} complete: nothing new in sight")
         reason = "nothing new in sight from where the floor is known to be free: look around"
-        return Plan(None, 0.0, math.nan, False, (), reason, needs_look=True)
+        return Plan(None, 0.0, math.nan, False, (), reason, needs_panorama=True)
 
     def go(self, pose: Pose2, reason: str, others: tuple[Pose2, ...] = ()) -> Plan:
         """Return the plan to go to ``pose``, with the runners-up ``others``, best first."""
-        chosen = self.candidate(pose, predicted_error(self.situation, self._here.inverse() @ pose))
+        chosen = self.candidate(pose, predicted_error(self.context, self._here.inverse() @ pose))
         rest = tuple(self.candidate(other, math.nan) for other in others[:KEPT])
         return Plan(
             pose, chosen.overlap, chosen.predicted_rmse, False, (*rest[::-1], chosen), reason

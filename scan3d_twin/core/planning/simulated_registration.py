@@ -19,7 +19,7 @@ import numpy as np
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
-from scan3d_twin.core.planning.context import Situation, readings_of
+from scan3d_twin.core.planning.context import PlanningContext, readings_of
 from scan3d_twin.core.planning.sequential_test import decided
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
@@ -56,15 +56,15 @@ class Simulation:
     scale: float = 1.0
 
     @staticmethod
-    def of(situation: Situation, seed: int) -> Simulation:
+    def of(context: PlanningContext, seed: int) -> Simulation:
         """Return the simulation of registrations on the latest view of a session.
 
         Raises:
             RegistrationError: The view shows too little surface.
         """
-        view, config = situation.view, situation.session.config
+        view, config = context.view, context.session.config
         on_target = readings_of(view.target, view.image)
-        scale = odometry_scale(situation.session.views, config)
+        scale = odometry_scale(context.session.views, config)
         return Simulation(surfels_of(view, config), on_target, config, seed, scale)
 
     def error(self, viewpoint: Pose2, draws: int) -> float:
@@ -122,7 +122,7 @@ class Simulation:
         rng, assumed = self._rng(k, HERE), self.grid.noise
         noise = DrawnNoise(assumed, assumed.yaw_scale_sigma * rng.standard_normal())
         scan = self._surface.here.read(noise, rng), noise
-        if self.config.spare == "time":
+        if self.config.optimize_for == "speed":
             self._scans[k] = scan
         return scan
 

@@ -132,7 +132,7 @@ def _images(session: Session) -> Iterator[tuple[Pose2, RangeImage]]:
     """Yield all views, then all looks around, each placed in ``world``."""
     for view in session.views:
         yield view.T_world_scan, view.observation.image
-    for taken, look in session.looks:
+    for taken, look in session.panoramas:
         if taken == 0:
             yield look.T_odom_scan, look.image
             continue

@@ -175,7 +175,7 @@ def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
     )
 
 
-def calibrate_look(image: RangeImage) -> Calibration | None:
+def calibrate_on_panorama(image: RangeImage) -> Calibration | None:
     """Return what a look around says of the mount it was taken with; None if nothing."""
     try:
         return calibrate([[image]])

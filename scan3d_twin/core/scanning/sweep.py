@@ -86,7 +86,7 @@ def sweep(
     return corrected(_observation(robot, kept, yaw, started), config.mount)
 
 
-def look_around(
+def take_panorama(
     robot: Robot,
     config: Config,
     on_line: Callable[[ScanLine], None],

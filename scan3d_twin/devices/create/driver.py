@@ -43,7 +43,7 @@ from scan3d_twin.devices.create.link import (
     watched,
 )
 from scan3d_twin.devices.create.packets import Mode, Packet
-from scan3d_twin.devices.create.reading_filter import Sieve
+from scan3d_twin.devices.create.reading_filter import ReadingFilter
 from scan3d_twin.devices.links.transport import Transport, is_away
 
 log = logging.getLogger(__name__)
@@ -133,7 +133,7 @@ class CreateBase:
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
         self._reckoning: Reckoning | None = None
-        self._sieve, self._gap = Sieve(), False
+        self._sieve, self._gap = ReadingFilter(), False
         while not self._history:
             clock.sleep(oi.PERIOD / 3)
             self._receive(clock.now())

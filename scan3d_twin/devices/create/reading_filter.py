@@ -17,7 +17,7 @@ UNSIFTED: frozenset[Packet] = frozenset((*COUNTS, *MOVED))
 """Never the same twice while the base moves; the odometry checks them by what was commanded."""
 
 
-class Sieve:
+class ReadingFilter:
     """Holds back what was read once only, while the line is in doubt.
 
     On a good line everything is believed at once, so that a stop for a hazard comes at once.

@@ -45,7 +45,7 @@ geometry_msgs/Pose viewpoint
 float64 overlap
 float64 predicted_rmse
 bool fell_back
-bool needs_look
+bool needs_panorama
 string reason
 scan3d_twin_msgs/Candidate[] candidates
 """,

@@ -39,7 +39,7 @@ def plan(stamp: float, index: int, made: Plan) -> ros.Message:
         overlap=float(made.overlap),
         predicted_rmse=float(made.predicted_rmse),
         fell_back=bool(made.fell_back),
-        needs_look=bool(made.needs_look),
+        needs_panorama=bool(made.needs_panorama),
         reason=made.reason,
         candidates=[_candidate(each) for each in made.candidates],
     )

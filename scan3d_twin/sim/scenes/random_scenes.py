@@ -18,7 +18,6 @@ import numpy as np
 from scan3d_twin.core.config import MotionConfig, Tour
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.sim.checks import check, within
 from scan3d_twin.sim.scenes.random_shapes import Shape, Solid, build_shape, draw, shape_names
 from scan3d_twin.sim.scenes.scene import Scene, scene_from_spec
 
@@ -104,7 +103,7 @@ class SceneRanges:
     def __post_init__(self) -> None:
         for name in _LIMITS:
             _check_interval(name, getattr(self, name))
-        check(bool(self.shapes) and bool(self.tours), "random.shapes and random.tours: name one")
+        _require(bool(self.shapes) and bool(self.tours), "random.shapes and random.tours: name one")
         for shape in self.shapes:
             if shape not in shape_names():
                 raise UnknownNameError("shape", shape, shape_names())
@@ -112,9 +111,15 @@ class SceneRanges:
             if tour not in ("front", "full"):
                 raise UnknownNameError("tour", tour, ("front", "full"))
         for name in ("walls", "matte", "dark", "glossy"):
-            within(f"random.{name}", getattr(self, name), 0.0, 1.0)
+            share = getattr(self, name)
+            _require(0.0 <= share <= 1.0, f"random.{name} must be in [0, 1], got {share:g}")
         rest = 1.0 - self.matte - self.dark - self.glossy
-        check(rest > -1e-9, "random.matte + random.dark + random.glossy must be <= 1")
+        _require(rest > -1e-9, "random.matte + random.dark + random.glossy must be <= 1")
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ConfigError(message)
 
 
 _LIMITS: dict[str, Interval] = {
@@ -130,7 +135,7 @@ _LIMITS: dict[str, Interval] = {
 
 def _check_interval(name: str, value: tuple[float, float]) -> None:
     low, high = _LIMITS[name]
-    check(
+    _require(
         low <= value[0] <= value[1] <= high,
         f"random.{name} must be (low, high) within {low:g} and {high:g}, got {value}",
     )

@@ -22,10 +22,10 @@ from scan3d_twin.core.mapping.loop_closure import (
     Alignment,
     Link,
     align,
-    closed,
-    concluded,
+    align_final,
+    align_on_loop_closure,
+    apply_alignment,
     misfits,
-    placed,
     scans_alone,
     solve,
 )
@@ -138,28 +138,28 @@ def poses(session: Session) -> list[Pose2]:
 
 
 def test_the_default_never_moves_a_view() -> None:
-    assert closed(tour()) is tour()
-    assert concluded(tour()) is tour()
+    assert align_on_loop_closure(tour()) is tour()
+    assert align_final(tour()) is tour()
 
 
 def test_views_are_aligned_when_the_robot_has_gone_round() -> None:
-    session = configured(when="closed")
+    session = configured(mode="loop_closure")
     half = replace(session, views=session.views[: VIEWS // 2])
-    assert closed(half) is half
-    assert poses(closed(session)) == poses(align(session))
-    assert poses(concluded(half)) == poses(align(half))
+    assert align_on_loop_closure(half) is half
+    assert poses(align_on_loop_closure(session)) == poses(align(session))
+    assert poses(align_final(half)) == poses(align(half))
 
 
 def test_a_dropped_view_takes_its_plan_and_leaves_the_looks() -> None:
     plan = Plan(Pose2(), 0.5, 0.01, False, (), "")
     plans = tuple(replace(plan, reason=str(k)) for k in range(VIEWS))
     look = tour().views[0].observation
-    session = replace(tour(), plans=plans, looks=((0, look), (5, look)))
+    session = replace(tour(), plans=plans, panoramas=((0, look), (5, look)))
     kept = tuple(k for k in range(VIEWS) if k != 4)
     poses = tuple(tour().views[k].T_world_scan for k in kept)
-    found = placed(session, Alignment(kept, poses, np.zeros((9, 3)), (), (7,)))
+    found = apply_alignment(session, Alignment(kept, poses, np.zeros((9, 3)), (), (7,)))
     assert [plan.reason for plan in found.plans] == [str(k) for k in range(VIEWS) if k != 3]
-    assert [taken for taken, _ in found.looks] == [0, 4]
+    assert [taken for taken, _ in found.panoramas] == [0, 4]
     assert found.misfits == (6,)
 
 
@@ -221,6 +221,6 @@ def test_sparing_memory_and_folding_move_no_view() -> None:
     session = tour()
     few = replace(session, views=session.views[:5], plans=session.plans[:4])
     expected = [view.T_world_scan for view in align(few).views]
-    frugal = replace(few, config=replace(few.config, spare="memory"))
-    frugal.fold()
+    frugal = replace(few, config=replace(few.config, optimize_for="memory"))
+    frugal.compress()
     assert [view.T_world_scan for view in align(frugal).views] == expected

@@ -14,8 +14,8 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.mapping.scan_matching import SURFELS, motion_prior, surfels_of
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.planning.context import Situation
-from scan3d_twin.core.planning.error_prediction import Forecast
+from scan3d_twin.core.planning.context import PlanningContext
+from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, rms
@@ -150,10 +150,10 @@ def test_the_motion_prior_is_that_of_turn_drive_turn(yaw: float) -> None:
 def test_the_forecast_tells_features_from_a_wall() -> None:
     errors = []
     for boxes in (WALL, PILASTERS):
-        situation = Situation(session_at(boxes, config()))
-        viewpoint = situation.place(0.7).viewpoint
+        context = PlanningContext(session_at(boxes, config()))
+        viewpoint = context.place(0.7).viewpoint
         assert viewpoint is not None
-        errors.append(Forecast.of(situation).error(viewpoint))
+        errors.append(ErrorPrediction.of(context).error(viewpoint))
     assert errors[1] < 0.005
     assert errors[0] > 3 * errors[1]
 
@@ -161,7 +161,7 @@ def test_the_forecast_tells_features_from_a_wall() -> None:
 def test_the_forecast_is_what_registration_then_reports() -> None:
     session = session_at(PILASTERS, config())
     viewpoint = Pose2(0.0, -0.5, 0.2)
-    forecast = Forecast.of(Situation(session)).error(viewpoint)
+    forecast = ErrorPrediction.of(PlanningContext(session)).error(viewpoint)
     seen = second_view(session, PILASTERS, viewpoint)
     result = seen.views[-1].registration
     assert result is not None
@@ -169,8 +169,8 @@ def test_the_forecast_is_what_registration_then_reports() -> None:
 
 
 def test_out_of_sight_is_no_overlap() -> None:
-    situation = Situation(session_at(PILASTERS, config()))
-    assert Forecast.of(situation).error(Pose2(0.0, 0.0, math.pi)) == math.inf
+    context = PlanningContext(session_at(PILASTERS, config()))
+    assert ErrorPrediction.of(context).error(Pose2(0.0, 0.0, math.pi)) == math.inf
 
 
 def test_the_closed_form_planner_steps_farther_on_features() -> None:

@@ -30,7 +30,7 @@ def test_with_memory_to_spare_each_is_prepared_once(views: list[View]) -> None:
 
 
 def test_else_those_asked_for_latest_are_kept(views: list[View]) -> None:
-    prepared = Prepared(views, replace(CONFIG, spare="memory"))
+    prepared = Prepared(views, replace(CONFIG, optimize_for="memory"))
     first = prepared[0]
     assert prepared[1] is not None
     assert prepared[0] is first

@@ -12,10 +12,10 @@ from synthetic import THREE_BOXES, Box
 
 from scan3d_twin.core.config import Config, PlanningConfig, SweepConfig
 from scan3d_twin.core.planning import hidden_views as closing
-from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.hidden_surface import DEPTH, Hidden
-from scan3d_twin.core.planning.hidden_views import over
-from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.planning.hidden_views import termination_plan
+from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 
@@ -102,49 +102,49 @@ def test_a_flat_sight_settles_nothing(seen: Session) -> None:
     assert len(after) > 0.8 * len(before)
 
 
-def finished(session: Session, how: str) -> Situation:
-    """Return the situation after a session whose contour is done."""
+def finished(session: Session, how: str) -> PlanningContext:
+    """Return the context after a session whose contour is done."""
     planning = replace(PlanningConfig(), closing=how, epsilon=10.0)  # type: ignore[arg-type]
-    situation = Situation(replace(session, config=replace(session.config, planning=planning)))
-    situation.__dict__["contour_done"] = True
-    return situation
+    context = PlanningContext(replace(session, config=replace(session.config, planning=planning)))
+    context.__dict__["contour_done"] = True
+    return context
 
 
 def test_a_finished_contour_ends_the_run_unless_more_is_wanted(seen: Session) -> None:
-    plan = over(finished(seen, "none"))
+    plan = termination_plan(finished(seen, "none"))
     assert plan is not None
     assert plan.viewpoint is None
     assert plan.reason == "front complete"
 
 
 def test_a_view_is_added_where_most_may_show(seen: Session) -> None:
-    situation = finished(seen, "hidden")
-    plan = over(situation)
+    context = finished(seen, "hidden")
+    plan = termination_plan(context)
     assert plan is not None
     assert plan.viewpoint is not None
-    areas = Hidden(situation.session).areas(Prospects.on(situation).poses)
-    assert Hidden(situation.session).areas([plan.viewpoint])[0] == pytest.approx(areas.max())
+    areas = Hidden(context.session).areas(PoseCandidates(context).poses)
+    assert Hidden(context.session).areas([plan.viewpoint])[0] == pytest.approx(areas.max())
 
 
 def test_no_view_is_added_that_would_not_register(
     seen: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(closing.Forecast, "error", lambda self, viewpoint: math.inf)
-    plan = over(finished(seen, "hidden"))
+    monkeypatch.setattr(closing.ErrorPrediction, "error", lambda self, viewpoint: math.inf)
+    plan = termination_plan(finished(seen, "hidden"))
     assert plan is not None
     assert plan.viewpoint is None
 
 
 def test_a_step_along_the_contour_comes_first(seen: Session) -> None:
-    situation = finished(seen, "hidden")
-    situation.__dict__["contour_done"] = False
-    assert over(situation) is None
+    context = finished(seen, "hidden")
+    context.__dict__["contour_done"] = False
+    assert termination_plan(context) is None
 
 
 def test_a_contour_that_was_done_stays_done() -> None:
     end = Pose2(0.4, -1.6, math.radians(40.0))
     session = session_at(BOXES, WIDE, poses=(end,), half=1.2)
-    assert Situation(session).contour_done
+    assert PlanningContext(session).contour_done
     on = session_at(BOXES, WIDE, poses=(end, standing(-0.1, 0.0)), half=1.2)
-    assert not Situation(replace(on, views=on.views[1:])).contour_done
-    assert Situation(on).contour_done
+    assert not PlanningContext(replace(on, views=on.views[1:])).contour_done
+    assert PlanningContext(on).contour_done

@@ -7,7 +7,7 @@ import pytest
 from sessions import PILASTERS, WALL, session_at, with_baselines
 
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.planners.curvature import feature_score
 from scan3d_twin.core.planning.planners.pito import resampled_area
 from scan3d_twin.core.planning.surface_patches import Eye, Patches, view_patches
@@ -48,8 +48,8 @@ def test_pito_takes_the_smallest_overlap_that_resamples_enough(wall: Session) ->
     etas = [p.overlap for p in plans]
     assert etas == sorted(etas)
     assert etas[0] < etas[-1]
-    situation = Situation(wall)
-    eye, current = Eye.of(situation.view, wall.config), view_patches(situation.view)
+    context = PlanningContext(wall)
+    eye, current = Eye.of(context.view, wall.config), view_patches(context.view)
     for share, p in zip((0.1, 0.3, 0.5), plans, strict=True):
         assert p.viewpoint is not None
         assert resampled_area(current, p.viewpoint, eye) >= share
@@ -62,8 +62,8 @@ def test_pito_falls_back_when_nothing_resamples_enough(wall: Session) -> None:
 def test_resampled_area_is_everything_from_the_same_place_and_nothing_from_behind(
     wall: Session,
 ) -> None:
-    situation = Situation(wall)
-    eye, current = Eye.of(situation.view, wall.config), view_patches(situation.view)
+    context = PlanningContext(wall)
+    eye, current = Eye.of(context.view, wall.config), view_patches(context.view)
     same = resampled_area(current, Pose2(), eye)
     assert 0.8 < same <= 1.0
     assert resampled_area(current, Pose2(2.0, 0.0, np.pi), eye) == 0.0

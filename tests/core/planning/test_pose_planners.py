@@ -13,7 +13,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.planners.ig import gain, utility, wish
 from scan3d_twin.core.planning.planners.see import frontier_points
-from scan3d_twin.core.planning.pose_candidates import FAR, NEAR, Prospects
+from scan3d_twin.core.planning.pose_candidates import FAR, NEAR, PoseCandidates
 from scan3d_twin.core.planning.voxels import FREE, OCCUPIED, UNKNOWN, Rays, VoxelMap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
@@ -38,22 +38,22 @@ def plan(name: str, session: Session, seed: int = 0, **changes: object) -> Plan:
 
 
 def test_candidates_are_feasible_new_and_at_the_standoff(box: Session) -> None:
-    prospects = Prospects(box)
-    assert len(prospects.poses) > 10
-    assert np.all(np.isfinite(prospects.travel))
-    for pose in prospects.poses:
-        assert prospects.situation.feasible(pose)  # world and scan are one frame here
+    candidates = PoseCandidates.of(box)
+    assert len(candidates.poses) > 10
+    assert np.all(np.isfinite(candidates.travel))
+    for pose in candidates.poses:
+        assert candidates.context.feasible(pose)  # world and scan are one frame here
         assert pose.distance(Pose2()) > 0.15 or abs(pose.yaw) > math.radians(15)
-    place = np.array([[pose.x, pose.y] for pose in prospects.poses])
+    place = np.array([[pose.x, pose.y] for pose in candidates.poses])
     nearest = np.min(
-        np.linalg.norm(place[:, None] - prospects.surface.points[None, :, :2], axis=2), axis=1
+        np.linalg.norm(place[:, None] - candidates.surface.points[None, :, :2], axis=2), axis=1
     )
     assert nearest.min() >= NEAR - 1e-9
     assert nearest.max() <= FAR + 1e-9
 
 
 def test_a_tour_of_the_front_stays_there(wall: Session) -> None:
-    for pose in Prospects(wall).poses:
+    for pose in PoseCandidates.of(wall).poses:
         assert abs(pose.yaw) <= FRONT_SIDE + 1e-6
 
 
@@ -62,7 +62,7 @@ def test_plans_are_pure_and_feasible(name: str, box: Session) -> None:
     first, again = (plan(name, box) for _ in range(2))
     assert first == again
     assert first.viewpoint is not None
-    assert Prospects(box).situation.feasible(first.viewpoint)
+    assert PoseCandidates.of(box).context.feasible(first.viewpoint)
     assert first.candidates[-1].viewpoint == first.viewpoint
     assert 0.0 <= first.overlap <= 1.0
     assert first.reason
@@ -71,10 +71,10 @@ def test_plans_are_pure_and_feasible(name: str, box: Session) -> None:
 @pytest.mark.parametrize("name", ["frontier2d", "ig", "roberts"])
 def test_the_next_view_shows_what_was_not_seen(name: str, box: Session) -> None:
     viewpoint = plan(name, box).viewpoint
-    prospects = Prospects(box)
+    candidates = PoseCandidates.of(box)
     assert viewpoint is not None
-    chosen = prospects.poses.index(viewpoint)
-    assert prospects.new_area[chosen] >= box.config.baselines.min_new_area
+    chosen = candidates.poses.index(viewpoint)
+    assert candidates.new_area[chosen] >= box.config.baselines.min_new_area
 
 
 @pytest.mark.parametrize("gain_of", ["oa", "rse", "af"])
@@ -98,11 +98,11 @@ def test_gonzalez_banos_wants_to_see_known_edges_again(box: Session) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_end_is_announced_after_a_look_around(name: str, box: Session) -> None:
-    blind = replace(box, looks=box.looks[:1])
+    blind = replace(box, panoramas=box.panoramas[:1])
     ended = plan(name, blind, min_new_area=1e3)
     if name != "see":  # which goes by the cloud, not by the space
         assert ended.viewpoint is None
-        assert ended.needs_look
+        assert ended.needs_panorama
         assert plan(name, box, min_new_area=1e3).reason == "full complete: nothing new in sight"
 
 

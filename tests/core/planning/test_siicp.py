@@ -11,11 +11,11 @@ from scan3d_twin.core.config import Config, PlanningConfig
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.planning import make_planner, planner_names
-from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.planners.siicp import (
-    draw_luck,
     motion_error,
     overlaps,
+    sample_motion_noise,
     simulated_error,
 )
 from scan3d_twin.core.session import Session
@@ -54,14 +54,14 @@ def errors(session: Session, overlap: float, n: int, **changes: object) -> np.nd
     """Return E of ``n`` draws at ``overlap``."""
     planning = replace(session.config.planning, **changes)  # type: ignore[arg-type]
     session = replace(session, config=replace(session.config, planning=planning))
-    situation = Situation(session)
-    viewpoint = situation.place(overlap).viewpoint
+    context = PlanningContext(session)
+    viewpoint = context.place(overlap).viewpoint
     assert viewpoint is not None
     draws = np.random.default_rng(1).standard_normal((n, 1, 3))
     rngs = np.random.default_rng(2).spawn(n)
     return np.array(
         [
-            simulated_error(situation, overlap, viewpoint, d, r)
+            simulated_error(context, overlap, viewpoint, d, r)
             for d, r in zip(draws, rngs, strict=True)
         ]
     )
@@ -86,11 +86,11 @@ def test_the_motion_error_is_proportional_to_the_move() -> None:
 
 
 def test_common_draws_are_the_same_for_all_overlaps_and_independent_ones_differ() -> None:
-    common = draw_luck(7, PlanningConfig(trials=3), np.random.default_rng(0))
+    common = sample_motion_noise(7, PlanningConfig(trials=3), np.random.default_rng(0))
     assert common.shape == (7, 3, 3)
     assert np.array_equal(common[0], common[6])
     config = PlanningConfig(trials=3, draws="independent")
-    assert not np.array_equal(*draw_luck(2, config, np.random.default_rng(0)))
+    assert not np.array_equal(*sample_motion_noise(2, config, np.random.default_rng(0)))
 
 
 def test_the_error_sees_a_slide_along_a_wall_and_the_residual_does_not(
@@ -155,10 +155,10 @@ def test_the_same_generator_gives_the_same_plan(wall: Session) -> None:
 
 def test_no_look_around_yet_asks_for_one() -> None:
     session = session_at(WALL)
-    seen = replace(session, looks=())
+    seen = replace(session, panoramas=())
     made = plan(seen)
     assert made.viewpoint is None
-    assert made.needs_look
+    assert made.needs_panorama
 
 
 def test_nowhere_to_go_after_looking_ends_the_run(wall: Session) -> None:
@@ -170,9 +170,9 @@ def test_nowhere_to_go_after_looking_ends_the_run(wall: Session) -> None:
     around = observe(
         Pose2(), (*WALL, *cage), room=False, width=math.tau - 1e-3, step=math.radians(2.0)
     )
-    made = plan(replace(wall, looks=((1, around),)), standoff=3.0)
+    made = plan(replace(wall, panoramas=((1, around),)), standoff=3.0)
     assert made.viewpoint is None
-    assert not made.needs_look
+    assert not made.needs_panorama
     assert "no viewpoint left" in made.reason
 
 

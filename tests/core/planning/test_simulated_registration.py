@@ -15,7 +15,7 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.planning.context import Situation, readings_of
+from scan3d_twin.core.planning.context import PlanningContext, readings_of
 from scan3d_twin.core.planning.simulated_registration import Simulation, displaced
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Surface
 from scan3d_twin.core.registration.pose_prior import PLANAR
@@ -142,7 +142,7 @@ def test_draws_follow_the_motion_prior() -> None:
 
 def test_candidates_meet_the_same_draws_and_seeds_differ(pilasters: Session) -> None:
     def errors(seed: int) -> list[float]:
-        return list(Simulation.of(Situation(pilasters), seed).errors(O2, 2))
+        return list(Simulation.of(PlanningContext(pilasters), seed).errors(O2, 2))
 
     assert errors(1) == errors(1)
     assert errors(1) != errors(2)
@@ -151,7 +151,7 @@ def test_candidates_meet_the_same_draws_and_seeds_differ(pilasters: Session) -> 
 def test_a_slide_shows_on_a_wall_and_not_on_features(wall: Session, pilasters: Session) -> None:
     median = []
     for session in (wall, pilasters):
-        errors = list(Simulation.of(Situation(session), 3).errors(O2, 5))
+        errors = list(Simulation.of(PlanningContext(session), 3).errors(O2, 5))
         median.append(float(np.median(errors)))
     assert median[1] < 0.005
     assert median[0] > 1.5 * median[1]
@@ -165,12 +165,12 @@ def test_wrong_basins_show_as_large_errors() -> None:
     )
     poor = replace(CONFIG, planning=replace(CONFIG.planning, lambda_=0.12))
     session = session_at(ribs, poor)
-    errors = list(Simulation.of(Situation(session), 0).errors(Pose2(0.0, -0.45, 0.0), 5))
+    errors = list(Simulation.of(PlanningContext(session), 0).errors(Pose2(0.0, -0.45, 0.0), 5))
     assert max(errors) > 0.03
 
 
 def test_out_of_sight_is_infinite(wall: Session) -> None:
-    simulation = Simulation.of(Situation(wall), 0)
+    simulation = Simulation.of(PlanningContext(wall), 0)
     assert simulation.error(Pose2(0.0, 0.0, math.pi), 3) == math.inf
 
 
@@ -244,9 +244,9 @@ def test_the_prediction_of_a_registration_is_about_the_target(pilasters: Session
 
 
 def test_sparing_memory_changes_no_error(wall: Session) -> None:
-    config = replace(CONFIG, spare="memory")
+    config = replace(CONFIG, optimize_for="memory")
     frugal, usual = (
-        Simulation.of(Situation(replace(wall, config=each)), 3) for each in (config, CONFIG)
+        Simulation.of(PlanningContext(replace(wall, config=each)), 3) for each in (config, CONFIG)
     )
     for viewpoint in (O2, Pose2(0.0, -0.3, 0.0)):
         errors = [list(each.errors(viewpoint, 2)) for each in (frugal, usual)]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sessions import WALL, session_at
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.planning.context import Situation
+from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.surface_prediction import HIDDEN, STEP, predict
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
@@ -96,20 +96,20 @@ def wall() -> Session:
     return session_at(WALL)
 
 
-def foreseeing(session: Session, **changes: object) -> Situation:
+def foreseeing(session: Session, **changes: object) -> PlanningContext:
     planning = replace(session.config.planning, foresight="holdout", **changes)  # type: ignore[arg-type]
-    return Situation(replace(session, config=replace(session.config, planning=planning)))
+    return PlanningContext(replace(session, config=replace(session.config, planning=planning)))
 
 
 def test_foresight_is_off_unless_asked_for(wall: Session) -> None:
     assert Config().planning.foresight == "none"
-    assert Situation(wall).foreseen is None
+    assert PlanningContext(wall).foreseen is None
     assert foreseeing(wall).foreseen is not None
     assert foreseeing(wall, foresight_sigma=1e-9).foreseen is None
 
 
 def test_what_is_foreseen_is_no_overlap(wall: Session) -> None:
-    plain, ahead = Situation(wall), foreseeing(wall)
+    plain, ahead = PlanningContext(wall), foreseeing(wall)
     assert ahead.n_lines == plain.n_lines
     assert ahead.n_Q(0.4) == plain.n_Q(0.4)
     a, b = plain.place(0.4).viewpoint, ahead.place(0.4).viewpoint

@@ -87,8 +87,8 @@ def plain_sample(grid: SurfelGrid, stride: int) -> reference.scan_arrays.Sample:
     return reference.scan_arrays.Sample(*found, stride)
 
 
-def plain_noise(target: SurfelGrid, source: SurfelGrid) -> reference.point_to_plane.Weighting:
-    return reference.point_to_plane.Weighting(
+def plain_noise(target: SurfelGrid, source: SurfelGrid) -> reference.point_to_plane.PairNoise:
+    return reference.point_to_plane.PairNoise(
         source.noise.yaw_sigma**2,
         target.noise.yaw_sigma**2,
         target.line_spacing / source.line_spacing,
@@ -209,7 +209,7 @@ def test_normal_equations() -> None:
     )  # fmt: skip
     assert own.pairs == plain.pairs > 1000
     assert own.square == pytest.approx(plain.square)
-    assert near(own.spurious, plain.faked)
+    assert near(own.spurious, plain.spurious)
     for name in ("information", "lost", "gradient"):
         assert near(getattr(own, name), getattr(plain, name)), name
 

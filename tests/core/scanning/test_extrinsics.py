@@ -16,7 +16,7 @@ from scan3d_twin.core.hal import default_mount
 from scan3d_twin.core.scanning.extrinsic_calibration import (
     Calibration,
     calibrate,
-    calibrate_look,
+    calibrate_on_panorama,
     find_planes,
     with_turning,
 )
@@ -184,5 +184,5 @@ def test_a_look_at_nothing_tells_nothing() -> None:
     config = replace(Config(), sweep=SweepConfig(turning="look"))
     look = take(WRONG).image
     blind = replace(look, ranges=read_only(np.full(look.ranges.shape, np.nan)))
-    assert calibrate_look(blind) is None
+    assert calibrate_on_panorama(blind) is None
     assert with_turning(config, None) == config

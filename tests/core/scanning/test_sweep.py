@@ -8,7 +8,7 @@ import pytest
 
 from scan3d_twin.core.config import Config, SweepConfig
 from scan3d_twin.core.errors import DataLossError
-from scan3d_twin.core.scanning.sweep import find_missing, look_around, sweep
+from scan3d_twin.core.scanning.sweep import find_missing, sweep, take_panorama
 from scan3d_twin.core.types import ScanLine
 from scan3d_twin.sim.config import LidarModelConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
@@ -84,7 +84,7 @@ def test_a_lidar_that_loses_too_much_is_an_error_and_the_robot_stands() -> None:
 def test_a_look_around_sees_all_round_and_comes_back() -> None:
     with open_sim("three_boxes", 0) as (robot, truth):
         before = truth.pose_at(robot.clock.now()).yaw
-        observation = look_around(robot, CONFIG, ignore)
+        observation = take_panorama(robot, CONFIG, ignore)
         after = truth.pose_at(robot.clock.now()).yaw
     front = observation.image.yaws[:, observation.image.spec.n_beams // 2]
     assert np.ptp(front) >= math.tau

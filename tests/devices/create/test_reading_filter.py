@@ -1,21 +1,21 @@
 """What was read once is believed on a good line, and held back on one that garbles bytes."""
 
 from scan3d_twin.devices.create.packets import Packet
-from scan3d_twin.devices.create.reading_filter import DOUBT, Sieve
+from scan3d_twin.devices.create.reading_filter import DOUBT, ReadingFilter
 
 QUIET = {Packet.BUMPS_DROPS: 0, Packet.LEFT_COUNTS: 5}
 BUMPED = {Packet.BUMPS_DROPS: 2, Packet.LEFT_COUNTS: 9}
 
 
 def doubting(at=10.0):
-    sieve = Sieve()
+    sieve = ReadingFilter()
     sieve.take(QUIET, at - 1)
     assert sieve.line(1, at)
     return sieve
 
 
 def test_on_a_good_line_all_is_believed_at_once():
-    sieve = Sieve()
+    sieve = ReadingFilter()
     assert not sieve.line(0, 1.0)
     assert sieve.take(QUIET, 1.0) == QUIET
     assert sieve.take(BUMPED, 1.015) == BUMPED
@@ -30,7 +30,7 @@ def test_in_doubt_only_what_is_read_twice_is_believed():
 
 
 def test_the_first_readings_are_all_there_is():
-    sieve = Sieve()
+    sieve = ReadingFilter()
     sieve.line(3, 1.0)
     assert sieve.take(BUMPED, 1.0) == BUMPED
 

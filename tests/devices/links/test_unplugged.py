@@ -8,7 +8,7 @@ import pytest
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError
-from scan3d_twin.core.scanning.sweep import look_around, sweep
+from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.driver import STOP
 from scan3d_twin.devices.create.emulator import CreateEmulator
@@ -21,10 +21,10 @@ from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.wired import Unhindered
+from scan3d_twin.wired import HazardFreeClock
 
 
-class Accident(Unhindered):
+class Accident(HazardFreeClock):
     """A clock at whose will a plug is out, and the device behind it without power."""
 
     def __init__(self, clock, line, seconds):
@@ -84,7 +84,7 @@ def test_the_sweep_is_completed_and_nothing_is_lost(profile, link, seconds):
 
 def test_a_look_around_is_completed_too():
     with opened(UrgProfile(), "usb", 5.0) as (robot, clock):
-        image = look_around(robot, Config(), unplug_at(60, clock, [])).image
+        image = take_panorama(robot, Config(), unplug_at(60, clock, [])).image
     yaws = np.sort(image.yaws[:, image.yaws.shape[1] // 2])
     assert np.diff(yaws).max() < math.radians(10.5)
     assert yaws[-1] - yaws[0] > math.radians(358)
@@ -100,7 +100,7 @@ def test_a_lidar_that_stays_away_ends_the_sweep_and_the_robot_stood_meanwhile():
     assert stood[-1].stamp - stood[0].stamp > 55.0
 
 
-class Unplugged(Unhindered):
+class Unplugged(HazardFreeClock):
     """A clock at whose will the base's plug is out for ``seconds`` from ``out`` on."""
 
     def __init__(self, clock, line, seconds):
@@ -184,7 +184,7 @@ def test_a_base_at_rest_that_is_unplugged_is_waited_for_too():
 def test_a_line_that_is_not_opened_again_ends_the_sweep_at_once():
     with open_sim("plain_wall", 3) as (twin, _):
         line = Line(CreateEmulator(twin.base))
-        clock = Unhindered(twin.clock)
+        clock = HazardFreeClock(twin.clock)
         lidar = UrgEmulator(twin.lidar)
         wire = Wire(line, clock)
         with open_over(wire, lambda: Wire(lidar, clock), clock, LINKS["usb"]) as robot:

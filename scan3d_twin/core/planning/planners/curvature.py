@@ -17,9 +17,9 @@ import math
 import numpy as np
 
 from scan3d_twin.core.config import Feature
-from scan3d_twin.core.planning.context import Situation, in_world
-from scan3d_twin.core.planning.hidden_views import over
-from scan3d_twin.core.planning.overlap_step import step
+from scan3d_twin.core.planning.context import PlanningContext, in_world
+from scan3d_twin.core.planning.hidden_views import termination_plan
+from scan3d_twin.core.planning.overlap_step import plan_with_overlap
 from scan3d_twin.core.planning.planners.siicp import overlaps
 from scan3d_twin.core.planning.surface_patches import Patches, eye_height, patches_of
 from scan3d_twin.core.session import Session
@@ -35,24 +35,26 @@ class CurvaturePlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose feature score is high enough."""
-        situation, config = Situation(session), session.config
-        if plan := over(situation):
+        context, config = PlanningContext(session), session.config
+        if plan := termination_plan(context):
             return plan
-        eye = np.array([0.0, 0.0, eye_height(situation.view)])
-        whole = patches_of(situation.P.points, eye)
+        eye = np.array([0.0, 0.0, eye_height(context.view)])
+        whole = patches_of(context.P.points, eye)
         tried: list[Candidate] = []
         for eta in overlaps(config.planning):
-            placement = situation.place(eta)
+            placement = context.place(eta)
             if placement.viewpoint is None:
                 continue
-            Q = patches_of(situation.P.last_lines(situation.n_Q(eta)).points, eye)
+            Q = patches_of(context.P.last_lines(context.n_Q(eta)).points, eye)
             score = feature_score(Q, len(whole), config.baselines.feature)
             if score >= config.baselines.feature_score:
-                return step(situation, eta, f"feature score {score:.3f} at {eta:.0%}", tried)
-            viewpoint = in_world(situation, placement.viewpoint)
+                return plan_with_overlap(
+                    context, eta, f"feature score {score:.3f} at {eta:.0%}", tried
+                )
+            viewpoint = in_world(context, placement.viewpoint)
             tried.append(Candidate(viewpoint, eta, math.nan, feasible=True))
         eta = config.planning.default_overlap
-        return step(situation, eta, f"too few features: default {eta:.0%}", tried)
+        return plan_with_overlap(context, eta, f"too few features: default {eta:.0%}", tried)
 
 
 def feature_score(Q: Patches, whole: int, feature: Feature) -> float:

@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.planning.context import Situation
-from scan3d_twin.core.planning.error_prediction import Forecast
-from scan3d_twin.core.planning.hidden_views import over
+from scan3d_twin.core.planning.context import PlanningContext
+from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.planners.siicp import smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import Simulation
 from scan3d_twin.core.session import Session
@@ -26,14 +26,14 @@ class FisherPlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose predicted error meets epsilon."""
-        situation, config = Situation(session), session.config.planning
-        if plan := over(situation):
+        context, config = PlanningContext(session), session.config.planning
+        if plan := termination_plan(context):
             return plan
         seed = int(rng.integers(2**63))
         try:
-            forecast = Forecast.of(situation)
+            forecast = ErrorPrediction.of(context)
         except RegistrationError:
-            return smallest_overlap(situation, lambda eta, O2: math.inf)
+            return smallest_overlap(context, lambda eta, O2: math.inf)
         simulation = Simulation(
             forecast.grid, forecast.on_target, session.config, seed, forecast.scale
         )
@@ -45,4 +45,4 @@ class FisherPlanner:
             simulated = simulation.error(viewpoint, config.checks)
             return max(predicted, simulated) if simulated > config.epsilon else predicted
 
-        return smallest_overlap(situation, error)
+        return smallest_overlap(context, error)

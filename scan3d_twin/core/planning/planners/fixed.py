@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.planning.context import Situation
-from scan3d_twin.core.planning.hidden_views import over
-from scan3d_twin.core.planning.overlap_step import step
+from scan3d_twin.core.planning.context import PlanningContext
+from scan3d_twin.core.planning.hidden_views import termination_plan
+from scan3d_twin.core.planning.overlap_step import plan_with_overlap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 
@@ -20,13 +20,13 @@ class FixedPlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint for the fixed overlap."""
-        situation = Situation(session)
-        if plan := over(situation):
+        context = PlanningContext(session)
+        if plan := termination_plan(context):
             return plan
         overlap = self._overlap
         if overlap is None:
             overlap = session.config.baselines.fixed_overlap
-        return step(situation, overlap, f"fixed overlap: {overlap:.0%}")
+        return plan_with_overlap(context, overlap, f"fixed overlap: {overlap:.0%}")
 
 
 def fixed20() -> FixedPlanner:

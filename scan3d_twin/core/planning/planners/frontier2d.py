@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan3d_twin.core.planning.context import finish
-from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.surface_patches import Eye
 from scan3d_twin.core.planning.voxels import (
     FREE,
@@ -59,31 +59,31 @@ class Frontier2dPlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the candidate of the largest value."""
-        prospects, config = Prospects(session), session.config.baselines
-        if reason := prospects.over():
+        candidates, config = PoseCandidates.of(session), session.config.baselines
+        if reason := candidates.termination_reason():
             return finish(reason)
-        if not prospects.worthwhile:
-            return prospects.nothing_new()
-        sights = [look(pose, prospects) for pose in prospects.poses]
+        if not candidates.worthwhile:
+            return candidates.nothing_new()
+        sights = [look(pose, candidates) for pose in candidates.poses]
         if config.frontier == "surmann":
             length = np.array([sight.unseen_edge for sight in sights])
-            cost = PER_METRE * prospects.travel + PER_RADIAN * prospects.turns
+            cost = PER_METRE * candidates.travel + PER_RADIAN * candidates.turns
             values, what = length * np.exp(-cost), "most unseen edge"
         else:
             area = np.array([sight.unseen_area for sight in sights])
             solid = np.array([sight.solid_edge for sight in sights])
             values = np.where(solid >= config.min_solid_edge, area, 0.0)
-            values, what = values * np.exp(-LAMBDA * prospects.travel), "most unseen area"
+            values, what = values * np.exp(-LAMBDA * candidates.travel), "most unseen area"
         if values.max() <= 0.0:
-            return prospects.nothing_new()
-        return prospects.best(values, f"{what} for the travel, of {len(sights)} viewpoints")
+            return candidates.nothing_new()
+        return candidates.best(values, f"{what} for the travel, of {len(sights)} viewpoints")
 
 
-def look(pose: Pose2, prospects: Prospects) -> Sight:
+def look(pose: Pose2, candidates: PoseCandidates) -> Sight:
     """Return what a sweep at ``pose`` sees in the slices."""
-    space = prospects.space
-    reach = 2 * prospects.session.config.planning.standoff
-    cells = _cells(pose, prospects.eye, space, reach)
+    space = candidates.space
+    reach = 2 * candidates.session.config.planning.standoff
+    cells = _cells(pose, candidates.eye, space, reach)
     sights = [_in_slice(cells, space, k) for k in _slices(space)]
     return Sight(*(np.mean(sights, axis=0).tolist()))
 

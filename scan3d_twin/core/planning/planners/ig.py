@@ -23,7 +23,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Gain
 from scan3d_twin.core.planning.context import finish
-from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.voxels import OCCUPIED, UNKNOWN, Rays, VoxelMap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan
@@ -41,16 +41,16 @@ class IgPlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the candidate of the largest utility."""
-        prospects, config = Prospects(session), session.config.baselines
-        if reason := prospects.over():
+        candidates, config = PoseCandidates.of(session), session.config.baselines
+        if reason := candidates.termination_reason():
             return finish(reason)
-        if not prospects.worthwhile:
-            return prospects.nothing_new()
-        gains = np.array([gain(rays, prospects.space, config.gain) for rays in prospects.rays])
-        values = utility(gains, prospects.travel, config.travel_weight)
-        few = np.setdiff1d(np.arange(len(values)), prospects.worthwhile)
+        if not candidates.worthwhile:
+            return candidates.nothing_new()
+        gains = np.array([gain(rays, candidates.space, config.gain) for rays in candidates.rays])
+        values = utility(gains, candidates.travel, config.travel_weight)
+        few = np.setdiff1d(np.arange(len(values)), candidates.worthwhile)
         values[few] = -np.inf
-        return prospects.best(values, f"most information gain ({config.gain}) for the travel")
+        return candidates.best(values, f"most information gain ({config.gain}) for the travel")
 
 
 def utility(gains: FloatArray, travel: FloatArray, weight: float) -> FloatArray:

@@ -28,7 +28,7 @@ from scan3d_twin.core.model.evaluation import (
     visible,
 )
 from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.planning.context import Situation, blocked, finish
+from scan3d_twin.core.planning.context import PlanningContext, blocked, finish
 from scan3d_twin.core.planning.overlap_step import predicted_error
 from scan3d_twin.core.planning.pose_candidates import FAR, NEAR
 from scan3d_twin.core.planning.set_cover import Cover, fewest, fewest_chain
@@ -53,7 +53,7 @@ class OraclePlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the first view of a smallest chain that completes the coverage."""
-        situation, config = Situation(session), session.config
+        context, config = PlanningContext(session), session.config
         if len(session.views) >= config.max_views:
             return finish(f"max_views: {len(session.views)} views taken")
         world = self._worlds.setdefault(config, TrueWorld(self._truth, config))
@@ -63,15 +63,15 @@ class OraclePlanner:
             return finish(f"{config.tour} complete: {np.mean(seen.any(axis=0)):.0%} is covered")
         T_map_world = map_of_world(session, self._truth)
         T_scan_map = session.views[-1].T_world_scan.inverse() @ T_map_world.inverse()
-        free = np.array([situation.feasible(T_scan_map @ pose) for pose in world.poses], dtype=bool)
+        free = np.array([context.feasible(T_scan_map @ pose) for pose in world.poses], dtype=bool)
         chain, chained = world.rest(seen, free)
-        if not situation.looked and not chained:
-            return blocked(situation)
+        if not context.looked and not chained:
+            return blocked(context)
         if len(chain) == 0:
             return finish("no viewpoint left: nothing that is missing can be seen")
         pose = world.poses[chain[0]]
         overlap = float(np.mean(world.visible[chain[0]][seen[-1]])) if seen[-1].any() else 0.0
-        error = predicted_error(situation, T_scan_map @ pose)
+        error = predicted_error(context, T_scan_map @ pose)
         viewpoint = T_map_world.inverse() @ pose
         reason = f"first of {len(chain)} more views on the true surface"
         if not chained:

@@ -14,9 +14,9 @@ import math
 
 import numpy as np
 
-from scan3d_twin.core.planning.context import Situation, in_world
-from scan3d_twin.core.planning.hidden_views import over
-from scan3d_twin.core.planning.overlap_step import step
+from scan3d_twin.core.planning.context import PlanningContext, in_world
+from scan3d_twin.core.planning.hidden_views import termination_plan
+from scan3d_twin.core.planning.overlap_step import plan_with_overlap
 from scan3d_twin.core.planning.planners.siicp import overlaps
 from scan3d_twin.core.planning.surface_patches import Eye, Patches, patches_of
 from scan3d_twin.core.session import Session
@@ -28,23 +28,27 @@ class PitoPlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap that is admitted."""
-        situation, config = Situation(session), session.config
-        if plan := over(situation):
+        context, config = PlanningContext(session), session.config
+        if plan := termination_plan(context):
             return plan
-        eye = Eye.of(situation.view, config)
-        current = patches_of(situation.P.points, np.array([0.0, 0.0, eye.height]))
+        eye = Eye.of(context.view, config)
+        current = patches_of(context.P.points, np.array([0.0, 0.0, eye.height]))
         tried: list[Candidate] = []
         for eta in overlaps(config.planning):
-            placement = situation.place(eta)
+            placement = context.place(eta)
             if placement.viewpoint is None:
                 continue
             area = resampled_area(current, placement.viewpoint, eye)
             if area >= config.baselines.resampled_area:
-                return step(situation, eta, f"resamples {area:.0%} of the area at {eta:.0%}", tried)
-            viewpoint = in_world(situation, placement.viewpoint)
+                return plan_with_overlap(
+                    context, eta, f"resamples {area:.0%} of the area at {eta:.0%}", tried
+                )
+            viewpoint = in_world(context, placement.viewpoint)
             tried.append(Candidate(viewpoint, eta, math.nan, feasible=True))
         eta = config.planning.default_overlap
-        return step(situation, eta, f"no overlap resamples enough: default {eta:.0%}", tried)
+        return plan_with_overlap(
+            context, eta, f"no overlap resamples enough: default {eta:.0%}", tried
+        )
 
 
 def resampled_area(current: Patches, viewpoint: Pose2, eye: Eye) -> float:

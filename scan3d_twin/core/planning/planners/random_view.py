@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.planning.context import finish
-from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 
@@ -15,10 +15,12 @@ class RandomPlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return a candidate drawn by ``rng``, as long as one of them would show something new."""
-        prospects = Prospects(session)
-        if reason := prospects.over():
+        candidates = PoseCandidates.of(session)
+        if reason := candidates.termination_reason():
             return finish(reason)
-        if not prospects.worthwhile:
-            return prospects.nothing_new()
-        drawn = prospects.poses[int(rng.integers(len(prospects.poses)))]
-        return prospects.go(drawn, f"one of {len(prospects.poses)} feasible viewpoints, at random")
+        if not candidates.worthwhile:
+            return candidates.nothing_new()
+        drawn = candidates.poses[int(rng.integers(len(candidates.poses)))]
+        return candidates.go(
+            drawn, f"one of {len(candidates.poses)} feasible viewpoints, at random"
+        )

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from scan3d_twin.core.planning.context import finish
-from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.set_cover import Cover, fewest
 from scan3d_twin.core.planning.surface_patches import PATCH
 from scan3d_twin.core.planning.voxels import VOXEL
@@ -39,47 +39,47 @@ class RobertsPlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the nearest view of a smallest set."""
-        prospects = Prospects(session)
-        if reason := prospects.over():
+        candidates = PoseCandidates.of(session)
+        if reason := candidates.termination_reason():
             return finish(reason)
-        if not prospects.worthwhile:
-            return prospects.nothing_new()
-        new, poor = _unknown(prospects), _poor(prospects)
+        if not candidates.worthwhile:
+            return candidates.nothing_new()
+        new, poor = _unknown(candidates), _poor(candidates)
         sees = np.concatenate([new, poor], axis=1)
         areas = np.repeat([VOXEL**2, PATCH**2], [new.shape[1], poor.shape[1]])
         reachable = float(areas[sees.any(axis=0)].sum())
-        cost = TRAVEL * prospects.travel / max(float(prospects.travel.max()), 1e-9)
+        cost = TRAVEL * candidates.travel / max(float(candidates.travel.max()), 1e-9)
         chosen = fewest(Cover(sees, areas, ENOUGH * reachable, cost / len(cost), GAP))
         assert chosen is not None  # all candidates together see all that is reachable
-        useful = np.intersect1d(chosen, prospects.worthwhile)
-        members = useful if len(useful) else np.array(prospects.worthwhile)
-        order = members[np.argsort(prospects.travel[members], kind="stable")]
-        poses = tuple(prospects.poses[i] for i in order)
-        return prospects.go(poses[0], f"the nearest of {len(chosen)} views that do", poses[1:])
+        useful = np.intersect1d(chosen, candidates.worthwhile)
+        members = useful if len(useful) else np.array(candidates.worthwhile)
+        order = members[np.argsort(candidates.travel[members], kind="stable")]
+        poses = tuple(candidates.poses[i] for i in order)
+        return candidates.go(poses[0], f"the nearest of {len(chosen)} views that do", poses[1:])
 
 
-def _unknown(prospects: Prospects) -> BoolArray:
+def _unknown(candidates: PoseCandidates) -> BoolArray:
     """Tell which candidate sees which unknown voxel at the target's border (m, k)."""
-    more = prospects.space.may_hold_more.ravel()
-    sees = np.zeros((len(prospects.poses), len(more)), dtype=bool)
-    for row, rays in zip(sees, prospects.rays, strict=True):
+    more = candidates.space.may_hold_more.ravel()
+    sees = np.zeros((len(candidates.poses), len(more)), dtype=bool)
+    for row, rays in zip(sees, candidates.rays, strict=True):
         row[rays.first[rays.first >= 0]] = True
     sees &= more
     return np.asarray(sees[:, sees.any(axis=0)])
 
 
-def _poor(prospects: Prospects) -> BoolArray:
+def _poor(candidates: PoseCandidates) -> BoolArray:
     """Tell which candidate sees which patch well that no view has seen well yet (m, k)."""
-    eye, patches = prospects.eye, prospects.surface
+    eye, patches = candidates.eye, candidates.surface
     best = np.zeros(len(patches))
-    for view in prospects.session.views:
+    for view in candidates.session.views:
         cosines = eye.cosines(view.T_world_scan, patches)
         seen = eye.sees(view.T_world_scan, patches)
         best = np.maximum(best, np.where(seen, cosines, 0.0))
     patches = patches.select(best < POOR)
     return np.stack(
         [
-            eye.sees(pose, patches, prospects.hiding) & (eye.cosines(pose, patches) >= GOOD)
-            for pose in prospects.poses
+            eye.sees(pose, patches, candidates.hiding) & (eye.cosines(pose, patches) >= GOOD)
+            for pose in candidates.poses
         ]
     )

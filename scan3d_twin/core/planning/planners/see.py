@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.model.fused_cloud import voxel_thin
 from scan3d_twin.core.planning.context import finish
-from scan3d_twin.core.planning.pose_candidates import Prospects
+from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.surface_patches import Patches, eye_height
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2
@@ -50,19 +50,19 @@ class SeePlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the proposal that sees the most frontiers on the way to the nearest one."""
-        prospects = Prospects(session)
-        if reason := prospects.over():
+        candidates = PoseCandidates.of(session)
+        if reason := candidates.termination_reason():
             return finish(reason)
         frontier = frontier_points(session)
-        frontier, seen = _not_given_up(frontier, prospects)
+        frontier, seen = _not_given_up(frontier, candidates)
         proposals = [
-            _proposal(frontier.at(i), int(seen[i]), prospects) for i in range(len(frontier))
+            _proposal(frontier.at(i), int(seen[i]), candidates) for i in range(len(frontier))
         ]
         kept = np.array([i for i, pose in enumerate(proposals) if pose is not None], dtype=int)
         if len(kept) == 0:
-            return prospects.nothing_new()
+            return candidates.nothing_new()
         poses = [pose for pose in proposals if pose is not None]
-        return _select(poses, frontier.patches.select(kept), prospects)
+        return _select(poses, frontier.patches.select(kept), candidates)
 
 
 @dataclass(frozen=True)
@@ -139,23 +139,23 @@ def _geometry(
     return point, normal, onwards / max(float(np.linalg.norm(onwards)), 1e-12)
 
 
-def _not_given_up(frontier: Frontier, prospects: Prospects) -> tuple[Frontier, FloatArray]:
+def _not_given_up(frontier: Frontier, candidates: PoseCandidates) -> tuple[Frontier, FloatArray]:
     """Return the frontier that is still worth a view, and how many views saw each point (n,)."""
     seen = np.zeros(len(frontier))
-    for view in prospects.session.views:
-        seen += prospects.eye.sees(view.T_world_scan, frontier.patches)
+    for view in candidates.session.views:
+        seen += candidates.eye.sees(view.T_world_scan, frontier.patches)
     kept = seen <= PATIENCE
     return frontier.select(kept), seen[kept]
 
 
-def _proposal(point: Frontier, seen: int, prospects: Prospects) -> Pose2 | None:
+def _proposal(point: Frontier, seen: int, candidates: PoseCandidates) -> Pose2 | None:
     """Return the feasible view of a frontier point nearest to its normal; None if there is none."""
     normal, onwards = point.patches.normals[0, :2], point.onwards[0, :2]
     if np.linalg.norm(normal) < 1e-6:
         return None
     side = math.copysign(1.0, float(normal[0] * onwards[1] - normal[1] * onwards[0]))
     adjusted = side * ADJUST * max(0, seen - 1)
-    distance = prospects.session.config.planning.standoff
+    distance = candidates.session.config.planning.standoff
     bearing = math.atan2(normal[1], normal[0]) + adjusted
     places = np.array(
         [
@@ -164,27 +164,27 @@ def _proposal(point: Frontier, seen: int, prospects: Prospects) -> Pose2 | None:
             for turn in TURNS
         ]
     )
-    ways = prospects.ways(places)
+    ways = candidates.ways(places)
     for place, turn, way in zip(places, TURNS, ways, strict=True):
         pose = Pose2(float(place[0]), float(place[1]), bearing + turn + math.pi)
-        if np.isfinite(way) and prospects.allowed(pose) and _in_sight(pose, point, prospects):
+        if np.isfinite(way) and candidates.allowed(pose) and _in_sight(pose, point, candidates):
             return pose
     return None
 
 
-def _in_sight(pose: Pose2, point: Frontier, prospects: Prospects) -> bool:
+def _in_sight(pose: Pose2, point: Frontier, candidates: PoseCandidates) -> bool:
     """Tell whether nothing that is known hides the point; an adjusted view looks along it."""
     patches = point.patches
-    towards = np.array([[pose.x, pose.y, prospects.eye.height]]) - patches.points
+    towards = np.array([[pose.x, pose.y, candidates.eye.height]]) - patches.points
     facing = Patches(patches.points, towards, patches.variation)
-    return bool(prospects.eye.sees(pose, facing, occluders=prospects.hiding)[0])
+    return bool(candidates.eye.sees(pose, facing, occluders=candidates.hiding)[0])
 
 
-def _select(poses: list[Pose2], frontier: Patches, prospects: Prospects) -> Plan:
+def _select(poses: list[Pose2], frontier: Patches, candidates: PoseCandidates) -> Plan:
     """Return the plan by the frontier-visibility graph: arcs from views to frontiers they see."""
     places = np.array([[pose.x, pose.y] for pose in poses])
-    travel = np.maximum(prospects.ways(places), 1e-3)
-    arcs = np.stack([prospects.eye.sees(pose, frontier, prospects.hiding) for pose in poses])
+    travel = np.maximum(candidates.ways(places), 1e-3)
+    arcs = np.stack([candidates.eye.sees(pose, frontier, candidates.hiding) for pose in poses])
     np.fill_diagonal(arcs, val=True)
     degree = arcs.sum(axis=1)
     nearest = int(np.argmin(travel))
@@ -194,4 +194,4 @@ def _select(poses: list[Pose2], frontier: Patches, prospects: Prospects) -> Plan
         chosen = int(better[np.argmax(degree[better] / travel[better])])
     order = [i for i in np.argsort(travel, kind="stable") if i != chosen]
     reason = f"sees {degree[chosen]} of {len(poses)} frontier points, the nearest among them"
-    return prospects.go(poses[chosen], reason, tuple(poses[i] for i in order))
+    return candidates.go(poses[chosen], reason, tuple(poses[i] for i in order))

@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Criterion, PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.planning.context import Situation, blocked, in_world
-from scan3d_twin.core.planning.hidden_views import over
+from scan3d_twin.core.planning.context import PlanningContext, blocked, in_world
+from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.simulated_registration import Simulation
 from scan3d_twin.core.registration.icp import cut_lines, register
 from scan3d_twin.core.session import Session
@@ -37,50 +37,50 @@ class SiicpPlanner:
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose simulated error meets epsilon."""
-        situation, config = Situation(session), session.config.planning
-        if plan := over(situation):
+        context, config = PlanningContext(session), session.config.planning
+        if plan := termination_plan(context):
             return plan
         if config.virtual_scan == "visible":
-            return smallest_overlap(situation, _visible_error(situation, rng))
+            return smallest_overlap(context, _visible_error(context, rng))
         etas = overlaps(config)
-        luck = dict(zip(etas, draw_luck(len(etas), config, rng), strict=True))
+        luck = dict(zip(etas, sample_motion_noise(len(etas), config, rng), strict=True))
         noise = dict(zip(etas, rng.spawn(len(etas)), strict=True))
         return smallest_overlap(
-            situation, lambda eta, O2: simulated_error(situation, eta, O2, luck[eta], noise[eta])
+            context, lambda eta, O2: simulated_error(context, eta, O2, luck[eta], noise[eta])
         )
 
 
-def smallest_overlap(situation: Situation, error: Callable[[float, Pose2], float]) -> Plan:
+def smallest_overlap(context: PlanningContext, error: Callable[[float, Pose2], float]) -> Plan:
     """Return the plan for the smallest overlap whose error meets epsilon.
 
     Args:
-        situation: Not finished.
+        context: Not finished.
         error: Of an overlap and its viewpoint in frame ``scan`` [m].
     """
-    config = situation.session.config.planning
+    config = context.session.config.planning
     candidates: list[Candidate] = []
     for eta in overlaps(config):
-        placement = situation.place(eta)
-        if not placement.wanted and not situation.looked:
-            return blocked(situation)
+        placement = context.place(eta)
+        if not placement.wanted and not context.looked:
+            return blocked(context)
         if placement.viewpoint is None:
             continue
-        viewpoint, E = in_world(situation, placement.viewpoint), error(eta, placement.viewpoint)
+        viewpoint, E = in_world(context, placement.viewpoint), error(eta, placement.viewpoint)
         candidates.append(Candidate(viewpoint, eta, E, feasible=True))
         if config.epsilon >= E:
             return chosen(candidates[-1], candidates, fell_back=False)
-    return default_plan(situation, candidates, config)
+    return default_plan(context, candidates, config)
 
 
 def _visible_error(
-    situation: Situation, rng: np.random.Generator
+    context: PlanningContext, rng: np.random.Generator
 ) -> Callable[[float, Pose2], float]:
     """Return the error of a viewpoint by simulated registration of what would be seen there."""
     try:
-        simulation = Simulation.of(situation, int(rng.integers(2**63)))
+        simulation = Simulation.of(context, int(rng.integers(2**63)))
     except RegistrationError:
         return lambda eta, O2: math.inf
-    return lambda eta, O2: simulation.error(O2, situation.session.config.planning.trials)
+    return lambda eta, O2: simulation.error(O2, context.session.config.planning.trials)
 
 
 def overlaps(config: PlanningConfig) -> list[float]:
@@ -90,7 +90,7 @@ def overlaps(config: PlanningConfig) -> list[float]:
 
 
 def simulated_error(
-    situation: Situation,
+    context: PlanningContext,
     overlap: float,
     viewpoint: Pose2,
     draws: FloatArray,
@@ -99,7 +99,7 @@ def simulated_error(
     """Return the error E [m] of the simulated registration, steps a to f of the pseudo-code.
 
     Args:
-        situation: With the current scan P.
+        context: With the current scan P.
         overlap: eta; Q is the last eta * n lines of P.
         viewpoint: The candidate O2 in frame ``scan`` of P, where O1 is the origin.
         draws: Standard normal draws for x, y and yaw (trials, 3).
@@ -109,12 +109,12 @@ def simulated_error(
         The ``quantile`` order statistic over the draws, rounded up; a draw in which ICP
         finds no correspondences counts as infinite.
     """
-    config = situation.session.config.planning
-    n_Q = situation.n_Q(overlap)
-    Q = situation.P.last_lines(n_Q)
-    Q_prime = _surface(situation, config).last_lines(n_Q)
+    config = context.session.config.planning
+    n_Q = context.n_Q(overlap)
+    Q = context.P.last_lines(n_Q)
+    Q_prime = _surface(context, config).last_lines(n_Q)
     Q_prime = Q_prime.middle_lines(max(1, round(config.alpha * n_Q)))  # eq. (5)
-    border = cut_lines(Q, right=not situation.ends)
+    border = cut_lines(Q, right=not context.ends)
     tree = cKDTree(Q.points)
     errors = []
     for draw in draws:
@@ -125,22 +125,22 @@ def simulated_error(
             Q.points,
             Q_virtual,
             border=border,
-            config=situation.session.config.registration,
+            config=context.session.config.registration,
             tree=tree,
         )
         errors.append(_error(result, R_T, Q_prime.points, Q_virtual, config.criterion))
     return float(np.quantile(errors, config.quantile, method="higher"))
 
 
-def _surface(situation: Situation, config: PlanningConfig) -> Scan3D:
+def _surface(context: PlanningContext, config: PlanningConfig) -> Scan3D:
     """Return the points that are scanned virtually: those of P, with or without its noise.
 
     The noise of P is a texture that Q and a copy of it share, and two real scans do not: ICP would
     find it again on the barest wall.
     """
     if config.virtual_scan == "copy":
-        return situation.P
-    return situation.P.on(situation.smoothed)
+        return context.P
+    return context.P.on(context.smoothed)
 
 
 def _error(
@@ -161,7 +161,9 @@ def _error(
     return result.inlier_rmse
 
 
-def draw_luck(overlaps: int, config: PlanningConfig, rng: np.random.Generator) -> FloatArray:
+def sample_motion_noise(
+    overlaps: int, config: PlanningConfig, rng: np.random.Generator
+) -> FloatArray:
     """Draw standard normal numbers (overlaps, trials, 3) for the motion errors.
 
     ``common`` draws are the same for all overlaps: with luck of its own each, trying seven overlaps
@@ -199,14 +201,16 @@ def chosen(candidate: Candidate, candidates: list[Candidate], fell_back: bool) -
     )
 
 
-def default_plan(situation: Situation, candidates: list[Candidate], config: PlanningConfig) -> Plan:
+def default_plan(
+    context: PlanningContext, candidates: list[Candidate], config: PlanningConfig
+) -> Plan:
     """Return the plan for a featureless surface: the default overlap, whatever its error."""
-    placement = situation.place(config.default_overlap)
+    placement = context.place(config.default_overlap)
     if placement.viewpoint is None:
-        return blocked(situation)
+        return blocked(context)
     error = next(
         (c.predicted_rmse for c in candidates if c.overlap == config.default_overlap), math.nan
     )
-    viewpoint = in_world(situation, placement.viewpoint)
+    viewpoint = in_world(context, placement.viewpoint)
     default = Candidate(viewpoint, config.default_overlap, error, feasible=True)
     return chosen(default, candidates, fell_back=True)

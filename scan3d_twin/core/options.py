@@ -1,0 +1,121 @@
+"""Fields of a configuration: a default with its bounds, and the checks that hold for all of them.
+
+Importing this module costs nothing (no numpy), so that ``twin --help`` can list the options.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from scan3d_twin.core.errors import ConfigError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The values that a number may have; ``low`` itself only if it is not ``open``.
+
+    Attributes:
+        low: Lower bound, in the number's own unit.
+        high: Upper bound, which is allowed.
+        open: Whether ``low`` is excluded.
+    """
+
+    low: float
+    high: float
+    open: bool
+
+    def broken_by(self, value: float) -> str:
+        """Return what ``value`` [unit of the bounds] should be and is not; empty if it is."""
+        if not math.isfinite(value):
+            return "finite"
+        if value < self.low or (self.open and value == self.low):
+            return f"{'>' if self.open else '>='} {self.low:g}"
+        return f"<= {self.high:g}" if value > self.high else ""
+
+
+def number(
+    default: T,
+    least: float | None = None,
+    most: float = 1.0,
+    *,
+    above: float = 0.0,
+) -> T:
+    """Return the field of a number: its default, and its bounds.
+
+    Args:
+        default: Value where none is stated.
+        least: Lower bound, allowed; None where ``above`` is the bound.
+        most: Upper bound, allowed.
+        above: Lower bound, not allowed itself.
+    """
+    bounds = Bounds(above if least is None else least, most, least is None)
+    result: T = field(default=default, metadata={"bounds": bounds})
+    return result
+
+
+def renamed(default: T, formerly: str, values: Mapping[str, str] | None = None) -> T:
+    """Return the field of an option that older files know as ``formerly``.
+
+    Args:
+        default: Value where none is stated.
+        formerly: Its name in those files.
+        values: Its values of today, by what they were called.
+    """
+    result: T = field(default=default, metadata={"formerly": formerly, "values": values or {}})
+    return result
+
+
+def former_names(cls: type) -> dict[str, tuple[str, Mapping[str, str]]]:
+    """Return today's name and values of each field of ``cls`` by the name that it once had."""
+    return {
+        f.metadata["formerly"]: (f.name, f.metadata["values"])
+        for f in fields(cls)
+        if "formerly" in f.metadata
+    }
+
+
+def check_options(options: Any, section: str = "") -> None:
+    """Check every field of the dataclass ``options`` against its type and bounds.
+
+    Args:
+        options: What was just built.
+        section: Name of its table in a configuration file, for messages; empty at the top.
+
+    Raises:
+        ConfigError: A value is of the wrong type, no choice of its literal, not finite or out of
+            its bounds.
+    """
+    where = f"{section}." if section else ""
+    for name, hint, bounds in _rules(type(options)):  # type: ignore[arg-type]
+        _check(where + name.rstrip("_"), getattr(options, name), hint, bounds)
+
+
+@cache
+def _rules(cls: Any) -> tuple[tuple[str, Any, Bounds | None], ...]:
+    """Return name, type and bounds of each field of ``cls``."""
+    hints = get_type_hints(cls)
+    return tuple((f.name, hints[f.name], f.metadata.get("bounds")) for f in fields(cls))
+
+
+def _check(name: str, value: Any, hint: Any, bounds: Bounds | None) -> None:
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            choices = ", ".join(str(choice) for choice in get_args(hint))
+            raise ConfigError(f"{name} must be one of {choices}; got {value!r}")
+        return
+    expected = (int, float) if hint is float else hint
+    if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):
+        raise ConfigError(f"{name} must be {_WORDS.get(hint, hint.__name__)}, got {value!r}")
+    if bounds is not None and (wanted := bounds.broken_by(value)):
+        raise ConfigError(f"{name} must be {wanted}, got {value:g}")
+
+
+_WORDS: Mapping[Any, str] = {
+    float: "a number", int: "a whole number", str: "text", bool: "true or false"
+}  # fmt: skip

@@ -1,0 +1,52 @@
+"""Every option of a configuration is checked where it is built."""
+
+import math
+from dataclasses import fields, is_dataclass
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import pytest
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.run.settings import Settings, settings
+
+
+def tables_of(value: Any) -> list[Any]:
+    """Return the dataclass ``value`` and those it is built of."""
+    inner = [getattr(value, f.name) for f in fields(value)]
+    return [value, *(t for each in inner if is_dataclass(each) for t in tables_of(each))]
+
+
+OPTIONS = [
+    (type(table), f.name, get_type_hints(type(table))[f.name])
+    for table in tables_of(Settings())
+    for f in fields(table)
+    if type(table) is not Settings
+]
+
+
+@pytest.mark.parametrize(("table", "name", "hint"), OPTIONS)
+def test_every_number_is_bounded_and_every_choice_is_one_of_its_literal(table, name, hint):
+    if get_origin(hint) is Literal:
+        assert getattr(table(), name) in get_args(hint)
+        with pytest.raises(ConfigError, match="must be one of"):
+            table(**{name: "no such thing"})
+    elif hint in (int, float):
+        absurd = (10**30, -(10**30)) if hint is int else (1e300, -1e300, math.inf, math.nan)
+        for value in absurd:
+            with pytest.raises(ConfigError, match=name.rstrip("_")):
+                table(**{name: value})
+        with pytest.raises(ConfigError, match=name.rstrip("_")):
+            table(**{name: "many"})
+    elif hint is bool:
+        with pytest.raises(ConfigError, match="true or false"):
+            table(**{name: "no"})
+
+
+def test_names_of_older_files_are_read_as_those_of_today():
+    old = {"spare": "time", "planning": {"bend": "silhouette"}, "alignment": {"when": "closed"}}
+    read = settings([old]).config
+    assert read.optimize_for == "speed"
+    assert read.planning.corner_model == "silhouette"
+    assert read.alignment.mode == "loop_closure"
+    assert read != Config()
