@@ -29,12 +29,12 @@ from typing import Any
 
 import numpy as np
 
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.config import preset_options
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import TwinError
 from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.presets import preset
 from scan3d_twin.core.session import Session
 from scan3d_twin.run.settings import settings
 from scan3d_twin.sim.robot import open_sim
@@ -87,10 +87,10 @@ def steps(seed: int, name: str, factor: float | None) -> list[Step]:
     extra = {"alignment": {"mode": "off"}}
     if factor is not None:
         extra["planning"] = {"calibration": factor}
-    config = settings([preset(name), own, extra]).config
+    config = settings([preset_options(name), own, extra]).config
     with open_sim(scene, seed) as (robot, truth):
         try:
-            session = digitize(robot, make_planner(config.planner), config, seed, watcher)
+            session = run_loop(robot, make_planner(config.planner), config, seed, watcher)
         except TwinError as error:
             print(f"random:{seed}: {error}", file=sys.stderr)
             if watcher.session is None:

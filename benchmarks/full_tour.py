@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.config import preset_options
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import TwinError
 from scan3d_twin.core.mapping.loop_closure import apply_alignment, solve
 from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.presets import preset
 from scan3d_twin.run.settings import settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
@@ -54,13 +54,13 @@ def tour(scene: str, seed: int) -> Tour:
     standoff = {} if loaded.standoff is None else {"standoff": loaded.standoff}
     options = [
         {"tour": "full", "planning": standoff},
-        preset("best"),
+        preset_options("best"),
         {"alignment": {"mode": "off"}},
     ]
     config = settings(options).config
     with open_sim(loaded, seed) as (robot, truth):
         try:
-            session = digitize(robot, make_planner(config.planner), config, seed, Unobserved())
+            session = run_loop(robot, make_planner(config.planner), config, seed, Unobserved())
         except TwinError as error:
             return Tour(scene, seed, f"{type(error).__name__}: {error}")
         if len(session.views) < 2:

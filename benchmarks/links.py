@@ -15,12 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.config import Config, preset_options
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.presets import preset
 from scan3d_twin.run.settings import settings
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
@@ -47,7 +46,7 @@ def run(scene: str, link: str, config: Config, seed: int, *, wired: bool, start:
     with opener(scene, seed, TwinConfig(lidar_link=link)) as (robot, truth):
         robot.clock.sleep(start - robot.clock.now())
         began = robot.clock.now()
-        session = digitize(robot, make_planner(config.planner), config, seed, Unobserved())
+        session = run_loop(robot, make_planner(config.planner), config, seed, Unobserved())
         found = evaluate(session, truth)
     errors = tuple(pair.error for pair in found.pairs)
     return Run(len(session.views), errors, found.accuracy.median, found.coverage, began)
@@ -55,7 +54,7 @@ def run(scene: str, link: str, config: Config, seed: int, *, wired: bool, start:
 
 def compare(scene: str, link: str, name: str, seeds: int) -> dict[str, float]:
     """Return the figures of the drivers, of the twin, and of the twin a second later."""
-    config = settings([preset(name)]).config
+    config = settings([preset_options(name)]).config
     drivers = [run(scene, link, config, seed, wired=True, start=0.0) for seed in range(seeds)]
     twin, later = (
         [

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from scan3d_twin.core.config import MotionConfig, PlanningConfig
+from scan3d_twin.core.config import Config, MotionConfig
 from scan3d_twin.core.mapping.scan_matching import motion_prior
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.registration.pose_prior import PLANAR
@@ -110,7 +110,7 @@ def misfit(pairs: list[tuple[Pose2, Pose2]], constants: FloatArray) -> tuple[flo
         constants: Logarithms of lambda, gamma and drift (3,).
     """
     lambda_, gamma, drift = np.exp(constants)
-    config = replace(PlanningConfig(), lambda_=lambda_, gamma=gamma, drift=drift)
+    config = replace(Config.preset("paper").planning, lambda_=lambda_, gamma=gamma, drift=drift)
     total, square = 0.0, 0.0
     for told, true in pairs:
         C = motion_prior(told, config).covariance[np.ix_(PLANAR, PLANAR)]

@@ -46,7 +46,7 @@ class Truly:
 def take(scene: str, seed: int, width: float, passes: int) -> tuple[list[RangeImage], Truly]:
     """Return sweeps from the spawn, and what is true of the first."""
     errors = replace(RobotErrorConfig(), mount_lateral=LATERAL, mount_roll=ROLL)
-    config = replace(Config(), sweep=SweepConfig(width=width))
+    config = replace(Config.preset("paper"), sweep=SweepConfig(width=width, margin=0.0))
     with open_sim(scene, seed, replace(TwinConfig(), errors=errors)) as (robot, truth):
         images = [sweep(robot, 0.0, config, lambda line: None).image]
         across, scale = turning(images[0], truth)
@@ -93,7 +93,9 @@ def run(scene: str, seed: int) -> tuple[Calibration, Truly]:
 
 def look_error(scene: str, seed: int) -> float:
     """Return by how much the yaw scale of a look around is off for the sweep after it."""
-    config = replace(Config(), sweep=SweepConfig(width=math.radians(150.0)))
+    config = replace(
+        Config.preset("paper"), sweep=SweepConfig(width=math.radians(150.0), margin=0.0)
+    )
     with open_sim(scene, seed) as (robot, truth):
         found = calibrate_on_panorama(take_panorama(robot, config, lambda line: None).image)
         image = sweep(robot, 0.0, config, lambda line: None).image

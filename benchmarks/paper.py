@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import TwinError
 from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
@@ -57,7 +57,7 @@ def run(scene: str, seed: int, base: Config) -> Run:
     config = dataclasses.replace(base, tour=loaded.tour)
     with open_sim(loaded, seed) as (robot, truth):
         try:
-            session = digitize(robot, make_planner("siicp"), config, seed, Unobserved())
+            session = run_loop(robot, make_planner("siicp"), config, seed, Unobserved())
         except TwinError as error:
             return Run(scene, seed, f"{type(error).__name__}: {error}")
         result = evaluate(session, truth)
@@ -149,9 +149,9 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     config = dataclasses.replace(
-        Config(),
-        planning=changed(PlanningConfig(), options.planning),
-        registration=changed(RegistrationConfig(), options.registration),
+        Config.preset("paper"),
+        planning=changed(Config.preset("paper").planning, options.planning),
+        registration=changed(Config.preset("paper").registration, options.registration),
     )
     tasks = [(scene, seed) for scene in options.scenes for seed in range(options.seeds)]
     with ProcessPoolExecutor(options.jobs) as pool:

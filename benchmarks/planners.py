@@ -19,14 +19,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize, unplanned
+from scan3d_twin.core.config import Config, preset_options
+from scan3d_twin.core.digitize import run_loop, unplanned
 from scan3d_twin.core.mapping.scan_matching import kept_surfels
 from scan3d_twin.core.model.evaluation import Truth
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import Planner, make_planner, planner_names
 from scan3d_twin.core.planning.context import PlanningContext, finish
-from scan3d_twin.core.presets import preset
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.run.settings import settings
@@ -55,7 +54,7 @@ class Keeping:
 
 def configuration(tour: str) -> Config:
     """Return the configuration of the preset ``best``."""
-    return settings([{"tour": tour}, preset("best")]).config
+    return settings([{"tour": tour}, preset_options("best")]).config
 
 
 def sessions(scene: str, seed: int) -> tuple[list[Session], Truth]:
@@ -63,7 +62,7 @@ def sessions(scene: str, seed: int) -> tuple[list[Session], Truth]:
     loaded = load_scene(scene)
     keeping = Keeping()
     with open_sim(loaded, seed) as (robot, truth):
-        digitize(robot, keeping, configuration(loaded.tour), seed, Unobserved())
+        run_loop(robot, keeping, configuration(loaded.tour), seed, Unobserved())
     return keeping.sessions, truth
 
 

@@ -50,7 +50,10 @@ def views(count: int):  # type: ignore[no-untyped-def]
     from scan3d_twin.core.types import Plan, Pose2
 
     hint = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
-    session, rng = Session(Config(), 7, hint, np.array([-1.0, 0.0])), np.random.default_rng(0)
+    session, rng = (
+        Session(Config.preset("paper"), 7, hint, np.array([-1.0, 0.0])),
+        np.random.default_rng(0),
+    )
     for _ in range(count):
         where = Pose2(-0.4, float(rng.uniform(-0.3, 0.3)), 0.0)
         session = integrate(session, synthetic.observe(where, sigma=0.005, rng=rng))

@@ -22,7 +22,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -33,7 +33,7 @@ import open3d as o3d
 from registration_data import Noise, Scene, box, merge, point_error, profile, scan
 from scipy.stats import spearmanr
 
-from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
+from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.scan_matching import motion_prior
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
@@ -81,10 +81,16 @@ PERIODIC = "sine8"
 
 
 def config() -> Config:
-    return Config(
-        sweep=SweepConfig(width=2 * math.radians(HALF)),
-        registration=RegistrationConfig(engine="grid", bias_sigma=0.0, yaw_scale_sigma=0.0),
-        planning=PlanningConfig(virtual_scan="visible", trials=10, lambda_=0.05, gamma=0.01),
+    paper = Config.preset("paper")
+    return replace(
+        paper,
+        sweep=replace(paper.sweep, width=2 * math.radians(HALF)),
+        registration=replace(
+            paper.registration, engine="grid", bias_sigma=0.0, yaw_scale_sigma=0.0
+        ),
+        planning=replace(
+            paper.planning, virtual_scan="visible", trials=10, lambda_=0.05, gamma=0.01
+        ),
     )
 
 

@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
@@ -76,7 +76,7 @@ def feeder(view: LiveView | None, lines: list[ScanLine], session: Session) -> Ca
 def measure_live(seconds: float, browser: bool) -> None:
     lines, planner = Lines(), make_planner("siicp")
     with open_sim("three_boxes", 0) as (robot, _):
-        session = digitize(robot, planner, Config(max_views=4), 0, lines)
+        session = run_loop(robot, planner, Config.preset("paper", max_views=4), 0, lines)
         told: list[str] = []
         with open_live_view(LOOPBACK, 0, "benchmark", None, told.append) as view:
             view.attach(robot)

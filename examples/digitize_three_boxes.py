@@ -6,28 +6,17 @@ Run: .venv/bin/python examples/digitize_three_boxes.py [FOLDER]
 import sys
 from pathlib import Path
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.model.evaluation import evaluate
-from scan3d_twin.core.model.fused_cloud import build_model
-from scan3d_twin.core.observer import Unobserved
-from scan3d_twin.core.planning import make_planner
-from scan3d_twin.recording.ply import ply_bytes
-from scan3d_twin.sim.robot import open_sim
-
-SEED = 0
+import scan3d_twin as s3d
 
 
 def main(folder: Path) -> None:
-    config = Config(max_views=4)
-    with open_sim("three_boxes", SEED) as (robot, truth):
-        session = digitize(robot, make_planner("siicp"), config, SEED, Unobserved())
-        model = build_model(session)
-        result = evaluate(session, truth)
+    config = s3d.Config(max_views=3)
+    with s3d.open_sim("three_boxes", seed=0) as (robot, truth):
+        session = s3d.digitize(robot, config)
+        result = s3d.evaluate(session, truth)
 
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "model.ply").write_bytes(ply_bytes(model.points, model.view))
-    print(f"{len(session.views)} views, {len(model)} points: {session.stop_reason}")
+    s3d.export_model(session, folder / "model.ply")
+    print(f"{len(session.views)} views: {session.stop_reason}")
     print(f"{result.coverage:.0%} of what can be covered is within 20 mm of the model")
 
 

@@ -1,4 +1,4 @@
-"""Make a mesh, digitise it all round, and tell why the robot went where it went.
+"""Make a mesh, digitise it all round, and print why the robot went where it went.
 
 Run: .venv/bin/python examples/own_scene.py [FOLDER]
 """
@@ -8,14 +8,7 @@ from pathlib import Path
 
 import trimesh
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
-from scan3d_twin.core.observer import Unobserved
-from scan3d_twin.core.planning import make_planner
-from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
-
-SEED = 0
+import scan3d_twin as s3d
 
 
 def make_chest(path: Path) -> Path:
@@ -29,10 +22,10 @@ def make_chest(path: Path) -> Path:
 
 
 def main(folder: Path) -> None:
-    scene = load_scene(str(make_chest(folder / "chest.stl")))
-    config = Config(tour="full", max_views=3)
-    with open_sim(scene, SEED) as (robot, _):
-        session = digitize(robot, make_planner("siicp"), config, SEED, Unobserved())
+    scene = s3d.load_scene(str(make_chest(folder / "chest.stl")))
+    config = s3d.Config(tour="full", max_views=3)
+    with s3d.open_sim(scene, seed=0) as (robot, _):
+        session = s3d.digitize(robot, config)
 
     for k, (view, plan) in enumerate(zip(session.views, session.plans, strict=True)):
         here = view.T_world_scan

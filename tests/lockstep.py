@@ -17,7 +17,7 @@ from pathlib import Path
 from scan3d_twin.cli.commands.real import SMALL_COMPUTER
 from scan3d_twin.cli.memory import give_back_memory
 from scan3d_twin.cli.run import run
-from scan3d_twin.core.presets import preset
+from scan3d_twin.core.config import preset_options
 from scan3d_twin.devices.links.transport import Tapped
 from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
@@ -122,7 +122,7 @@ def main():
     give_back_memory()
     clock, taps = FarClock(Connection(int(sys.argv[1]))), SerialTaps()
     given = tomllib.loads("\n".join(sys.argv[3:]))
-    effective = settings([preset("best"), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    effective = settings([preset_options("best"), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
     folder = claim_folder(Path(sys.argv[2]))
     run(effective, REAL, opening(clock, taps), folder, as_json=True, taps=taps)
     print(sorted({name.partition(".")[0] for name in sys.modules}), file=sys.stderr)

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from paper import paper_config
 from synthetic import Box, observe
 
 from scan3d_twin.core.config import Config
@@ -42,7 +43,7 @@ def session_at(
         sigma: Range noise [m].
         seed: Of the noise.
     """
-    config = config or Config()
+    config = config or paper_config()
     rng = np.random.default_rng(seed)
     around = observe(Pose2(), boxes, room=False, width=math.tau - 1e-3, step=math.radians(2.0))
     hint = np.column_stack([np.full(41, 1.0), np.linspace(half, -half, 41)])
@@ -63,7 +64,7 @@ def with_baselines(session: Session, **changes: object) -> Session:
 def two_planned_views() -> Session:
     """Two views of three boxes in closed form; the second planned without a prediction."""
     hint = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
-    session = Session(Config(), 7, hint, np.array([-1.0, 0.0]))
+    session = Session(paper_config(), 7, hint, np.array([-1.0, 0.0]))
     for y in (0.2, 0.0):
         session = integrate(session, observe(Pose2(-0.4, y, 0.0)))
         plan = Plan(Pose2(-0.4, 0.0, 0.0), 0.8, math.nan, True, (), "the default")

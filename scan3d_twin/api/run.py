@@ -29,7 +29,7 @@ from scan3d_twin.sim.config import RobotName
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunResult:
     """What came of a run.
 
     Attributes:
@@ -56,7 +56,7 @@ def run_in(
     resume: Resume | None = None,
     watch: Watch = UNWATCHED,
     begun: float = 0.0,
-) -> Outcome:
+) -> RunResult:
     """Digitise with the robot of ``opening`` and save the results in ``folder``.
 
     Args:
@@ -90,7 +90,7 @@ def run_in(
     return outcome
 
 
-def end(outcome: Outcome) -> None:
+def end(outcome: RunResult) -> None:
     """Raise what ended the run before its time or makes it a failure, if anything did."""
     if isinstance(outcome.ended, KeyboardInterrupt):
         views = outcome.report["views"]
@@ -129,7 +129,7 @@ def _digitize_and_save(
     resume: Resume | None,
     onlooker: Onlooker,
     begun: float,
-) -> Outcome:
+) -> RunResult:
     """Digitise, save and judge."""
     started, folder = time.perf_counter(), recorder.path.parent
     with opening as (robot, truth):
@@ -154,7 +154,7 @@ def _digitize_and_save(
         )
     except FileError as error:  # the disk that was full before is full now
         raise (loop.ended if isinstance(loop.ended, FileError) else error) from None
-    return Outcome(folder, report, loop.session, loop.ended or _failed(loop.session))
+    return RunResult(folder, report, loop.session, loop.ended or _failed(loop.session))
 
 
 def _finish(recorder: Recorder, loop: Loop) -> None:

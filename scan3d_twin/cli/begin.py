@@ -5,10 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 
-from scan3d_twin.run.folder import claim_folder, free_folder, release_folder
+from scan3d_twin.run.folder import claim_folder, default_folder, release_folder
 
 
 @contextmanager
@@ -26,8 +25,3 @@ def begun(scene: str, out: Path | None) -> Iterator[Path]:
         yield folder
     finally:
         release_folder(folder)
-
-
-def default_folder(scene: str) -> Path:
-    """Return a new folder under ``runs`` for a run in ``scene``."""
-    return free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")

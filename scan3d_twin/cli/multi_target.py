@@ -7,9 +7,8 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from scan3d_twin.api.run import Outcome, end, run_in
+from scan3d_twin.api.run import RunResult, end, run_in
 from scan3d_twin.api.watch import Watch
-from scan3d_twin.cli.begin import default_folder
 from scan3d_twin.cli.progress import make_progress
 from scan3d_twin.cli.summary import summary
 from scan3d_twin.core.errors import ConfigError
@@ -19,7 +18,7 @@ from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.recorder import SerialTaps
 from scan3d_twin.run.closed_loop import Opening, Truth
-from scan3d_twin.run.folder import claim_folder, release_folder, write_file
+from scan3d_twin.run.folder import claim_folder, default_folder, release_folder, write_file
 from scan3d_twin.run.settings import Settings
 
 INDEX = "targets.json"
@@ -51,7 +50,7 @@ def run_each(
     if settings.run.target:
         raise ConfigError("--targets takes what stands out, --target one thing; give one of them")
     folder = claim_folder(default_folder(name) if out is None else out)
-    outcomes: list[Outcome] = []
+    outcomes: list[RunResult] = []
     try:
         with opening as (robot, truth):
             start = robot.base.odometry().T_odom_base
@@ -109,7 +108,7 @@ def _one(
     number: int,
     watch: Watch,
     taps: SerialTaps | None,
-) -> Outcome:
+) -> RunResult:
     """Digitise what stands at ``place`` in the odometry frame [m]; the robot stays open."""
     x, y = place
     settings = replace(settings, run=replace(settings.run, target=f"{x},{y}"))
@@ -120,7 +119,7 @@ def _one(
         return run_in(settings, name, opened, own, progress, taps=taps, watch=watch, begun=begun)
 
 
-def _back(robot: Robot, start: Pose2, last: Outcome) -> None:
+def _back(robot: Robot, start: Pose2, last: RunResult) -> None:
     with make_progress() as progress:
         progress.on_event("driving back to where it began")
         drive_back(robot, start, last.session, Unobserved())

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from scan3d_twin.cli.dotted import ENVIRONMENT
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.run.settings import Options, merge, read_settings
+from scan3d_twin.run.settings import Options, absolute_scene, merge, read_settings
 
 
 def env(name: str) -> Parameter:
@@ -82,7 +82,7 @@ def _flat(options: ScanOptions, sections: Options) -> Options:
     run, top = {}, {}
     for name, value in _given(options):
         if name == "scene":
-            run[name] = _absolute(value)
+            run[name] = absolute_scene(value)
         elif name in ("seed", "preset", "world", "target", "mesh_scale"):
             run[name] = value
         elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
@@ -93,12 +93,6 @@ def _flat(options: ScanOptions, sections: Options) -> Options:
             raise ConfigError("--epsilon [mm] and --planning.epsilon [m] are the same; give one")
         planning["epsilon"] = options.epsilon / 1e3
     return {**top, "run": run, "planning": planning}
-
-
-def _absolute(scene: str) -> str:
-    """Return the path of a scene file so that it is found from any folder; a name as it is."""
-    path = Path(scene)
-    return str(path.resolve()) if path.suffix and path.is_file() else scene
 
 
 def _given(options: ScanOptions) -> Iterator[tuple[str, Any]]:

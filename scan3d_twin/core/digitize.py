@@ -19,8 +19,8 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.mapping.loop_closure import align_final, align_on_loop_closure
 from scan3d_twin.core.mapping.scan_matching import match_to_previous
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
-from scan3d_twin.core.observer import Observer
-from scan3d_twin.core.planning import Planner
+from scan3d_twin.core.observer import Observer, Unobserved
+from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.scanning.extrinsic_calibration import (
     calibrate_on_panorama,
     suspicion,
@@ -48,9 +48,46 @@ REGISTRATION, PLANNING = 1, 2
 """Random streams of view k: ``default_rng([seed, k, stream])``; stream 0 is the sensor's."""
 PAUSE = 0.1
 """Time between two looks at the pause button [s]."""
+DEFAULT_CONFIG = Config()
+"""The preset ``best``."""
 
 
 def digitize(
+    robot: Robot,
+    config: Config = DEFAULT_CONFIG,
+    *,
+    seed: int = 0,
+    observer: Observer | None = None,
+    target: tuple[float, float] | None = None,
+) -> Session:
+    """Digitise a target: take a panorama, then observe, integrate, plan and move until it is done.
+
+    Args:
+        robot: Open and at rest.
+        config: What to do; it names the planner.
+        seed: The run's one seed.
+        observer: Sees every step, and can pause and stop the run; None where nobody watches.
+        target: Place (x, y) in ``odom`` [m] of the target; the most salient thing by default.
+
+    Returns:
+        The session, with the reason why it ended.
+
+    Raises:
+        ConfigError: There is no such planner, or it needs the truth.
+        SceneError: There is no target.
+        ScanError, HazardError, LinkError: From the robot; the wheels are stopped, and the observer
+            has seen all finished views.
+
+    >>> with s3d.open_sim("three_boxes", seed=0) as (robot, truth):
+    ...     session = s3d.digitize(robot, s3d.Config(max_views=1))
+    >>> len(session.views), session.stop_reason
+    (1, 'max_views: 1 views taken')
+    """
+    planner = make_planner(config.planner)
+    return run_loop(robot, planner, config, seed, observer or Unobserved(), target)
+
+
+def run_loop(
     robot: Robot,
     planner: Planner,
     config: Config,
@@ -59,7 +96,7 @@ def digitize(
     target: tuple[float, float] | None = None,
     earlier: Session | None = None,
 ) -> Session:
-    """Digitise a target: look around, then observe, integrate, plan and move until it is done.
+    """Run the loop of ``digitize`` with a ``planner``, from the start or an earlier session on.
 
     Args:
         robot: Open and at rest.

@@ -20,7 +20,14 @@ from collections.abc import Iterable
 
 
 class TwinError(Exception):
-    """Base of all errors raised on purpose; its message is one line for the user."""
+    """Base of all errors raised on purpose; its message is one line for the user.
+
+    >>> try:
+    ...     s3d.load_scene("no_such_scene")
+    ... except s3d.TwinError as error:
+    ...     print("caught:", type(error).__name__)
+    caught: UnknownNameError
+    """
 
 
 class ConfigError(TwinError):

@@ -115,7 +115,13 @@ class Lidar(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A base that carries a lidar, with the clock both are stamped by."""
+    """A base that carries a lidar, with the clock both are stamped by.
+
+    >>> with s3d.open_sim("three_boxes") as (robot, truth):
+    ...     line = robot.lidar.read_line(1.0)
+    >>> line.ranges.shape == robot.lidar.spec.elevations.shape
+    True
+    """
 
     base: DriveBase
     lidar: Lidar

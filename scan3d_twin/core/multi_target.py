@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.drive_to_viewpoint import drive
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.observer import Observer
@@ -40,7 +40,7 @@ def digitize_each(
     places = find_places(robot, config, observer, count)
     for k, place in enumerate(places):
         observer.on_event(f"target {k} at ({place[0]:.2f}, {place[1]:.2f}) m")
-        session = digitize(robot, planner, config, seed, observer, place)
+        session = run_loop(robot, planner, config, seed, observer, place)
         yield session
         if k + 1 < len(places):
             observer.on_event("driving back to where it began")

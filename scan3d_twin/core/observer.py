@@ -18,6 +18,19 @@ class Observer(Protocol):
     """How progress, recording, views and stop buttons attach to a run.
 
     Whatever a method raises ends the run as an error of the robot would: the wheels are stopped.
+
+    >>> class StopAfterOne(s3d.Unobserved):
+    ...     finished = False
+    ...
+    ...     def on_view(self, session):
+    ...         self.finished = True
+    ...
+    ...     def command(self):
+    ...         return "stop" if self.finished else "go"
+    >>> with s3d.open_sim("three_boxes") as (robot, truth):
+    ...     stopped = s3d.digitize(robot, observer=StopAfterOne())
+    >>> len(stopped.views), stopped.stop_reason
+    (1, 'stopped by the user')
     """
 
     def on_event(self, text: str) -> None:
@@ -42,7 +55,11 @@ class Observer(Protocol):
 
 
 class Unobserved:
-    """A null object behind the ``Observer`` protocol."""
+    """A null object behind the ``Observer`` protocol.
+
+    >>> s3d.Unobserved().command()
+    'go'
+    """
 
     def on_event(self, text: str) -> None:
         """See ``Observer``."""

@@ -29,6 +29,11 @@ class View:
         sweep: All points in ``scan`` except the floor.
         T_world_scan: Where registration put the scan.
         registration: Against the previous view; None for the first.
+
+    >>> view = session.views[1]
+    >>> points_in_world = view.T_world_scan.apply(view.target.points)
+    >>> points_in_world.shape == view.target.points.shape
+    True
     """
 
     observation: Observation
@@ -61,6 +66,9 @@ class Session:
         misfits: Views that contradict most others, by the latest alignment.
         stop_reason: Why the run ended; empty while it goes on.
         version: Of the software.
+
+    >>> len(session.views), session.seed, session.config.planner
+    (2, 0, 'fisher')
     """
 
     config: Config

@@ -63,6 +63,11 @@ class Pose2:
         x: Position along a's x axis [m].
         y: Position along a's y axis [m].
         yaw: Heading, counter-clockwise positive, in [-pi, pi) [rad].
+
+    >>> T_a_b, T_b_c = s3d.Pose2(1.0, 0.0, math.pi / 2), s3d.Pose2(0.5, 0.0, 0.0)
+    >>> T_a_c = T_a_b @ T_b_c
+    >>> round(T_a_c.x, 9), round(T_a_c.y, 9)
+    (1.0, 0.5)
     """
 
     x: float = 0.0
@@ -211,6 +216,10 @@ class RangeImage:
         codes: Error codes, ``VALID`` where measured; a filled gap keeps its code (as ``ranges``).
         spec: The lidar's geometry.
         T_base_lidar: The lidar's mount (4, 4).
+
+    >>> image = session.views[0].observation.image
+    >>> image.ranges.shape == image.yaws.shape == image.points.shape[:2]
+    True
     """
 
     stamps: FloatArray
@@ -310,6 +319,12 @@ class Scan3D:
         lines: Index of each point's line in its range image (n,), ascending.
         beams: Index of each point's beam (n,).
         n_lines: Lines of the range image the points came from.
+
+    >>> scan = session.views[0].target
+    >>> scan.points.shape == (len(scan), 3)
+    True
+    >>> len(scan.last_lines(10).occupied_lines)  # the paper's Q for n_Q = 10
+    10
     """
 
     points: FloatArray
@@ -402,6 +417,10 @@ class RegistrationResult:
         converged: Whether the result may be used.
         degenerate_directions: Unit directions (k, 6) that the data did not determine.
         ambiguity_gap: Score distance to the next best basin, 0..1; 1 where none was searched.
+
+    >>> result = session.views[1].registration
+    >>> result.converged, result.covariance.shape, bool(result.predicted_rmse < 0.01)
+    (True, (6, 6), True)
     """
 
     T_target_source: FloatArray
@@ -468,6 +487,10 @@ class Plan:
         candidates: Everything that was considered, in the order of consideration.
         reason: In words, for people.
         needs_panorama: Whether a look around from here could show that a better viewpoint is free.
+
+    >>> plan = session.plans[0]
+    >>> plan.viewpoint is not None, 0.0 < plan.overlap < 1.0
+    (True, True)
     """
 
     viewpoint: Pose2 | None

@@ -15,6 +15,7 @@ from gymnasium import error, spaces
 from gymnasium.utils import EzPickle
 
 from scan3d_twin.core.errors import ConfigError, ScanError, SceneError, TwinError
+from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.episode import Episode
@@ -48,7 +49,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
         scene: str | Sequence[str] = "three_boxes",
         fidelity: str = "physics",
         *,
-        preset: str = "paper",
+        preset: str = DEFAULT_PRESET,
         world: str = "typical",
         options: Mapping[str, Any] | None = None,
         rewards: Mapping[str, float] | None = None,
@@ -63,7 +64,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
             scene: As for ``load_scene``; "random" is a new random scene in every episode; of
                 several one is drawn.
             fidelity: physics, lite or kinematic.
-            preset: Named options of the run: paper or best.
+            preset: Named options of the run: best or paper.
             world: Named errors of robot and sensor: ideal, typical or harsh.
             options: Nested options as in a configuration file, over the preset's.
             rewards: Weights of the reward's terms by name; see ``RewardWeights``.

@@ -8,9 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from scan3d_twin.core.config import Config
+from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.core.presets import preset as named_preset
 from scan3d_twin.envs.rewards import RewardWeights
 from scan3d_twin.envs.scouts import EpisodeScout, KinematicScout, PhysicsScout
 from scan3d_twin.envs.stage import Stage, named_stage, random_stage
@@ -91,7 +90,7 @@ class EnvOptions:
             raise ConfigError(
                 "options.run: scene, preset, world and seed are arguments of their own"
             )
-        named_preset(preset)
+        preset_options(preset)
         settings([given])
         return EnvOptions(
             scenes=scenes,

@@ -13,7 +13,7 @@ from scan3d_twin.devices.create.guard import PortGuard
 from scan3d_twin.devices.create.link import HALF_DRIVE
 from scan3d_twin.devices.links.transport import Reopening, SerialTransport, Tapped, Transport
 from scan3d_twin.devices.urg.driver import UrgLidar
-from scan3d_twin.devices.urg.model import ScanMode
+from scan3d_twin.devices.urg.model import LINKS, ScanMode
 from scan3d_twin.real.clock import RealClock
 
 SLICE = 0.005
@@ -107,7 +107,10 @@ def _forget_lines(lidar: UrgLidar) -> None:
 
 @contextmanager
 def open_real(
-    base_port: str, lidar_port: str, mode: ScanMode, taps: Taps | None = None
+    base_port: str,
+    lidar_port: str,
+    mode: ScanMode = LINKS["usb"],
+    taps: Taps | None = None,
 ) -> Iterator[Robot]:
     """Open the robot on two serial ports; it does not move, and is stopped on every way out.
 
@@ -119,6 +122,11 @@ def open_real(
 
     Raises:
         LinkError: A port cannot be opened, or no such device is on it; says what to do.
+
+    >>> with s3d.open_real("/dev/ttyUSB9", "/dev/ttyACM9") as robot:
+    ...     session = s3d.digitize(robot)
+    Traceback (most recent call last):
+    scan3d_twin.core.errors.LinkError: ...
     """
     clock = RealClock()
     guard = PortGuard(clock)

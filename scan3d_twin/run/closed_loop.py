@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.hal import DriveBase, Robot
 from scan3d_twin.core.model import evaluation
 from scan3d_twin.core.navigation.motion_control import travelled
@@ -96,7 +96,7 @@ def close_loop(
     target = _target(settings.run.target, truth)
     ended: BaseException | None = None
     try:
-        session = digitize(
+        session = run_loop(
             robot,
             planner,
             settings.config,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from datetime import datetime
 from pathlib import Path
 
 from scan3d_twin.core.errors import FileError
@@ -34,6 +35,11 @@ def free_folder(path: Path) -> Path:
         number += 1
         candidate = path.with_name(f"{path.name}-{number}")
     return candidate
+
+
+def default_folder(scene: str) -> Path:
+    """Return a new folder under ``runs`` for a run in ``scene``, named by the time of day."""
+    return free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")
 
 
 def release_folder(path: Path) -> None:

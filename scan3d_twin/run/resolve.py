@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from scan3d_twin.core.config import preset_options
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.planning import check_planner
-from scan3d_twin.core.presets import preset
 from scan3d_twin.run.settings import (
     NAME_OR_PLACE,
     Options,
@@ -46,7 +46,7 @@ def _check_target(text: str, scene: Scene) -> None:
 def _named(given: Options) -> list[Options]:
     """Return what the world and the preset stand for."""
     run = settings([given]).run
-    return [world_options(run.world), preset(run.preset)]
+    return [world_options(run.world), preset_options(run.preset)]
 
 
 def _of_scene(scene: Scene) -> Options:

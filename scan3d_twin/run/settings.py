@@ -172,6 +172,12 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def absolute_scene(scene: str) -> str:
+    """Return the path of a scene file so that it is found from any folder; a name as it is."""
+    path = Path(scene)
+    return str(path.resolve()) if path.suffix and path.is_file() else scene
+
+
 NAME_OR_PLACE = "a name or x,y in metres"
 """What a target of the twin can be stated as."""
 

@@ -96,7 +96,13 @@ HARSH_ROBOT = RobotErrorConfig(
 
 @dataclass(frozen=True, slots=True)
 class TwinConfig:
-    """The twin of the robot, its lidar and their errors."""
+    """The twin of the robot, its lidar and their errors.
+
+    >>> exact = s3d.TwinConfig.of("ideal")
+    >>> with s3d.open_sim("three_boxes", seed=0, config=exact) as (robot, truth):
+    ...     robot.base.odometry().T_odom_base
+    Pose2(x=0.0, y=0.0, yaw=0.0)
+    """
 
     robot: RobotName = "create2"
     """Robot profile."""

@@ -44,7 +44,7 @@ def draw_robot(scene: Scene, seed: int, config: RobotErrorConfig) -> RobotErrors
 @contextmanager
 def open_sim(
     scene: Scene | str,
-    seed: int,
+    seed: int = 0,
     config: TwinConfig | None = None,
     *,
     solver: Solver | None = None,
@@ -65,6 +65,12 @@ def open_sim(
     Raises:
         ConfigError: There is no such scene.
         SceneError: The scene cannot be built.
+
+    >>> with s3d.open_sim("three_boxes", seed=0) as (robot, truth):
+    ...     robot.clock.sleep(1.0)
+    ...     moved = truth.pose_at(1.0).distance(truth.spawn)
+    >>> moved < 0.001
+    True
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
     with _open_twin(scene, seed, config, solver, spec) as (world, base, lidar, clock):

@@ -6,12 +6,11 @@ import dataclasses
 
 import pytest
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.config import Config, preset_options
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.presets import preset
 from scan3d_twin.core.session import Session
 from scan3d_twin.run.settings import settings
 from scan3d_twin.sim.robot import open_sim
@@ -21,7 +20,7 @@ RIVALS = ("frontier2d", "pito", "see")
 
 
 def config(tour: str, **changes: object) -> Config:
-    own = settings([{"tour": tour}, preset("best")]).config
+    own = settings([{"tour": tour}, preset_options("best")]).config
     return dataclasses.replace(own, **changes)  # type: ignore[arg-type]
 
 
@@ -31,7 +30,7 @@ def run(name: str, max_views: int) -> tuple[Session, float]:
     effective = config(scene.tour, max_views=max_views)
     with open_sim(scene, 3) as (robot, truth):
         planner = make_planner(name, truth)
-        session = digitize(robot, planner, effective, 3, Unobserved())
+        session = run_loop(robot, planner, effective, 3, Unobserved())
         return session, evaluate(session, truth).coverage
 
 

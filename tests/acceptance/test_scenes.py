@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -29,9 +29,9 @@ def run(
 ) -> tuple[Session, Evaluation]:
     """Digitise a scene with the preset ``paper``."""
     scene = load_scene(name)
-    config = dataclasses.replace(Config(), tour=scene.tour, max_views=max_views)
+    config = dataclasses.replace(paper_config(), tour=scene.tour, max_views=max_views)
     with open_sim(scene, seed, twin) as (robot, truth):
-        session = digitize(robot, make_planner("siicp"), config, seed, Unobserved())
+        session = run_loop(robot, make_planner("siicp"), config, seed, Unobserved())
         assert robot.base.hazards().active() == ()
         return session, evaluate(session, truth)
 

@@ -1,17 +1,17 @@
 from dataclasses import replace
 
 import pytest
+from paper import paper_config
 from sessions import WALL, session_at
 
 from scan3d_twin.api.view_saver import ViewSaver
 from scan3d_twin.core.compression import is_compressed
-from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import settings
 
 
 @pytest.mark.parametrize(("resource", "compressed"), [("speed", False), ("memory", True)])
 def test_earlier_views_are_compressed_to_optimize_for_memory(tmp_path, resource, compressed):
-    session = session_at(WALL, Config())
+    session = session_at(WALL, paper_config())
     view, config = session.views[0], replace(session.config, optimize_for=resource)
     two = replace(session, config=config, views=(view, replace(view, image=replace(view.image))))
     ViewSaver(tmp_path, settings([])).on_view(two)

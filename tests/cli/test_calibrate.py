@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paper import paper_config, paper_sweep
 
 from scan3d_twin.cli.app import main
-from scan3d_twin.core.config import Config, SweepConfig
 from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.recording.image import image_bytes
 from scan3d_twin.recording.scans import BACK, SCAN
@@ -33,8 +33,8 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a full turn and a sweep to both sides, in the living room."""
     folder = tmp_path_factory.mktemp("cal")
     for name, width, files in (("turn", 360.0, (SCAN,)), ("back", 300.0, (SCAN, BACK))):
-        wanted = SweepConfig(width=math.radians(width), yaw_rate=math.radians(10.0))
-        config = replace(Config(), sweep=wanted)
+        wanted = paper_sweep(width=math.radians(width), yaw_rate=math.radians(10.0))
+        config = replace(paper_config(), sweep=wanted)
         (folder / name).mkdir()
         with open_sim("living_room", 0, wrong_twin()) as (robot, _):
             for file in files:

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+from paper import paper_planning
 
 from scan3d_twin.cli.app import app
 from scan3d_twin.cli.commands.sim import SimOptions, resolve
 from scan3d_twin.cli.dotted import dotted_options, field_docs, stated
-from scan3d_twin.core.config import Config, PlanningConfig
+from scan3d_twin.core.config import Config, PlanningConfig, preset_options
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.core.presets import PRESETS, preset
 from scan3d_twin.sim.config import TwinConfig
 
 
@@ -102,20 +102,20 @@ def test_sources_win_in_their_order(tmp_path, monkeypatch):
     planning = settings.config.planning
     assert (planning.trials, planning.quantile, planning.sigma) == (7, 0.6, 0.5)
     assert settings.config.max_views == 6
-    assert planning.alpha == PlanningConfig().alpha
+    assert planning.alpha == paper_planning().alpha
 
 
-def test_a_preset_lies_between_defaults_and_file(tmp_path, monkeypatch):
-    monkeypatch.setitem(PRESETS, "mine", {"planning": {"trials": 3, "alpha": 0.5}})
+def test_a_preset_lies_between_defaults_and_file(tmp_path):
     path = tmp_path / "my.toml"
-    path.write_text('run.preset = "mine"\nplanning.alpha = 0.7\n')
+    path.write_text('run.preset = "paper"\nplanning.gamma = 0.7\n')
     planning = effective("--config", str(path)).config.planning
-    assert (planning.trials, planning.alpha) == (3, 0.7)
+    assert (planning.gamma, planning.drift) == (0.7, paper_planning().drift)
+    assert planning.drift != PlanningConfig().drift
 
 
 def test_an_unknown_preset_lists_the_known_ones():
     with pytest.raises(UnknownNameError, match="paper"):
-        preset("best of all")
+        preset_options("best of all")
 
 
 def test_epsilon_wins_over_the_files_epsilon(tmp_path):

@@ -5,6 +5,7 @@ from unittest.mock import ANY
 
 import numpy as np
 import synthetic
+from paper import paper_config
 from rich.console import Console
 
 from scan3d_twin.cli.progress import (
@@ -16,7 +17,6 @@ from scan3d_twin.cli.progress import (
     steps,
     view_words,
 )
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2, ScanLine
@@ -27,7 +27,7 @@ LINE = ScanLine(0.0, np.full(1, np.nan), np.zeros(1, np.int64))
 def scan(tour="front"):
     """Return a session with one view of the middle of three boxes."""
     hint = np.array([[0.65, y] for y in np.linspace(-1.1, 1.1, 23)])
-    session = Session(Config(tour=tour), 0, hint, np.array([-1.0, 0.0]))
+    session = Session(paper_config(tour=tour), 0, hint, np.array([-1.0, 0.0]))
     return integrate(session, synthetic.observe(Pose2(-0.4, 0.0, 0.0)))
 
 

@@ -3,6 +3,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from paper import paper_config
 from synthetic import observe
 
 from scan3d_twin.core.compression import (
@@ -11,7 +12,6 @@ from scan3d_twin.core.compression import (
     compressible,
     is_compressed,
 )
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.scanning.target_extraction import all_points
 from scan3d_twin.core.types import FloatArray, Pose2
@@ -94,7 +94,7 @@ def test_a_field_that_may_be_folded_has_no_default():
 
 def test_a_folded_image_and_the_points_on_it_read_as_before():
     image = observe(Pose2(), sigma=0.003, rng=np.random.default_rng(2)).image
-    scan = all_points(image, Config())
+    scan = all_points(image, paper_config())
     names = [(image, name) for name in ("yaws", "ranges", "codes")]
     names += [(scan, name) for name in ("points", "lines", "beams")]
     before = [(*place, getattr(*place).copy()) for place in names]
@@ -109,7 +109,7 @@ def test_a_folded_image_and_the_points_on_it_read_as_before():
 
 def test_points_that_are_not_on_the_image_are_kept_as_they_are():
     image = observe(Pose2()).image
-    scan = all_points(image, Config())
+    scan = all_points(image, paper_config())
     moved = replace(scan, points=scan.points + 0.001)
     moved.compress(image)
     assert not is_compressed(moved, "points")

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic import JumpingClock, KinematicBase
+from paper import paper_config
 from synthetic import Box, observe
 
-from scan3d_twin.core.config import Config, MotionConfig
+from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.drive_to_viewpoint import BACK_OFF, drive
 from scan3d_twin.core.errors import HazardError, MotionTimeoutError, ScanError
 from scan3d_twin.core.hal import Robot
@@ -25,7 +26,7 @@ from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
-CONFIG = Config()
+CONFIG = paper_config()
 GLASS_HOUSE = """
 <mujoco><worldbody>
   <geom name="floor" type="plane" size="5 5 0.1"/>

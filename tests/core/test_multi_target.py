@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config
 from synthetic import Box, observe
 from two_targets import TWO
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.multi_target import digitize_each
 from scan3d_twin.core.observer import Unobserved
@@ -29,24 +29,24 @@ def middles(hints: list[FloatArray]) -> list[float]:
 
 def test_the_most_salient_comes_first_and_walls_are_no_targets() -> None:
     look = observe(Pose2(), (NEAR, SMALL), width=math.tau - 1e-3, step=math.radians(2.0))
-    found = find_targets(look, 5, Config())
+    found = find_targets(look, 5, paper_config())
     assert len(found) == 2
     first, second = middles(found)
     assert first > 0.4
     assert second < -0.4
-    assert middles(find_targets(look, 1, Config())) == [first]
+    assert middles(find_targets(look, 1, paper_config())) == [first]
 
 
 def test_an_empty_floor_has_no_targets() -> None:
     look = observe(Pose2(), (), room=False, width=math.tau - 1e-3, step=math.radians(2.0))
     with pytest.raises(SceneError):
-        find_targets(look, 2, Config())
+        find_targets(look, 2, paper_config())
 
 
 def test_two_targets_are_digitised_one_after_the_other(tmp_path) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "two.xml"
     path.write_text(TWO)
-    config = replace(Config(), max_views=2)
+    config = replace(paper_config(), max_views=2)
     with open_sim(load_scene(str(path)), 0, TwinConfig.ideal()) as (robot, _):
         sessions = list(digitize_each(robot, make_planner("fixed50"), config, 0, Unobserved(), 2))
     assert [len(session.views) for session in sessions] == [2, 2]

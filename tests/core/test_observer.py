@@ -3,8 +3,9 @@ from itertools import product
 import numpy as np
 import pytest
 from kinematic import JumpingClock, KinematicBase
+from paper import paper_config
 
-from scan3d_twin.core.config import Config, MotionConfig
+from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.navigation.motion_control import drive_to
@@ -13,7 +14,7 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import ScanLine
 
 LINE = ScanLine(0.0, np.zeros(1), np.zeros(1, np.int64))
-SESSION = Session(Config(), 0, np.zeros((0, 2)), np.zeros(2))
+SESSION = Session(paper_config(), 0, np.zeros((0, 2)), np.zeros(2))
 
 
 class Noting(Unobserved):

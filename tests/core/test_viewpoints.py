@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from paper import paper_config
 from synthetic import Box, observe
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.scanning.target_extraction import all_points, extract_target
 from scan3d_twin.core.types import Pose2, RangeImage, Scan3D
 from scan3d_twin.core.viewpoints import (
@@ -26,7 +26,7 @@ from scan3d_twin.core.viewpoints import (
     well_seen,
 )
 
-CONFIG = Config()
+CONFIG = paper_config()
 AHEAD = np.array([-1.0, 0.0])
 WALL = (Box((1.0, -5.0, 0.0), (1.1, 5.0, 2.5)),)
 BOX = (Box((1.0, -0.2, 0.0), (1.3, 0.2, 0.5)),)

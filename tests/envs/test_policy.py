@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -19,7 +19,7 @@ def test_an_episode_with_physics_is_a_run_of_digitize(make, planner):
     rollout(env, PlannerPolicy(planner), seed=7)
     session = env.session
     with open_sim("three_boxes", session.seed) as (robot, _):
-        run = digitize(robot, make_planner(planner), session.config, session.seed, Unobserved())
+        run = run_loop(robot, make_planner(planner), session.config, session.seed, Unobserved())
     assert len(session.views) > 1
     for ours, theirs in zip(session.views, run.views, strict=False):
         assert np.array_equal(

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import synthetic
+from paper import paper_alignment, paper_config
 from recorded import make_robot, record
 from same import same
 
-from scan3d_twin.core.config import AlignmentConfig, Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
@@ -22,7 +22,7 @@ PLACES = (0.2, 0.0, -0.2)
 def three():
     """Three views, the second placed wrongly; the noise of the real lidar."""
     hint = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
-    session, rng = Session(Config(), 7, hint, np.array([-1.0, 0.0])), np.random.default_rng(0)
+    session, rng = Session(paper_config(), 7, hint, np.array([-1.0, 0.0])), np.random.default_rng(0)
     for y in PLACES:
         session = integrate(session, synthetic.observe(Pose2(-0.4, y, 0.0), sigma=0.005, rng=rng))
         session = session.with_plan(Plan(Pose2(-0.4, y, 0.0), 0.8, 0.01, False, (), "a plan"))
@@ -33,7 +33,7 @@ def three():
 
 @pytest.mark.parametrize("mode", ["off", "loop_closure"])
 def test_the_rest_is_placed_without_the_bad_view(three, mode):
-    config = replace(three.config, alignment=AlignmentConfig(mode=mode))
+    config = replace(three.config, alignment=paper_alignment(mode=mode))
     rest = without_view(replace(three, config=config), 1)
     assert len(rest.views) == len(rest.plans) == 2
     for view, y in zip(rest.views, (PLACES[0], PLACES[2]), strict=True):

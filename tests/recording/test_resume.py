@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import synthetic
 from kinematic import JumpingClock, KinematicBase
+from paper import paper_config
 from recorded import line
 
-from scan3d_twin.core.config import Config, MotionConfig
+from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.hal import Robot
@@ -115,7 +116,7 @@ def test_a_robot_that_was_not_opened_at_the_origin_is_carried_on_too():
 def taken(push):
     """Return a session of two views, before the second of which somebody pushed the robot."""
     hint = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
-    session = Session(Config(), 7, hint, np.array([-1.0, 0.0]))
+    session = Session(paper_config(), 7, hint, np.array([-1.0, 0.0]))
     session = integrate(session, synthetic.observe(Pose2(-0.4, 0.0, 0.0)))
     there = Pose2(-0.4, 0.3, 0.0)
     return integrate(session, replace(synthetic.observe(there @ push), T_odom_scan=there))

@@ -160,7 +160,7 @@ class Knowledge(NamedTuple):
     predicted_rmse: float
 
 
-class Outcome(NamedTuple):
+class RunResult(NamedTuple):
     """Where the iteration ended.
 
     Attributes:
@@ -184,7 +184,7 @@ class Outcome(NamedTuple):
 
 def descend(
     scans: Scans, prior: Prior, criteria: Criteria, starts: FloatArray
-) -> tuple[FloatArray, Outcome]:
+) -> tuple[FloatArray, RunResult]:
     """Return where the steps from ``starts`` (n, 4, 4) end (m, 4, 4), and how the last did.
 
     Ends that met are one, those without overlap left out.
@@ -208,7 +208,7 @@ def descend(
             ends[n] = state.T
             n += 1
     known = knowledge(scans, prior, beforehand, state, solution)
-    last = Outcome(state, solution, known, len(sample.rows), iteration + 1, settled, overlap)
+    last = RunResult(state, solution, known, len(sample.rows), iteration + 1, settled, overlap)
     return ends[:n].copy(), last
 
 

@@ -2,8 +2,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, read_only
@@ -77,7 +77,7 @@ def test_a_blind_sweep_is_told(session):
 
 
 def test_no_view_at_all_is_told():
-    empty = Session(Config(), 0, np.zeros((1, 2)), np.array([-1.0, 0.0]))
+    empty = Session(paper_config(), 0, np.zeros((1, 2)), np.array([-1.0, 0.0]))
     assert findings(empty) == ["Nothing was scanned: there is no view."]
 
 

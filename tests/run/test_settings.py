@@ -2,8 +2,8 @@ import tomllib
 from dataclasses import replace
 
 import pytest
+from paper import paper_config, paper_planning
 
-from scan3d_twin.core.config import Config, PlanningConfig
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.run.settings import (
     Run,
@@ -25,10 +25,10 @@ def test_nothing_stated_gives_the_defaults():
 
 
 def test_written_settings_read_back_as_they_were(tmp_path):
-    planning = replace(PlanningConfig(), lambda_=0.05, trials=8, epsilon=0.0125)
+    planning = replace(paper_planning(), lambda_=0.05, trials=8, epsilon=0.0125)
     before = Settings(
         run=Run(scene="sine_box", seed=3, target="0.5,-1"),
-        config=Config(tour="full", max_views=4, planning=planning),
+        config=paper_config(tour="full", max_views=4, planning=planning),
     )
     path = tmp_path / "config.toml"
     path.write_text(settings_toml(before), encoding="utf-8")

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.evaluation import surface_distance, true_pose
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.types import Pose2, wrap
@@ -26,7 +26,7 @@ from scan3d_twin.sim.scenes.scene import load_scene
 
 SCENE = load_scene("three_boxes")
 CASTER = choose_caster(SCENE.model)
-CONFIG = Config()
+CONFIG = paper_config()
 
 
 def robot(seed=0, twin=None):

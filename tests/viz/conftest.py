@@ -4,8 +4,8 @@ import shutil
 import numpy as np
 import pytest
 import synthetic
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, Plan, Pose2
@@ -27,7 +27,7 @@ def plan(overlap, errors, *, fell_back=False, last=False):
 def session() -> Session:
     """Three noisy views of three boxes; one planned at once, one by default, the last one ends."""
     rng = np.random.default_rng(0)
-    session = Session(Config(), 7, HINT, np.array([-1.0, 0.0]))
+    session = Session(paper_config(), 7, HINT, np.array([-1.0, 0.0]))
     plans = [
         plan(0.6, [0.012, 0.011, 0.008]),
         plan(0.8, [math.inf, 0.090, 0.030, 0.015], fell_back=True),

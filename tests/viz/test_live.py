@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config
 from pixels import SMALL, SOON, drawn
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import LinkError
 from scan3d_twin.core.observer import Observers, Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -69,8 +69,12 @@ def scan(view, press_line=0, press_wait=0):
 
         view.attend = counted
         try:
-            digitize(
-                view.attach(robot), make_planner("siicp"), Config(), 0, Observers(presser, view)
+            run_loop(
+                view.attach(robot),
+                make_planner("siicp"),
+                paper_config(),
+                0,
+                Observers(presser, view),
             )
         except KeyboardInterrupt:
             return (pressed or presser.pressed)[0], base.sent
@@ -100,7 +104,7 @@ def test_watching_changes_nothing(view):
     def run(observer, attach):
         with open_sim("three_boxes", 3) as (robot, _):
             planner = make_planner("siicp")
-            return digitize(attach(robot), planner, Config(max_views=2), 3, observer)
+            return run_loop(attach(robot), planner, paper_config(max_views=2), 3, observer)
 
     watched, alone = run(view, view.attach), run(Unobserved(), lambda robot: robot)
     for mine, other in zip(watched.views, alone.views, strict=True):
@@ -149,7 +153,7 @@ class Run(threading.Thread):
             with open_sim("three_boxes", 0) as (robot, _):
                 robot = self.view.attach(robot)
                 planner = make_planner("siicp")
-                self.session = digitize(robot, planner, Config(), 0, self.view)
+                self.session = run_loop(robot, planner, paper_config(), 0, self.view)
         except KeyboardInterrupt as error:
             self.error = error
         self.view.finish("over")

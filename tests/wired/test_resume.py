@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config, paper_sweep
 
-from scan3d_twin.core.config import Config, SweepConfig
 from scan3d_twin.core.observer import Observers, Unobserved
 from scan3d_twin.core.types import rms
 from scan3d_twin.devices.create import codec as oi
@@ -26,8 +26,8 @@ from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import HazardFreeClock
 
 pytestmark = pytest.mark.timeout(300)
-SWEEP = SweepConfig(width=0.9, yaw_rate=0.3, look_rate=1.0)
-SETTINGS = Settings(config=replace(Config(max_views=2), sweep=SWEEP))
+SWEEP = paper_sweep(width=0.9, yaw_rate=0.3, look_rate=1.0)
+SETTINGS = Settings(config=replace(paper_config(max_views=2), sweep=SWEEP))
 
 
 class Warned(Unobserved):

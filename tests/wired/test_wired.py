@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.config import preset_options
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.navigation.motion_control import turn_by
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.presets import preset
 from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.recording.views import view_bytes
 from scan3d_twin.run.settings import settings
@@ -26,7 +26,7 @@ def digitised(opener, link, config, seed=0, start=0.0):
         robot.clock.sleep(start - robot.clock.now())
         began = robot.clock.now()
         planner = make_planner(config.planner)
-        session = digitize(robot, planner, config, seed, Unobserved())
+        session = run_loop(robot, planner, config, seed, Unobserved())
         return (
             session,
             evaluate(session, truth),
@@ -39,7 +39,7 @@ def digitised(opener, link, config, seed=0, start=0.0):
 @pytest.mark.parametrize("link", ["usb", "115200"])
 def test_three_boxes_through_the_drivers_is_as_good_as_without(link):
     """From the same instant on, so that both see the same noise; benchmarks/links.py has more."""
-    config = settings([{"tour": "front"}, preset("best")]).config
+    config = settings([{"tour": "front"}, preset_options("best")]).config
     wired, by_wired, lidar, began = digitised(open_wired, link, config, seed=2)
     sim, by_sim, _, _ = digitised(open_sim, link, config, seed=2, start=began)
     assert abs(len(wired.views) - len(sim.views)) <= 1
@@ -59,7 +59,7 @@ def test_a_sweep_through_the_drivers_has_the_headings_and_times_of_one_without(l
     for opener in (open_sim, open_wired):
         with opener("three_boxes", 1, twin) as (robot, truth):
             start = truth.pose_at(robot.clock.now())
-            image = sweep(robot, 0.3, Config(), lambda line: None).image
+            image = sweep(robot, 0.3, paper_config(), lambda line: None).image
             front = image.yaws.shape[1] // 2
             stamps = image.stamps + image.spec.beam_times[front]
             true = [(start.inverse() @ truth.pose_at(float(t))).yaw for t in stamps]
@@ -72,7 +72,7 @@ def test_a_sweep_through_the_drivers_has_the_headings_and_times_of_one_without(l
 
 
 def test_one_seed_gives_the_same_bytes():
-    config = replace(Config(), max_views=2)
+    config = replace(paper_config(), max_views=2)
     first, second = (digitised(open_wired, "usb", config)[0] for _ in range(2))
     assert len(first.views) == 2
     assert [view_bytes(v) for v in first.views] == [view_bytes(v) for v in second.views]
@@ -82,7 +82,7 @@ def test_one_seed_gives_the_same_bytes():
 def test_a_turn_through_the_drivers_ends_where_the_odometry_says(base):
     with open_wired("three_boxes", 3, replace(TwinConfig.ideal(), robot=base)) as (robot, truth):
         before = truth.pose_at(robot.clock.now())
-        turn_by(robot, 1.5, Config().motion)
+        turn_by(robot, 1.5, paper_config().motion)
         robot.clock.sleep(0.6)
         turned = before.inverse() @ truth.pose_at(robot.clock.now())
         assert robot.base.odometry().T_odom_base.yaw == pytest.approx(turned.yaw, abs=0.03)

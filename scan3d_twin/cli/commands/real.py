@@ -15,9 +15,8 @@ from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
-from scan3d_twin.core.config import Config
+from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import HazardError, ScanError
-from scan3d_twin.core.presets import preset
 from scan3d_twin.run.settings import REAL, Options, Settings, settings
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
 
     given = stated_options(options, sections)
     name = settings([given]).run.preset
-    effective = settings([preset(name), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    effective = settings([preset_options(name), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
     check_planner(effective.config.planner, truth_known=False)
     return effective
 

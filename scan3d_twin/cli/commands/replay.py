@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from scan3d_twin.cli.dotted import dotted_options, stated
-from scan3d_twin.core.config import Config
+from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.presets import preset as named
 from scan3d_twin.run.settings import Options, Settings, merge, read_settings, settings
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ def _effective(recorded: Settings, options: ReplayOptions, sections: Options) ->
     return settings(
         [
             tomllib.loads(settings_toml(recorded)),
-            {} if options.preset is None else named(options.preset),
+            {} if options.preset is None else preset_options(options.preset),
             {} if options.config is None else read_settings(options.config),
             merge([sections, flat]),
         ]

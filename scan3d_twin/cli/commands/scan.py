@@ -64,7 +64,9 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
         raise UnknownNameError("lidar link", options.lidar_link, LINKS)
     if options.scene and (options.port or options.lidar_port):
         raise ConfigError("--scene is the twin's, --port and --lidar-port the real robot's")
-    wanted = SweepConfig(width=math.radians(options.width), yaw_rate=math.radians(options.rate))
+    wanted = SweepConfig(
+        width=math.radians(options.width), margin=0.0, yaw_rate=math.radians(options.rate)
+    )
     default = Path("runs") / f"scan-{datetime.now():%Y%m%d-%H%M%S}"
     folder = claim_folder(free_folder(default) if options.out is None else options.out)
     try:

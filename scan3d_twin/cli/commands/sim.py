@@ -68,7 +68,7 @@ def sim(
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
-    watch = Watch(options.address, SPEED, lambda: picture_of(scene, effective.twin.robot))
+    watch = Watch(options.address, SPEED, lambda: _picture(scene, effective.twin.robot))
     if options.targets is not None:
         from scan3d_twin.cli.multi_target import run_each
 
@@ -96,16 +96,11 @@ def sim(
         )
 
 
-def picture_of(scene: Scene, robot: RobotName) -> bytes | str:
+def _picture(scene: Scene, robot: RobotName) -> bytes | str:
     """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
-    from scan3d_twin.core.errors import ConfigError
-    from scan3d_twin.core.png import png_bytes
-    from scan3d_twin.sim.scenes.pictures import render
+    from scan3d_twin.api.sim import draw_scene
 
-    try:
-        return png_bytes(render(scene, robot))
-    except ConfigError as error:
-        return str(error)
+    return draw_scene(scene, robot)
 
 
 def _opened(scene: Scene, effective: Settings) -> Opening:

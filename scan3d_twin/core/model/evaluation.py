@@ -192,6 +192,10 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
 
     Raises:
         ScanError: No view shows anything of the target.
+
+    >>> evaluation = s3d.evaluate(session, truth)
+    >>> 0.0 < evaluation.coverage <= 1.0, evaluation.accuracy.median < 0.01
+    (True, True)
     """
     return evaluate_model(session, build_model(session), Reference.of(session, truth))
 

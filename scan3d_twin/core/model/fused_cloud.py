@@ -45,6 +45,10 @@ class Model:
         normals: Unit normals towards the lidar that saw the point (n, 3); NaN where unknown.
         sigma: Standard deviation along the beam, by noise alone (n,) [m].
         view: Index of the view each point came from; of a fused one, the view that weighs most.
+
+    >>> model = s3d.build_model(session)
+    >>> model.points.shape == model.normals.shape, set(model.view.tolist()) == {0, 1}
+    (True, True)
     """
 
     points: FloatArray
@@ -84,6 +88,9 @@ def build_model(session: Session, voxel: float = 0.0) -> Model:
     """Return the target's points of all views without outliers.
 
     Fused in voxels of side ``voxel`` [m] unless it is 0.
+
+    >>> len(s3d.build_model(session, voxel=0.02)) < len(s3d.build_model(session))
+    True
     """
     model = joined([each.cleaned for each in sightings(session)])
     return fuse_voxels(model, voxel) if voxel > 0 else model

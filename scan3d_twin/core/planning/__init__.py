@@ -27,7 +27,15 @@ ENTRY_POINTS = "scan3d_twin.planners"
 
 
 class Planner(Protocol):
-    """Decides where to scan next."""
+    """Decides where to scan next.
+
+    >>> class StayPut:
+    ...     def plan(self, session, rng):
+    ...         return s3d.Plan(None, 0.0, math.nan, False, (), "one view is enough")
+    >>> planner: s3d.Planner = StayPut()
+    >>> planner.plan(session, np.random.default_rng(0)).reason
+    'one view is enough'
+    """
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the next viewpoint, or a plan without one when the scan is finished.
@@ -79,7 +87,11 @@ _OWN = {
 
 
 def planner_names() -> tuple[str, ...]:
-    """Return the names that ``make_planner`` knows."""
+    """Return the names that ``make_planner`` knows.
+
+    >>> {"fisher", "siicp", "oracle"} <= set(s3d.planner_names())
+    True
+    """
     return tuple(sorted({*_OWN, *_others()}))
 
 
@@ -108,12 +120,16 @@ def make_planner(name: str, truth: Truth | None = None) -> Planner:
     """Return the planner called ``name``.
 
     Args:
-        name: One of ``planner_names()``.
+        name: One of ``planner_names()``, or ``module:attribute`` of a class or factory of your own.
         truth: What the twin knows; for those planners alone that are bounds for the others.
 
     Raises:
         UnknownNameError: There is none of this name.
         ConfigError: It needs the truth and there is none, or it cannot be loaded.
+
+    >>> plan = s3d.make_planner("siicp").plan(session, np.random.default_rng(0))
+    >>> plan.viewpoint is None or plan.overlap > 0.0
+    True
     """
     check_planner(name, truth_known=truth is not None)
     entry = _entry(name)
@@ -124,15 +140,13 @@ def _entry(name: str) -> Entry:
     if name in _OWN:
         return Entry.of(resolve_name(f"{__name__}.planners.{_OWN[name]}"))
     others = _others()
-    if name not in others:
+    if name not in others and ":" not in name:
         raise UnknownNameError("planner", name, planner_names())
+    place = others[name].value if name in others else name
     try:
-        build = others[name].load()
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(
-            f"planner {name} ({others[name].value}) cannot be loaded: {error}"
-        ) from None
-    return Entry.of(build)
+        return Entry.of(resolve_name(place))
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"planner {name} ({place}) cannot be loaded: {error}") from None
 
 
 def _others() -> dict[str, Any]:

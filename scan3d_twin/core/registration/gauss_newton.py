@@ -54,7 +54,7 @@ class Criteria(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunResult:
     """Where the iteration ended.
 
     Attributes:
@@ -86,9 +86,9 @@ class Outcome:
     overlap: bool
 
     @staticmethod
-    def of(value: native.Outcome) -> Outcome:
+    def of(value: native.RunResult) -> RunResult:
         """Return the outcome that the engine wrote."""
-        return Outcome(
+        return RunResult(
             value.numbers("T", 4, 4),
             value.nuisances[0],
             value.numbers("covariance", 6, 6),
@@ -170,7 +170,7 @@ class Problem:
         )
 
 
-def align(problem: Problem, init: FloatArray) -> Outcome:
+def align(problem: Problem, init: FloatArray) -> RunResult:
     """Return where Gauss-Newton steps from ``init`` (4, 4) end.
 
     Raises:
@@ -187,20 +187,20 @@ def align(problem: Problem, init: FloatArray) -> Outcome:
 
 def follow_starts(
     problem: Problem, source: native.Source, criteria: Criteria, starts: FloatArray
-) -> tuple[FloatArray, Outcome]:
+) -> tuple[FloatArray, RunResult]:
     """Return where the steps from ``starts`` (n, 4, 4) end (m, 4, 4), and how the last did.
 
     Ends that met are one, those without overlap left out.
     """
     starts = np.ascontiguousarray(starts)
-    ends, last = np.empty_like(starts), native.Outcome()
+    ends, last = np.empty_like(starts), native.RunResult()
     n = engine.follow(
         problem.target.target, source, pair_noise(problem.target, problem.source),
         problem.beforehand, native.Criteria(**criteria._asdict()), starts, len(starts), ends, last,
     )  # fmt: skip
     if n < 0:
         raise MemoryError
-    return ends[:n], Outcome.of(last)
+    return ends[:n], RunResult.of(last)
 
 
 def distance_between(a: FloatArray, b: FloatArray, reach: float) -> float:
@@ -209,7 +209,7 @@ def distance_between(a: FloatArray, b: FloatArray, reach: float) -> float:
     return math.sqrt(np.sum(shift * shift) + np.sum(turn * turn) / 2.0)
 
 
-def report(outcome: Outcome, ambiguity_gap: float) -> RegistrationResult:
+def report(outcome: RunResult, ambiguity_gap: float) -> RegistrationResult:
     """Return the result for the last state."""
     return RegistrationResult(
         T_target_source=read_only(outcome.T),

@@ -20,8 +20,8 @@ from scan3d_twin.core.registration.gauss_newton import (
     SAME_BASIN,
     Criteria,
     Dof,
-    Outcome,
     Problem,
+    RunResult,
     align,
     distance_between,
     follow_starts,
@@ -46,7 +46,7 @@ AMBIGUOUS = 0.01
 class Basin:
     """A pose that the iteration ends at, and its contradiction with free space, 0..1."""
 
-    outcome: Outcome
+    outcome: RunResult
     contradiction: float
 
     @property

@@ -29,6 +29,10 @@ class PosePrior:
         T: Its mean (4, 4).
         covariance: Of x, y, z [m] of the source's origin and of rx, ry, rz [rad] about it, all
             along the target's axes (6, 6).
+
+    >>> prior = s3d.PosePrior.planar(s3d.Pose2(0.0, -0.5, 0.4), sigma_xy=0.02, sigma_yaw=0.03)
+    >>> prior.covariance.shape
+    (6, 6)
     """
 
     T: FloatArray

@@ -62,7 +62,11 @@ class Scene:
 
 
 def scene_names() -> tuple[str, ...]:
-    """Return the names of the scenes that come with the package, sorted."""
+    """Return the names of the scenes that come with the package, sorted.
+
+    >>> "sine_box" in s3d.scene_names()
+    True
+    """
     return tuple(sorted(path.stem for path in resource_dir("scenes").glob("*.xml")))
 
 
@@ -78,6 +82,9 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
         UnknownNameError: It is neither a path nor the name of a scene.
         ConfigError: ``mesh_scale`` is not positive, or the SEED no whole number.
         SceneError: The file is missing or broken, or holds no target.
+
+    >>> s3d.load_scene("three_boxes").tour
+    'front'
     """
     if not (mesh_scale > 0 and np.isfinite(mesh_scale)):
         raise ConfigError(f"mesh scale must be > 0, got {mesh_scale:g}")

@@ -9,13 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 import synthetic
+from paper import paper_alignment, paper_config, paper_planning, paper_registration
 
-from scan3d_twin.core.config import (
-    AlignmentConfig,
-    Config,
-    PlanningConfig,
-    RegistrationConfig,
-)
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.mapping.loop_closure import (
@@ -43,10 +38,10 @@ TRUE = [
     Pose2(1.25 * math.cos(a), 1.25 * math.sin(a), a + math.pi)
     for a in np.arange(VIEWS) * math.tau / VIEWS
 ]
-CONFIG = Config(
+CONFIG = paper_config(
     tour="full",
-    registration=RegistrationConfig(engine="grid", scope="sweep", starts=8),
-    planning=PlanningConfig(gamma=0.03, drift=0.04, lambda_=0.03),
+    registration=paper_registration(engine="grid", scope="sweep", starts=8),
+    planning=paper_planning(gamma=0.03, drift=0.04, lambda_=0.03),
 )
 
 
@@ -130,7 +125,7 @@ def test_misfits_are_those_that_most_others_contradict() -> None:
 
 
 def configured(**alignment: str) -> Session:
-    return replace(tour(), config=replace(CONFIG, alignment=AlignmentConfig(**alignment)))
+    return replace(tour(), config=replace(CONFIG, alignment=paper_alignment(**alignment)))
 
 
 def poses(session: Session) -> list[Pose2]:

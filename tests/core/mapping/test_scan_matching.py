@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config, paper_planning, paper_registration, paper_sweep
 from synthetic import ROOM, Box, observe
 
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
@@ -28,10 +29,10 @@ PILASTERS = tuple(
 
 
 def config(scope: str = "target", **planning: float) -> Config:
-    return Config(
+    return paper_config(
         planner="fisher",
-        registration=RegistrationConfig(engine="grid", scope=scope),  # type: ignore[arg-type]
-        planning=replace(PlanningConfig(), **planning),  # type: ignore[arg-type]
+        registration=paper_registration(engine="grid", scope=scope),  # type: ignore[arg-type]
+        planning=replace(paper_planning(), **planning),  # type: ignore[arg-type]
     )
 
 
@@ -110,7 +111,7 @@ def test_the_room_helps_where_the_target_does_not() -> None:
     """The bare wall stands in a room: with the whole sweep its corner fixes the slide."""
     wall = (Box((1.0, ROOM[1][0], 0.0), (1.2, 1.0, 1.5)),)
     true = Pose2(0.0, -0.3, 0.0)
-    wide = replace(config("sweep"), sweep=SweepConfig(margin=math.radians(45.0)))
+    wide = replace(config("sweep"), sweep=paper_sweep(margin=math.radians(45.0)))
     errors = []
     for settings in (config("target"), wide):
         width = settings.sweep.width + 2 * settings.sweep.margin
@@ -130,7 +131,7 @@ def test_the_room_helps_where_the_target_does_not() -> None:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7])
 def test_the_motion_prior_is_that_of_turn_drive_turn(yaw: float) -> None:
-    settings = PlanningConfig()
+    settings = paper_planning()
     move = Pose2(0.1, -0.5, yaw)
     rng = np.random.default_rng(0)
     bearing = math.atan2(move.y, move.x)

@@ -2,15 +2,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config, paper_registration
 from sessions import PILASTERS, WALL, session_at
 
-from scan3d_twin.core.config import Config, RegistrationConfig
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.mapping.surfel_store import AT_ONCE, Prepared
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import Scan3D
 
-CONFIG = Config(registration=RegistrationConfig(engine="grid"))
+CONFIG = paper_config(registration=paper_registration(engine="grid"))
 
 
 @pytest.fixture(scope="module")

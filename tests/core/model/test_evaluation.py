@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from paper import paper_config
 from scipy.spatial import cKDTree
 from synthetic import Box, cast, observe
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.model.evaluation import (
     COVERAGE_DISTANCE,
@@ -76,7 +76,7 @@ def at(pose: Pose2, k: int, sigma: float = 0.0) -> Observation:
 
 def session_of(*odometry: Pose2, true: tuple[Pose2, ...] = (FIRST, SECOND)) -> Session:
     hint = np.array([[0.6, 0.0]])
-    session = Session(Config(tour="full"), 0, hint, np.array([-1.0, 0.0]))
+    session = Session(paper_config(tour="full"), 0, hint, np.array([-1.0, 0.0]))
     for k, (told, pose) in enumerate(zip(odometry, true, strict=False)):
         observation = Observation(at(pose, k).image, told)
         session = integrate(session, observation)
@@ -155,8 +155,8 @@ def test_the_first_pose_is_the_gauge() -> None:
 def test_only_the_front_is_coverable_on_a_tour_of_the_front() -> None:
     truth = BoxTruth((FIRST,), front=Pose2(0.6, 0.0, math.pi))
     surface, normals = truth.surface(0.02)
-    all_round = coverable_surface(surface, normals, truth, Config(tour="full"))
-    front = coverable_surface(surface, normals, truth, Config(tour="front"))
+    all_round = coverable_surface(surface, normals, truth, paper_config(tour="full"))
+    front = coverable_surface(surface, normals, truth, paper_config(tour="front"))
     back = normals[:, 0] > 0.5
     assert all_round[back].mean() > 0.9
     assert not front[back].any()
@@ -168,7 +168,7 @@ def test_what_stands_too_close_to_a_wall_is_not_coverable() -> None:
     against = BoxTruth((FIRST,))
     surface, normals = against.surface(0.02)
     buried = surface + np.array([1.45, 0.0, 0.0])  # 5 cm in front of the wall at x = 2.5
-    seen = coverable_surface(buried, normals, _Against(), Config(tour="full"))
+    seen = coverable_surface(buried, normals, _Against(), paper_config(tour="full"))
     assert not seen[normals[:, 0] > 0.5].any()
     assert seen[normals[:, 0] < -0.5].mean() > 0.9
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import synthetic
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.model.fused_cloud import (
     Model,
@@ -24,7 +24,7 @@ HINT = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
 @pytest.fixture(scope="module")
 def session() -> Session:
     rng = np.random.default_rng(0)
-    start = Session(Config(), 0, HINT, np.array([-1.0, 0.0]))
+    start = Session(paper_config(), 0, HINT, np.array([-1.0, 0.0]))
     for y in (0.2, 0.0):
         start = integrate(start, synthetic.observe(Pose2(-0.4, y, 0.0), sigma=0.004, rng=rng))
     return start
@@ -50,7 +50,7 @@ def test_normals_are_those_of_the_boxes_and_face_the_lidar(session):
 def test_oblique_readings_are_worth_less_than_square_ones():
     wall = (synthetic.Box((1.0, -3.0, 0.0), (1.2, 3.0, 1.0)),)
     view = integrate(
-        Session(Config(), 0, np.array([[1.0, 0.0]]), np.array([-1.0, 0.0])),
+        Session(paper_config(), 0, np.array([[1.0, 0.0]]), np.array([-1.0, 0.0])),
         synthetic.observe(Pose2(), wall, room=False, width=math.radians(150)),
     ).views[0]
     model = sight(view).model
@@ -110,7 +110,7 @@ def test_the_model_is_all_points_of_the_target_but_outliers(session):
 
 
 def test_no_views_are_no_points():
-    empty = Session(Config(), 0, HINT, np.array([-1.0, 0.0]))
+    empty = Session(paper_config(), 0, HINT, np.array([-1.0, 0.0]))
     assert len(build_model(empty, voxel=0.01)) == len(build_model(empty)) == 0
     assert scanned_share(empty) == 0
 
@@ -118,5 +118,5 @@ def test_no_views_are_no_points():
 def test_the_scanned_share_grows_with_the_views(session):
     first = replace(session, views=session.views[:1])
     assert 0.3 < scanned_share(first) <= scanned_share(session) <= 1
-    around = replace(session, config=Config(tour="full"))
+    around = replace(session, config=paper_config(tour="full"))
     assert 0 < scanned_share(around) < 1

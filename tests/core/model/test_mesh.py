@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import synthetic
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.model.fused_cloud import sight, sightings
 from scan3d_twin.core.model.mesh import build_mesh, triangulate
@@ -16,7 +16,7 @@ HINT = np.array([[0.62, y] for y in np.linspace(-1.1, 1.1, 23)])
 
 
 def session_of(*observations):
-    session = Session(Config(), 0, HINT, np.array([-1.0, 0.0]))
+    session = Session(paper_config(), 0, HINT, np.array([-1.0, 0.0]))
     for observation in observations:
         session = integrate(session, observation)
     return session

@@ -6,13 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from paper import paper_config
 from synthetic import THREE_BOXES, Box, observe
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.navigation.costmap import RESOLUTION, Costmap, build_costmap, extended
 from scan3d_twin.core.types import FloatArray, Observation, Pose2
 
-CONFIG = Config()
+CONFIG = paper_config()
 SPAWN = Pose2(-0.9, 0.0, 0.0)
 CLEAR = CONFIG.motion.robot_radius + CONFIG.motion.clearance
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config, paper_planning, paper_sweep
 from sessions import session_at
 from synthetic import THREE_BOXES, Box
 
-from scan3d_twin.core.config import Config, PlanningConfig, SweepConfig
 from scan3d_twin.core.planning import hidden_views as closing
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.hidden_surface import DEPTH, Hidden
@@ -24,7 +24,7 @@ BOXES = tuple(
 )
 """Side by side with gaps of 0.1 m; the one in the middle goes from x = 1.05 to 1.35."""
 BESIDE = (Pose2(0.1, 1.0, math.radians(-25.0)), Pose2(0.1, -1.0, math.radians(25.0)))
-WIDE = replace(Config(), sweep=SweepConfig(width=math.radians(90.0)))
+WIDE = replace(paper_config(), sweep=paper_sweep(width=math.radians(90.0)))
 
 
 def standing(x: float, y: float) -> Pose2:
@@ -104,7 +104,7 @@ def test_a_flat_sight_settles_nothing(seen: Session) -> None:
 
 def finished(session: Session, how: str) -> PlanningContext:
     """Return the context after a session whose contour is done."""
-    planning = replace(PlanningConfig(), closing=how, epsilon=10.0)  # type: ignore[arg-type]
+    planning = replace(paper_planning(), closing=how, epsilon=10.0)  # type: ignore[arg-type]
     context = PlanningContext(replace(session, config=replace(session.config, planning=planning)))
     context.__dict__["contour_done"] = True
     return context

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from importlib.metadata import EntryPoint, EntryPoints
 
 import numpy as np
@@ -50,14 +51,6 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         planning, "entry_points", lambda group: EntryPoints(points).select(group=group)
     )
-    monkeypatch.setattr(EntryPoint, "load", lambda self: _load(self.value))
-
-
-def _load(value: str) -> object:
-    name = value.partition(":")[2]
-    if "no_such_module" in value:
-        raise ImportError("no module named scan3d_twin.no_such_module")
-    return globals()[name]
 
 
 def test_every_planner_has_one_line() -> None:
@@ -127,3 +120,20 @@ def test_plans_are_pure_and_complete(name: str, pilasters: Session) -> None:
     assert a.candidates[-1].feasible
     assert a.predicted_rmse > 0
     assert a.reason
+
+
+class Homemade:
+    """Ends at once: a planner of somebody else's."""
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        return Plan(None, 0.0, 0.0, False, (), "homemade")
+
+
+def test_a_planner_is_named_by_its_module_and_attribute(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    planner = make_planner("homemade:Homemade")
+    assert type(planner).__name__ == "Homemade"
+    with pytest.raises(ConfigError, match="cannot be loaded"):
+        make_planner("homemade:Missing")
+    with pytest.raises(ConfigError, match="cannot be loaded"):
+        make_planner("no_such_module:Planner")

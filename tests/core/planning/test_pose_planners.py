@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config
 from sessions import BOX, WALL, session_at, with_baselines
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.planners.ig import gain, utility, wish
 from scan3d_twin.core.planning.planners.see import frontier_points
@@ -25,7 +25,7 @@ NAMES = ("random", "frontier2d", "ig", "see", "roberts")
 @pytest.fixture(scope="module")
 def box() -> Session:
     """A box seen from its front; the tour goes all round."""
-    return session_at(BOX, Config(tour="full"), half=0.3)
+    return session_at(BOX, paper_config(tour="full"), half=0.3)
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config, paper_planning
 from synthetic import Box, observe
 
-from scan3d_twin.core.config import Config, PlanningConfig
+from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.planning import make_planner, planner_names
@@ -31,7 +32,7 @@ STEPS = tuple(
 
 def session_at(boxes: tuple[Box, ...], config: Config | None = None) -> Session:
     """Return a session with a look around and one view of the wall straight ahead."""
-    config = config or Config()
+    config = config or paper_config()
     rng = np.random.default_rng(4)
     around = observe(Pose2(), boxes, room=False, width=math.tau - 1e-3, step=math.radians(2.0))
     hint = np.column_stack([np.full(41, 1.0), np.linspace(1.0, -1.0, 41)])
@@ -74,11 +75,11 @@ def plan(session: Session, seed: int = 0, **changes: object) -> Plan:
 
 
 def test_overlaps_are_those_of_the_paper() -> None:
-    assert overlaps(PlanningConfig()) == [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    assert overlaps(paper_planning()) == [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
 
 
 def test_the_motion_error_is_proportional_to_the_move() -> None:
-    config = PlanningConfig(lambda_=0.02, gamma=0.01)
+    config = paper_planning(lambda_=0.02, gamma=0.01)
     error = motion_error(np.array([1.0, -2.0, 3.0]), Pose2(0.5, -1.0, 0.4), config)
     assert (error.x, error.y, error.yaw) == pytest.approx((0.01, -0.04, 0.012))
     still = motion_error(np.ones(3), Pose2(), config)
@@ -86,10 +87,10 @@ def test_the_motion_error_is_proportional_to_the_move() -> None:
 
 
 def test_common_draws_are_the_same_for_all_overlaps_and_independent_ones_differ() -> None:
-    common = sample_motion_noise(7, PlanningConfig(trials=3), np.random.default_rng(0))
+    common = sample_motion_noise(7, paper_planning(trials=3), np.random.default_rng(0))
     assert common.shape == (7, 3, 3)
     assert np.array_equal(common[0], common[6])
-    config = PlanningConfig(trials=3, draws="independent")
+    config = paper_planning(trials=3, draws="independent")
     assert not np.array_equal(*sample_motion_noise(2, config, np.random.default_rng(0)))
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config, paper_planning, paper_registration
 from sessions import BOX, PILASTERS, WALL, session_at
 from synthetic import Box, observe
 
-from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
@@ -23,9 +23,9 @@ from scan3d_twin.core.registration.surfels import N
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Pose2
 
-CONFIG = Config(
-    registration=RegistrationConfig(engine="grid", starts=4),
-    planning=PlanningConfig(
+CONFIG = paper_config(
+    registration=paper_registration(engine="grid", starts=4),
+    planning=paper_planning(
         virtual_scan="visible", trials=6, quantile=0.7, lambda_=0.03, gamma=0.005, drift=0.01
     ),
 )
@@ -204,7 +204,7 @@ def test_checks_send_the_closed_form_on_to_a_larger_overlap(
 
 def test_visible_scans_need_the_grid_engine() -> None:
     with pytest.raises(ConfigError, match=r"registration\.engine = grid"):
-        Config(planning=PlanningConfig(virtual_scan="visible"))
+        paper_config(planning=paper_planning(virtual_scan="visible"))
 
 
 def test_odometry_that_errs_more_than_configured_is_found_out() -> None:

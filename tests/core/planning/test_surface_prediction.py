@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper import paper_config
 from sessions import WALL, session_at
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.surface_prediction import HIDDEN, STEP, predict
 from scan3d_twin.core.session import Session
@@ -102,7 +102,7 @@ def foreseeing(session: Session, **changes: object) -> PlanningContext:
 
 
 def test_foresight_is_off_unless_asked_for(wall: Session) -> None:
-    assert Config().planning.foresight == "none"
+    assert paper_config().planning.foresight == "none"
     assert PlanningContext(wall).foreseen is None
     assert foreseeing(wall).foreseen is not None
     assert foreseeing(wall, foresight_sigma=1e-9).foreseen is None

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from paper import paper_config
 from sessions import BOX, session_at
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.planning.surface_patches import (
     Eye,
     Patches,
@@ -113,6 +113,6 @@ def test_too_few_points_make_no_patches() -> None:
 
 
 def test_the_eye_is_that_of_the_sweeps(box: Session) -> None:
-    eye = Eye.of(box.views[0], Config())
+    eye = Eye.of(box.views[0], paper_config())
     assert eye.height == pytest.approx(0.30)
     assert eye.half_width == pytest.approx(math.radians(30.0))

@@ -9,8 +9,9 @@ from functools import cache
 import numpy as np
 import pytest
 import synthetic
+from paper import paper_config, paper_sweep
 
-from scan3d_twin.core.config import Config, MountConfig, SweepConfig
+from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.hal import default_mount
 from scan3d_twin.core.scanning.extrinsic_calibration import (
@@ -168,7 +169,9 @@ def test_an_impossible_mount_is_refused(name: str) -> None:
 
 
 def test_a_run_turns_as_its_first_look_tells_if_that_is_wanted() -> None:
-    config = replace(Config(), sweep=SweepConfig(turning="look"), mount=MountConfig(yaw_scale=0.01))
+    config = replace(
+        paper_config(), sweep=paper_sweep(turning="look"), mount=MountConfig(yaw_scale=0.01)
+    )
     tuned = with_turning(config, full_turn(WRONG))
     assert tuned.mount.yaw_scale == pytest.approx(1.01 * (1 + WRONG.yaw_scale) - 1, abs=0.0015)
     assert replace(tuned.mount, yaw_scale=0.01) == config.mount  # the rest is left alone
@@ -176,12 +179,12 @@ def test_a_run_turns_as_its_first_look_tells_if_that_is_wanted() -> None:
 
 
 def test_else_it_turns_as_the_odometry_tells() -> None:
-    config = Config()
+    config = paper_config()
     assert with_turning(config, full_turn(WRONG)) == config
 
 
 def test_a_look_at_nothing_tells_nothing() -> None:
-    config = replace(Config(), sweep=SweepConfig(turning="look"))
+    config = replace(paper_config(), sweep=paper_sweep(turning="look"))
     look = take(WRONG).image
     blind = replace(look, ranges=read_only(np.full(look.ranges.shape, np.nan)))
     assert calibrate_on_panorama(blind) is None

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config
 from synthetic import observe
 
-from scan3d_twin.core.config import Config, GapConfig
+from scan3d_twin.core.config import GapConfig
 from scan3d_twin.core.scanning.mixed_pixels import without_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.core.types import MIXED, VALID, Pose2, RangeImage, read_only
@@ -55,7 +56,7 @@ def test_steep_surfaces_thin_things_and_noise_stay(image):
 
 def test_of_a_sweep_by_a_broad_beam_few_readings_are_dropped():
     with open_sim("three_boxes", 5) as (robot, _):
-        raw = sweep(robot, 0.0, Config(), lambda line: None).image
+        raw = sweep(robot, 0.0, paper_config(), lambda line: None).image
     clean = without_mixed_pixels(raw, CONFIG)
     dropped = np.count_nonzero(np.isfinite(raw.ranges) & ~np.isfinite(clean.ranges))
     assert 0 < dropped < 0.01 * np.count_nonzero(np.isfinite(raw.ranges))

@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import paper_config, paper_sweep
 
-from scan3d_twin.core.config import Config, SweepConfig
 from scan3d_twin.core.errors import DataLossError
 from scan3d_twin.core.scanning.sweep import find_missing, sweep, take_panorama
 from scan3d_twin.core.types import ScanLine
 from scan3d_twin.sim.config import LidarModelConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
 
-CONFIG = Config(sweep=SweepConfig(width=math.radians(30.0)))
+CONFIG = paper_config(sweep=paper_sweep(width=math.radians(30.0)))
 SPACING = CONFIG.sweep.yaw_rate * 0.1
 
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from paper import paper_config
 from synthetic import THREE_BOXES, Box, observe
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.scanning.target_extraction import (
     all_points,
@@ -16,7 +16,7 @@ from scan3d_twin.core.scanning.target_extraction import (
 )
 from scan3d_twin.core.types import Observation, Pose2
 
-CONFIG = Config()
+CONFIG = paper_config()
 SPAWN = Pose2(-0.9, 0.0, 0.0)
 
 
@@ -132,11 +132,11 @@ def test_a_twig_close_by_is_less_salient_than_a_box_behind_it() -> None:
     box = Box((1.6, -0.3, 0.0), (2.0, 0.3, 0.6))
     twig = Box((0.3, 0.35, 0.0), (0.45, 0.5, 0.9))
     look = observe(Pose2(), (box, twig), width=math.tau - 1e-3, step=math.radians(2.0))
-    found = find_target(look, None, Config())
+    found = find_target(look, None, paper_config())
     assert found[:, 0].min() > 1.4
 
 
 def test_of_two_alike_the_one_ahead_is_the_target() -> None:
     ahead, behind = Box((1.3, -0.3, 0.0), (1.6, 0.3, 0.6)), Box((-1.5, -0.3, 0.0), (-1.2, 0.3, 0.6))
     look = observe(Pose2(), (ahead, behind), width=math.tau - 1e-3, step=math.radians(2.0))
-    assert find_target(look, None, Config())[:, 0].min() > 1.0
+    assert find_target(look, None, paper_config())[:, 0].min() > 1.0

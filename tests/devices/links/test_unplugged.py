@@ -5,8 +5,8 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.devices.create import codec as oi
@@ -70,7 +70,7 @@ SERIAL = UrgProfile(usb=False, baud=19200, scip1=True)
     [(UrgProfile(), "usb", 0.3), (UrgProfile(), "usb", 20.0), (SERIAL, "115200", 2.0)],
 )
 def test_the_sweep_is_completed_and_nothing_is_lost(profile, link, seconds):
-    config = Config()
+    config = paper_config()
     with opened(profile, link, seconds) as (robot, clock):
         stamps = []
         image = sweep(robot, 0.0, config, unplug_at(40, clock, stamps)).image
@@ -84,7 +84,7 @@ def test_the_sweep_is_completed_and_nothing_is_lost(profile, link, seconds):
 
 def test_a_look_around_is_completed_too():
     with opened(UrgProfile(), "usb", 5.0) as (robot, clock):
-        image = take_panorama(robot, Config(), unplug_at(60, clock, [])).image
+        image = take_panorama(robot, paper_config(), unplug_at(60, clock, [])).image
     yaws = np.sort(image.yaws[:, image.yaws.shape[1] // 2])
     assert np.diff(yaws).max() < math.radians(10.5)
     assert yaws[-1] - yaws[0] > math.radians(358)
@@ -93,7 +93,7 @@ def test_a_look_around_is_completed_too():
 def test_a_lidar_that_stays_away_ends_the_sweep_and_the_robot_stood_meanwhile():
     with opened(UrgProfile(), "usb", math.inf) as (robot, clock):
         with pytest.raises(LinkTimeoutError, match=r"no scan line within 60 s: .*unplugged"):
-            sweep(robot, 0.0, Config(), unplug_at(40, clock, []))
+            sweep(robot, 0.0, paper_config(), unplug_at(40, clock, []))
         stood = robot.base.odometry_since(clock.out + 3.0)
     assert clock.now() - clock.out < 65.0
     assert stood[-1].T_odom_base == stood[0].T_odom_base
@@ -128,7 +128,7 @@ def base_opened(seconds, robot="create2", seed=3):
 
 @pytest.mark.parametrize("seconds", [0.2, 3.0])
 def test_a_base_unplugged_in_a_sweep_is_stopped_and_the_sweep_completed(seconds):
-    config = Config()
+    config = paper_config()
     with base_opened(seconds) as (robot, truth, clock, _):
         start = truth.pose_at(clock.now())
         image = sweep(robot, 0.0, config, unplug_at(40, clock, [])).image
@@ -168,7 +168,7 @@ def test_a_base_that_stays_away_ends_the_sweep_with_a_clear_error():
     with base_opened(math.inf) as (robot, _, clock, _):
         on_line = unplug_at(40, clock, [])
         with pytest.raises(LinkError, match=r"unplugged for 30 s; it may still be driving"):
-            sweep(robot, 0.0, Config(), on_line)
+            sweep(robot, 0.0, paper_config(), on_line)
     assert 30.0 <= clock.now() - clock.out < 32.0
 
 
@@ -195,5 +195,5 @@ def test_a_line_that_is_not_opened_again_ends_the_sweep_at_once():
                 line.plugged = len(seen) < 40
 
             with pytest.raises(LinkError, match="unplugged: check the cable"):
-                sweep(robot, 0.0, Config(), on_line)
+                sweep(robot, 0.0, paper_config(), on_line)
     assert len(seen) == 40

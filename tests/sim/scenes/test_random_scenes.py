@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from paper import paper_config
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import begin
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.observer import Unobserved
@@ -44,7 +44,9 @@ def test_all_shapes_and_tours_come_up():
 def test_the_robot_runs_finds_the_target_and_has_room(seed):
     scene = load_scene(f"random:{seed}")
     config = replace(
-        Config(), tour=scene.tour, planning=replace(Config().planning, standoff=scene.standoff)
+        paper_config(),
+        tour=scene.tour,
+        planning=replace(paper_config().planning, standoff=scene.standoff),
     )
     with open_sim(scene, seed) as (robot, truth):
         session, _ = begin(robot, config, seed, Unobserved(), None)

@@ -208,7 +208,7 @@ class Equations(Value):
     )  # fmt: skip
 
 
-class Outcome(Value):
+class RunResult(Value):
     """Where the iteration from one start ended."""
 
     _fields_ = (
@@ -221,7 +221,7 @@ class Outcome(Value):
 
 VALUES = (
     Sweep, Survey, Projection, Target, Sample, Source, PairNoise, Prior, Criteria, Gate, Equations,
-    Outcome,
+    RunResult,
 )  # fmt: skip
 """In the order of ``engine.h``."""
 
@@ -244,7 +244,7 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "lookup": (None, Projection, Doubles, c_int64, Flags, Longs),
     "equations": (c_int64, Target, Sample, Doubles, Doubles, Gate, PairNoise, Prior, Equations),
     "follow": (
-        c_int64, Target, Source, PairNoise, Prior, Criteria, Doubles, c_int64, Doubles, Outcome,
+        c_int64, Target, Source, PairNoise, Prior, Criteria, Doubles, c_int64, Doubles, RunResult,
     ),
     "violations": (c_double, Target, Bytes, Sample, Doubles, Longs),
     "determined": (

@@ -1,0 +1,62 @@
+"""Recorded sessions from Python: read them, and write their models for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scan3d_twin.core.session import Session
+from scan3d_twin.recording import load
+from scan3d_twin.recording.export import export_cloud, pieces
+
+
+def load_session(place: str | Path) -> Session:
+    """Return the session that a run has recorded.
+
+    Args:
+        place: The run's folder, or its ``session.mcap``. An unfinished recording is read as far as
+            it goes.
+
+    Raises:
+        FileError: There is none, no view was finished in it, or it is damaged.
+
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     run = s3d.run_sim("three_boxes", options={"max_views": 2}, out=folder)
+    ...     session = s3d.load_session(folder)
+    >>> session.views[1].T_world_scan == run.session.views[1].T_world_scan
+    True
+    """
+    return load.load_session(Path(place)).session
+
+
+def export_model(
+    session: Session,
+    path: str | Path,
+    format: str = "ply",
+    *,
+    voxel: float = 0.0,
+    per_view: bool = False,
+) -> list[Path]:
+    """Write the model of ``session`` for other programs and return the written files.
+
+    Args:
+        session: With at least one view.
+        path: The file, or the folder of files where each view has its own.
+        format: ``ply``, ``pcd``, ``xyz``, ``las``, ``laz``, ``e57`` or ``uos``.
+        voxel: Side of the voxels in which the views are fused [m]; 0 keeps every point.
+        per_view: Each view on its own, in its frame ``scan``, instead of one cloud in ``world``.
+
+    Raises:
+        UnknownNameError: There is no such format.
+        ConfigError: Its library is missing (the message says what to install), or views are to be
+            fused and to stay apart.
+        FileError: A file cannot be written.
+
+    >>> with s3d.open_sim("three_boxes", seed=0) as (robot, truth):
+    ...     session = s3d.digitize(robot, s3d.Config(max_views=1))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     [written] = s3d.export_model(session, f"{folder}/model.xyz", "xyz", voxel=0.01)
+    >>> written.name
+    'model.xyz'
+    """
+    parts = pieces(session, per_view=per_view, voxel=voxel)
+    return export_cloud(parts, format, Path(path), per_view=per_view)
