@@ -15,6 +15,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.grids import connected, eroded, shortest_ways
+from scan3d_twin.core.registration.native import ByteArray, engine
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -31,6 +32,9 @@ FLOOR_STEP = 0.45
 height two beams of 0.35 deg hit the floor 0.33 m apart."""
 HEIGHT_MARGIN = 0.05
 """Things less than this above the robot's top are still obstacles [m]."""
+
+FLOOR, SOLID = 1, 2
+"""What a reading that looks ahead can be of."""
 
 UNKNOWN, FREE, OBSTACLE, TOUCHED = 0, 1, 2, 3
 """What a cell can be; what was touched stays so, for the lidar does not see it."""
@@ -248,54 +252,45 @@ def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, F
     """
     key = ("floor", config.target, config.motion)
     if key not in image.derived:
-        points = image.points
-        distance = np.hypot(points[..., 0], points[..., 1])
+        top = config.motion.robot_height + HEIGHT_MARGIN
+        heights = image.heights
         with np.errstate(invalid="ignore"):
-            near = (image.ranges <= config.target.max_range) & (
-                distance > config.motion.self_radius
-            )
-            solid = near & _solid(points[..., 2], config)
-            floor = near & (np.abs(points[..., 2]) <= config.target.floor_height)
-        reach = _free_reach(image, distance, solid, floor, config)
+            low = (heights >= -config.target.floor_height) & (heights < top)
+            low &= image.ranges <= config.target.max_range
+        lines, beams = np.nonzero(low)
+        points = image.points_at(lines, beams)
+        distance = np.hypot(points[:, 0], points[:, 1])
+        outside = distance > config.motion.self_radius
+        solid = outside & (points[:, 2] > config.target.floor_height)
+        ahead = outside & (np.abs(image.spec.elevations) < np.pi / 2)[beams]
+        kinds = np.where(ahead, np.where(solid, SOLID, FLOOR), 0).astype(np.uint8)
+        reach = _free_reach(lines, distance, kinds, image.n_lines, config)
         yaws = image.yaws[:, image.spec.n_beams // 2].copy()
-        image.derived[key] = (points[solid][:, :2].copy(), reach, yaws)
+        image.derived[key] = (points[solid, :2], reach, yaws)
     points, reach, yaws = image.derived[key]
     return points, reach, yaws
 
 
-def _solid(height: FloatArray, config: Config) -> BoolArray:
-    """Tell which heights [m] are those of things the robot could run into."""
-    top = config.motion.robot_height + HEIGHT_MARGIN
-    return np.asarray((height > config.target.floor_height) & (height < top))
-
-
 def _free_reach(
-    image: RangeImage, distance: FloatArray, solid: BoolArray, floor: BoolArray, config: Config
+    lines: IntArray, distance: FloatArray, kinds: ByteArray, n_lines: int, config: Config
 ) -> FloatArray:
     """Return how far each line (n_lines,) sees an unbroken floor with nothing on it [m].
 
     Args:
-        image: Says which beams look ahead.
-        distance: Of the readings in the top view (n_lines, n_beams) [m].
-        solid: Which of them are things.
-        floor: Which are floor.
-        config: See ``_unbroken``.
+        lines: Of some readings (n,), ascending.
+        distance: Theirs in the top view (n,) [m].
+        kinds: ``FLOOR``, ``SOLID`` or 0 for what says nothing of the way ahead (n,).
+        n_lines: Number of lines.
+        config: Says from where on the floor has to be seen.
     """
-    forward = np.abs(image.spec.elevations) < np.pi / 2
-    floor = floor & forward
-    reach = _unbroken(np.where(floor, distance, np.inf)[:, floor.any(axis=0)], config)
-    blocked = np.where(solid & forward, distance, np.inf).min(axis=1)
-    return np.asarray(np.minimum(reach, blocked - RESOLUTION))
-
-
-def _unbroken(hits: FloatArray, config: Config) -> FloatArray:
-    """Return the farthest of each row of ``hits`` (n_lines, k) [m], inf for none, before a hole."""
-    start = np.full((len(hits), 1), config.motion.self_radius)
-    hits = np.concatenate([start, np.sort(hits, axis=1), np.full_like(start, np.inf)], axis=1)
-    hole = ~np.isfinite(hits[:, 1:])
-    np.greater(hits[:, 1:] - np.where(hole, 0.0, hits[:, :-1]), FLOOR_STEP, out=hole, where=~hole)
-    last = np.argmax(hole, axis=1)
-    return np.where(last > 0, hits[np.arange(len(hits)), last], 0.0)
+    reach = np.empty(n_lines)
+    done = engine.free_reach(
+        np.ascontiguousarray(lines), distance, kinds, len(lines), n_lines,
+        config.motion.self_radius, FLOOR_STEP, RESOLUTION, reach,
+    )  # fmt: skip
+    if done < 0:
+        raise MemoryError
+    return reach
 
 
 def _swept(local: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:

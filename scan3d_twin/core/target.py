@@ -33,14 +33,14 @@ COMPACT = 3.5
 
 def all_points(image: RangeImage, config: Config) -> Scan3D:
     """Return every trusted point of the sweep except the floor and the robot itself."""
-    points = image.points
-    radius = np.hypot(points[..., 0], points[..., 1])
     with np.errstate(invalid="ignore"):
         keep = image.ranges <= config.target.max_range
-        keep &= points[..., 2] > config.target.floor_height
-        keep &= radius > config.motion.self_radius
+        keep &= image.heights > config.target.floor_height
     lines, beams = np.nonzero(keep)
-    return Scan3D(points[keep], lines, beams, image.n_lines)
+    points = image.points_at(lines, beams)
+    sweep = Scan3D(points, lines, beams, image.n_lines)
+    outside = np.hypot(points[:, 0], points[:, 1]) > config.motion.self_radius
+    return sweep if outside.all() else sweep.select(outside)
 
 
 def extract_target(

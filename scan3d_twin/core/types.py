@@ -240,24 +240,31 @@ class RangeImage:
 
         Made anew each time: a session keeps its images, and points take six times their room.
         """
-        yaws, ranges = self.yaws, self.ranges
-        c, s = np.cos(yaws), np.sin(yaws)
-        result = np.empty((*yaws.shape, 3))
-        levers, beams = _rotated(self.T_base_lidar[:3, 3], c, s), _rotated(self._beams, c, s)
-        for i, (lever, beam) in enumerate(zip(levers, beams, strict=True)):
-            np.add(lever, ranges * beam, out=result[..., i])
-        return result
+        return self._placed(self.ranges, self._beams, self.yaws)
+
+    @property
+    def heights(self) -> FloatArray:
+        """Heights of the ``points`` (n_lines, n_beams) [m]; the turns do not change them."""
+        return np.asarray(self.T_base_lidar[2, 3] + self.ranges * self._beams[:, 2])
 
     def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``points`` of some readings (n, 3) [m], by their lines (n,) and beams (n,)."""
-        c, s = np.cos(yaws := self.yaws[lines, beams]), np.sin(yaws)
-        lever = np.stack(_rotated(self.T_base_lidar[:3, 3], c, s), axis=-1)
-        return np.asarray(lever + self.ranges[lines, beams, None] * self._turned(beams, c, s))
+        yaws, ranges = self.yaws[lines, beams], self.ranges[lines, beams]
+        return self._placed(ranges, self._beams[beams], yaws)
 
     def directions_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``directions`` of some readings (n, 3), by their lines (n,) and beams (n,)."""
         yaws = self.yaws[lines, beams]
         return self._turned(beams, np.cos(yaws), np.sin(yaws))
+
+    def _placed(self, ranges: FloatArray, beams: FloatArray, yaws: FloatArray) -> FloatArray:
+        """Return points (..., 3) at ``ranges`` along ``beams`` (..., 3), the base at ``yaws``."""
+        c, s = np.cos(yaws), np.sin(yaws)
+        result = np.empty((*yaws.shape, 3))
+        levers, turned = _rotated(self.T_base_lidar[:3, 3], c, s), _rotated(beams, c, s)
+        for i, (lever, beam) in enumerate(zip(levers, turned, strict=True)):
+            np.add(lever, ranges * beam, out=result[..., i])
+        return result
 
     def _turned(self, beams: IntArray, c: FloatArray, s: FloatArray) -> FloatArray:
         """Return directions (n, 3) of ``beams`` (n,), the base turned by angles of c and s (n,)."""

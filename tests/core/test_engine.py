@@ -20,6 +20,7 @@ import reference.gauss_newton
 import reference.point_to_plane
 import reference.pose_prior
 import reference.projection
+import reference.readings
 import reference.scan_arrays
 import reference.scan_noise
 import reference.surfels
@@ -29,7 +30,7 @@ import synthetic
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
-from scan3d_twin.core.registration.clouds import Tree, prepare_cloud
+from scan3d_twin.core.registration.clouds import Tree, is_near, prepare_cloud
 from scan3d_twin.core.registration.edges import Edges, edge_equations
 from scan3d_twin.core.registration.free_space import _violations
 from scan3d_twin.core.registration.gauss_newton import Criteria, Problem, align, follow_starts
@@ -335,6 +336,60 @@ def test_planes_of_a_cloud_are_those_of_its_neighbours() -> None:
     assert cloud.centroids == pytest.approx(points[nearest].mean(axis=1), abs=1e-12)
     assert np.abs(np.sum(cloud.normals * vectors[..., 0], axis=1)) == pytest.approx(1.0, abs=1e-6)
     assert cloud.tilt == pytest.approx(1 / (20 * np.maximum(values[:, 1] - values[:, 0], 1e-9)))
+
+
+@pytest.mark.parametrize("within", [0.01, 0.2, 10.0])
+def test_what_is_near_is_what_a_full_search_finds(within: float) -> None:
+    rng = np.random.default_rng(0)
+    points, places = rng.normal(size=(300, 3)), rng.normal(size=(200, 3))
+    places[:20] = points[:20] + 0.005
+    near = is_near(places, points, within)
+    assert np.array_equal(near, reference.readings.is_near(places, points, within))
+    assert near.any()
+    assert not is_near(places, points[:0], within).any()
+
+
+def readings(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ranges that step and have gaps, elevations and yaws."""
+    rng = np.random.default_rng(seed)
+    ranges = np.cumsum(rng.normal(0.0, 0.05, (40, 30)), axis=1) + 2.0
+    ranges[rng.random(ranges.shape) < 0.3] = math.nan
+    elevations = np.linspace(-1.0, 0.7, 30)
+    yaws = np.linspace(0.5, -0.5, 40)[:, None] + rng.normal(0.0, 0.001, (40, 30))
+    return ranges, elevations, yaws
+
+
+def test_mixed_pixels() -> None:
+    for seed in range(5):
+        given = readings(seed)
+        found = np.zeros(given[0].shape, dtype=bool)
+        engine.mixed(*given, *found.shape, 0.04, 0.3, found)
+        assert found.any()
+        assert np.array_equal(found, reference.readings.mixed(*given, 0.04, 0.3))
+
+
+def test_gaps() -> None:
+    for seed in range(5):
+        given = readings(seed)
+        ranges = given[0].copy()
+        engine.gaps(ranges, *given[1:], *ranges.shape, 0.15, 0.1)
+        wanted = reference.readings.filled(*given, 0.15, 0.1)
+        assert np.isfinite(ranges).sum() > np.isfinite(given[0]).sum()
+        assert np.array_equal(ranges, wanted, equal_nan=True)
+
+
+def test_free_reach() -> None:
+    rng = np.random.default_rng(0)
+    distance, kinds = rng.uniform(0.1, 3.0, (50, 25)), rng.choice([0, 1, 1, 1, 2], (50, 25))
+    kinds[:, -3:][rng.random((50, 3)) < 0.9] = 1
+    kinds[kinds == 2] *= rng.random((kinds == 2).sum()) < 0.1
+    lines, reach = np.repeat(np.arange(50), 25), np.empty(50)
+    assert not engine.free_reach(
+        lines, distance.ravel(), kinds.ravel().astype(np.uint8), 1250, 50, 0.2, 0.45, 0.05, reach
+    )
+    floor, solid = (np.where(kinds == kind, distance, np.inf) for kind in (1, 2))
+    assert len(np.unique(reach)) > 10
+    assert np.array_equal(reach, reference.readings.free_reach(floor, solid, 0.2, 0.45, 0.05))
 
 
 # --- lines and beams that are on no grid ---

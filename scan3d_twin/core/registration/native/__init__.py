@@ -258,6 +258,12 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "tree": (None, Doubles, c_int64, Doubles, Ints, Bytes),
     "nearest": (None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_int64, Doubles, Ints),
     "neighbourhoods": (None, Doubles, Ints, Bytes, c_int64, c_int64, Doubles, Doubles, Doubles),
+    "near": (c_int64, Doubles, c_int64, Doubles, c_int64, c_double, Flags),
+    "mixed": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double, Flags),
+    "gaps": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double),
+    "free_reach": (
+        c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
+    ),
     "sizes": (None, Longs),
 }  # fmt: skip
 """What each function of ``engine.c`` returns and takes."""

@@ -3,7 +3,7 @@
  * All of it is compiled once for each level of the processor (build.py), as the names of the exported
  * functions say; the levels differ in speed only, not in a bit of the results: there is no fused
  * multiplication and no sum whose order depends on the width of the registers. */
-#include "clouds.h"
+#include "readings.h"
 
 #define JOIN(name, level) name##_##level
 #define NAMED(name, level) JOIN(name, level)
@@ -180,6 +180,32 @@ void EXPORT(neighbourhoods)(double *sorted, int32_t *order, uint8_t *axes, int64
                             double *centroids, double *normals, double *variances) {
     Tree tree = {n, sorted, order, axes};
     fit_neighbourhoods(&tree, k, centroids, normals, variances);
+}
+
+int64_t EXPORT(near)(const double *points, int64_t n, const double *places, int64_t m, double within,
+                     uint8_t *near) {
+    return find_near(points, n, places, m, within, near);
+}
+
+/* mixed_pixels.py, gaps.py and costmap.py */
+
+void EXPORT(mixed)(const double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
+                   int64_t n_beams, double noise, double steepest, uint8_t *mixed) {
+    mark_mixed(ranges, elevations, yaws, n_lines, n_beams, noise, steepest, mixed);
+}
+
+void EXPORT(gaps)(double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
+                  int64_t n_beams, double max_angle, double depth_edge) {
+    fill_gaps(ranges, elevations, yaws, n_lines, n_beams, max_angle, depth_edge);
+}
+
+int64_t EXPORT(free_reach)(const int64_t *lines, const double *distance, const uint8_t *kinds, int64_t n,
+                           int64_t n_lines, double start, double most, double margin, double *reach) {
+    double *scratch = malloc(sizeof *scratch * (size_t)(n + 1));
+    if (!scratch) return -1;
+    find_free_reach(lines, distance, kinds, n, n_lines, start, most, margin, scratch, reach);
+    free(scratch);
+    return 0;
 }
 
 /* Sizes of the values that cross the border, in the order of engine.h: both sides must agree. */
