@@ -11,14 +11,22 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.grids import dilated
+from scan3d_twin.core.grids import dilated, labelled
 from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Observation, RangeImage, Scan3D
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Observation,
+    RangeImage,
+    Scan3D,
+    read_only,
+)
 
 CELL = 0.05
 """Cell of the top view in which points are grouped [m]; a quarter of the default cluster_gap."""
@@ -208,8 +216,7 @@ def _group_top_view(points: FloatArray, gap: float) -> IntArray:
     margin = math.ceil(gap / CELL / 2)
     grid = np.zeros(cells.max(axis=0) + 1 + 2 * margin, dtype=bool)
     grid[cells[:, 0] + margin, cells[:, 1] + margin] = True
-    near = dilated(grid, (gap / CELL - 1) / 2)
-    labels, _ = ndimage.label(near, structure=np.ones((3, 3)))
+    labels = labelled(dilated(grid, (gap / CELL - 1) / 2))
     return np.asarray(labels[cells[:, 0] + margin, cells[:, 1] + margin], dtype=np.int64)
 
 
@@ -239,24 +246,11 @@ def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: floa
 def _piece_sizes(image: RangeImage, scan: Scan3D) -> IntArray:
     """Return for each point the size (n,) of its piece of the range image, cut at depth edges.
 
-    Readings lie on every second place of a grid, and on those between them what joins two.
+    ``native/grids.h`` finds them.
     """
-    if len(scan) == 0:
-        return np.zeros(0, dtype=np.int64)
-    line, beam = int(scan.lines[0]), int(scan.beams.min())
-    lines, beams = scan.lines - line, scan.beams - beam
-    n, m = int(lines[-1]) + 1, int(beams.max()) + 1
-    ranges = image.ranges[line : line + n, beam : beam + m]
-    there = np.zeros((n, m), dtype=bool)
-    there[lines, beams] = True
-    grid = np.zeros((2 * n - 1, 2 * m - 1), dtype=bool)
-    grid[::2, ::2] = there
-    for between, a, b in (
-        (np.s_[1::2, ::2], np.s_[:-1, :], np.s_[1:, :]),
-        (np.s_[::2, 1::2], np.s_[:, :-1], np.s_[:, 1:]),
-    ):
-        with np.errstate(invalid="ignore"):
-            joined = np.abs(ranges[a] - ranges[b]) < DEPTH_EDGE
-        grid[between] = joined & there[a] & there[b]
-    labels = ndimage.label(grid)[0][2 * lines, 2 * beams]
-    return np.asarray(np.bincount(labels)[labels], dtype=np.int64)
+    sizes = np.empty(len(scan), dtype=np.int64)
+    lines, beams = np.ascontiguousarray(scan.lines), np.ascontiguousarray(scan.beams)
+    ranges = read_only(image.ranges)
+    if engine.pieces(ranges, *ranges.shape, lines, beams, len(scan), DEPTH_EDGE, sizes) < 0:
+        raise MemoryError
+    return sizes

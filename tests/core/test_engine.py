@@ -17,6 +17,7 @@ import reference.algebra
 import reference.edges
 import reference.free_space
 import reference.gauss_newton
+import reference.grids
 import reference.point_to_plane
 import reference.pose_prior
 import reference.projection
@@ -28,6 +29,7 @@ import reference.survey
 import synthetic
 
 from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.grids import dilated, labelled
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
 from scan3d_twin.core.registration.clouds import Tree, is_near, prepare_cloud
@@ -390,6 +392,25 @@ def test_free_reach() -> None:
     floor, solid = (np.where(kinds == kind, distance, np.inf) for kind in (1, 2))
     assert len(np.unique(reach)) > 10
     assert np.array_equal(reach, reference.readings.free_reach(floor, solid, 0.2, 0.45, 0.05))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.4, 1.0])
+def test_grids(share: float) -> None:
+    grid = np.random.default_rng(0).random((40, 30)) < share
+    assert np.array_equal(labelled(grid), reference.grids.labelled(grid))
+    for radius in (-1.0, 0.0, 1.5, 4.0, 100.0):
+        assert np.array_equal(dilated(grid, radius), reference.grids.dilated(grid, radius))
+
+
+def test_pieces() -> None:
+    for seed in range(5):
+        ranges, rng = readings(seed)[0], np.random.default_rng(seed)
+        there = np.isfinite(ranges) & (rng.random(ranges.shape) < 0.9)
+        lines, beams = (np.ascontiguousarray(part) for part in np.nonzero(there))
+        sizes = np.empty(len(lines), dtype=np.int64)
+        assert not engine.pieces(ranges, *ranges.shape, lines, beams, len(lines), 0.05, sizes)
+        assert len(np.unique(sizes)) > 5
+        assert np.array_equal(sizes, reference.grids.piece_sizes(ranges, there, 0.05))
 
 
 # --- lines and beams that are on no grid ---

@@ -3,7 +3,7 @@
  * All of it is compiled once for each level of the processor (build.py), as the names of the exported
  * functions say; the levels differ in speed only, not in a bit of the results: there is no fused
  * multiplication and no sum whose order depends on the width of the registers. */
-#include "readings.h"
+#include "grids.h"
 
 #define JOIN(name, level) name##_##level
 #define NAMED(name, level) JOIN(name, level)
@@ -206,6 +206,22 @@ int64_t EXPORT(free_reach)(const int64_t *lines, const double *distance, const u
     find_free_reach(lines, distance, kinds, n, n_lines, start, most, margin, scratch, reach);
     free(scratch);
     return 0;
+}
+
+/* grids.py and target.py */
+
+int64_t EXPORT(dilated)(const uint8_t *grid, int64_t nx, int64_t ny, const int64_t *disc, int64_t n_rows,
+                        uint8_t *out) {
+    return dilate(grid, nx, ny, disc, n_rows, out);
+}
+
+int64_t EXPORT(labels)(const uint8_t *grid, int64_t nx, int64_t ny, int32_t *labels) {
+    return label(grid, nx, ny, labels);
+}
+
+int64_t EXPORT(pieces)(const double *ranges, int64_t n_lines, int64_t n_beams, const int64_t *lines,
+                       const int64_t *beams, int64_t n, double most, int64_t *sizes) {
+    return measure_pieces(ranges, n_lines, n_beams, lines, beams, n, most, sizes);
 }
 
 /* Sizes of the values that cross the border, in the order of engine.h: both sides must agree. */
