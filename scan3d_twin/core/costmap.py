@@ -15,6 +15,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.grids import connected, eroded, shortest_ways
+from scan3d_twin.core.readings import Placed
 from scan3d_twin.core.registration.native import ByteArray, engine
 from scan3d_twin.core.types import (
     BoolArray,
@@ -208,16 +209,18 @@ def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config:
     image, pose = observation.image, observation.T_odom_scan
     points, reach, yaws = _floor(image, config)
     window = _window(pose, yaws, reach, origin, cells.shape)
-    local = pose.inverse().apply(_centres(origin, window))
     part = cells[window]
-    part[_swept(local, yaws, reach) & (part != TOUCHED)] = FREE
+    part[_swept(*_centres(pose.inverse(), origin, window), yaws, reach) & (part != TOUCHED)] = FREE
     _put(cells, origin, pose.apply(points), OBSTACLE)
     _put(cells, origin, np.array(observation.touched).reshape(-1, 2), TOUCHED)
 
 
 def _put(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> None:
     """Write ``what`` at ``points`` (n, 2) [m] into ``cells``, but not over what was touched."""
-    i, j = np.floor((points - origin) / RESOLUTION).astype(np.int64).T
+    if len(points) == 0:
+        return
+    columns = np.ascontiguousarray(points.T)
+    i, j = np.floor((columns - origin[:, None]) / RESOLUTION).astype(np.int64)
     inside = (i >= 0) & (i < cells.shape[0]) & (j >= 0) & (j < cells.shape[1])
     i, j = i[inside], j[inside]
     cells[i, j] = np.where(cells[i, j] == TOUCHED, TOUCHED, what)
@@ -257,9 +260,7 @@ def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, F
         with np.errstate(invalid="ignore"):
             low = (heights >= -config.target.floor_height) & (heights < top)
             low &= image.ranges <= config.target.max_range
-        lines, beams = np.nonzero(low)
-        points = image.points_at(lines, beams)
-        distance = np.hypot(points[:, 0], points[:, 1])
+        points, lines, beams, distance = Placed.of(image, low)
         outside = distance > config.motion.self_radius
         solid = outside & (points[:, 2] > config.target.floor_height)
         ahead = outside & (np.abs(image.spec.elevations) < np.pi / 2)[beams]
@@ -285,18 +286,17 @@ def _free_reach(
     """
     reach = np.empty(n_lines)
     done = engine.free_reach(
-        np.ascontiguousarray(lines), distance, kinds, len(lines), n_lines,
-        config.motion.self_radius, FLOOR_STEP, RESOLUTION, reach,
+        lines, distance, kinds, len(lines), n_lines, config.motion.self_radius, FLOOR_STEP,
+        RESOLUTION, reach,
     )  # fmt: skip
     if done < 0:
         raise MemoryError
     return reach
 
 
-def _swept(local: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
-    """Tell which places ``local`` (nx, ny, 2) lie between two lines and within their reach."""
-    bearing = np.arctan2(local[..., 1], local[..., 0])
-    distance = np.hypot(local[..., 0], local[..., 1])
+def _swept(x: FloatArray, y: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
+    """Tell which places ``x``, ``y`` (nx, ny) lie between two lines and within their reach."""
+    bearing, distance = np.arctan2(y, x), np.hypot(x, y)
     middle = (yaws[0] + yaws[-1]) / 2
     bearing = middle + (bearing - middle + np.pi) % (2 * np.pi) - np.pi
     left = np.searchsorted(-yaws, -bearing, side="right") - 1
@@ -306,9 +306,12 @@ def _swept(local: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
     return np.asarray(between & (distance <= both))
 
 
-def _centres(origin: FloatArray, window: tuple[slice, slice]) -> FloatArray:
-    """Return the middles of the cells of a window (nx, ny, 2) [m]."""
+def _centres(
+    T_scan_odom: Pose2, origin: FloatArray, window: tuple[slice, slice]
+) -> tuple[FloatArray, FloatArray]:
+    """Return x and y in ``scan`` of the middles of the cells of a window (nx, ny) [m]."""
     i, j = (np.arange(part.start, part.stop) for part in window)
-    return np.asarray(
-        origin + (np.stack(np.meshgrid(i, j, indexing="ij"), axis=-1) + 0.5) * RESOLUTION
-    )
+    x = (origin[0] + (i + 0.5) * RESOLUTION)[:, None]
+    y = origin[1] + (j + 0.5) * RESOLUTION
+    c, s = math.cos(T_scan_odom.yaw), math.sin(T_scan_odom.yaw)
+    return T_scan_odom.x + c * x - s * y, T_scan_odom.y + s * x + c * y

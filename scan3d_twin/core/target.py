@@ -17,6 +17,7 @@ from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.grids import dilated, labelled
 from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.readings import Placed
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import (
     BoolArray,
@@ -44,10 +45,9 @@ def all_points(image: RangeImage, config: Config) -> Scan3D:
     with np.errstate(invalid="ignore"):
         keep = image.ranges <= config.target.max_range
         keep &= image.heights > config.target.floor_height
-    lines, beams = np.nonzero(keep)
-    points = image.points_at(lines, beams)
+    points, lines, beams, distance = Placed.of(image, keep)
     sweep = Scan3D(points, lines, beams, image.n_lines)
-    outside = np.hypot(points[:, 0], points[:, 1]) > config.motion.self_radius
+    outside = distance > config.motion.self_radius
     return sweep if outside.all() else sweep.select(outside)
 
 
@@ -212,12 +212,14 @@ def _nearest_per_line(points: FloatArray, lines: IntArray, n_lines: int) -> Floa
 
 def _group_top_view(points: FloatArray, gap: float) -> IntArray:
     """Label ``points`` (n, 2) so that things closer than about ``gap`` [m] share a label (n,)."""
-    cells = np.floor((points - points.min(axis=0)) / CELL).astype(np.int64)
+    columns = np.ascontiguousarray(points.T)
+    cells = np.floor((columns - columns.min(axis=1, keepdims=True)) / CELL).astype(np.int64)
     margin = math.ceil(gap / CELL / 2)
-    grid = np.zeros(cells.max(axis=0) + 1 + 2 * margin, dtype=bool)
-    grid[cells[:, 0] + margin, cells[:, 1] + margin] = True
+    i, j = cells + margin
+    grid = np.zeros((i.max() + 1 + margin, j.max() + 1 + margin), dtype=bool)
+    grid[i, j] = True
     labels = labelled(dilated(grid, (gap / CELL - 1) / 2))
-    return np.asarray(labels[cells[:, 0] + margin, cells[:, 1] + margin], dtype=np.int64)
+    return np.asarray(labels[i, j], dtype=np.int64)
 
 
 def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: float) -> BoolArray:
@@ -226,17 +228,20 @@ def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: floa
     Two points whose cells are so near that no two of theirs can be farther apart are near; for most
     groups that settles it. Distances are worked out for the others alone, where they can be small.
     """
-    low = points.min(axis=0) - gap - 2 * CELL
-    size = np.floor((points.max(axis=0) + gap + 2 * CELL - low) / CELL).astype(np.int64) + 1
-    i, j = np.floor((known - low) / CELL).astype(np.int64).T
+    columns, (x, y) = np.ascontiguousarray(points.T), np.ascontiguousarray(known.T)
+    low = columns.min(axis=1) - gap - 2 * CELL
+    size = np.floor((columns.max(axis=1) + gap + 2 * CELL - low) / CELL).astype(np.int64) + 1
+    i = np.floor((x - low[0]) / CELL).astype(np.int64)
+    j = np.floor((y - low[1]) / CELL).astype(np.int64)
     inside = (i >= 0) & (i < size[0]) & (j >= 0) & (j < size[1])
     grid = np.zeros(size, dtype=bool)
     grid[i[inside], j[inside]] = True
-    row, column = np.floor((points - low) / CELL).astype(np.int64).T
+    row, column = np.floor((columns - low[:, None]) / CELL).astype(np.int64)
+    cell = row * size[1] + column
     diagonal = math.sqrt(2.0) * CELL
-    near = dilated(grid, gap - 1.01 * diagonal, CELL)[row, column]
+    near = dilated(grid, gap - 1.01 * diagonal, CELL).take(cell)
     touching = np.bincount(groups[near], minlength=int(groups.max()) + 1) > 0
-    possible = dilated(grid, gap + 1.01 * diagonal, CELL)[row, column] & ~touching[groups]
+    possible = dilated(grid, gap + 1.01 * diagonal, CELL).take(cell) & ~touching[groups]
     if possible.any():
         distance, _ = nearest(cKDTree(known), points[possible])
         touching[groups[possible][distance <= gap]] = True

@@ -85,9 +85,10 @@ class Pose2:
     def apply(self, points: FloatArray) -> FloatArray:
         """Map ``points`` (..., 2 or 3) [m] from b to a; z is kept."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
+        x, y = points[..., 0], points[..., 1]
         result = np.array(points, dtype=np.float64)
-        result[..., 0] = self.x + c * points[..., 0] - s * points[..., 1]
-        result[..., 1] = self.y + s * points[..., 0] + c * points[..., 1]
+        np.subtract(self.x + c * x, s * y, out=result[..., 0])
+        np.add(self.y + s * x, c * y, out=result[..., 1])
         return result
 
     def rotate(self, vectors: FloatArray) -> FloatArray:
@@ -232,7 +233,7 @@ class RangeImage:
     def directions(self) -> FloatArray:
         """Beam directions in ``scan`` (n_lines, n_beams, 3); made anew, as a session keeps many."""
         yaws = self.yaws
-        return np.stack(_rotated(self._beams, np.cos(yaws), np.sin(yaws)), axis=-1)
+        return np.stack(_rotated(self.beams, np.cos(yaws), np.sin(yaws)), axis=-1)
 
     @property
     def points(self) -> FloatArray:
@@ -240,17 +241,17 @@ class RangeImage:
 
         Made anew each time: a session keeps its images, and points take six times their room.
         """
-        return self._placed(self.ranges, self._beams, self.yaws)
+        return self._placed(self.ranges, self.beams, self.yaws)
 
     @property
     def heights(self) -> FloatArray:
         """Heights of the ``points`` (n_lines, n_beams) [m]; the turns do not change them."""
-        return np.asarray(self.T_base_lidar[2, 3] + self.ranges * self._beams[:, 2])
+        return np.asarray(self.T_base_lidar[2, 3] + self.ranges * self.beams[:, 2])
 
     def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``points`` of some readings (n, 3) [m], by their lines (n,) and beams (n,)."""
         yaws, ranges = self.yaws[lines, beams], self.ranges[lines, beams]
-        return self._placed(ranges, self._beams[beams], yaws)
+        return self._placed(ranges, self.beams[beams], yaws)
 
     def directions_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``directions`` of some readings (n, 3), by their lines (n,) and beams (n,)."""
@@ -268,10 +269,10 @@ class RangeImage:
 
     def _turned(self, beams: IntArray, c: FloatArray, s: FloatArray) -> FloatArray:
         """Return directions (n, 3) of ``beams`` (n,), the base turned by angles of c and s (n,)."""
-        return np.stack(_rotated(self._beams[beams], c, s), axis=-1)
+        return np.stack(_rotated(self.beams[beams], c, s), axis=-1)
 
     @property
-    def _beams(self) -> FloatArray:
+    def beams(self) -> FloatArray:
         """Beam directions in ``base`` (n_beams, 3)."""
         e = self.spec.elevations
         beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)

@@ -28,8 +28,11 @@ import reference.surfels
 import reference.survey
 import synthetic
 
+from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.grids import dilated, labelled
+from scan3d_twin.core.mount import mounted
+from scan3d_twin.core.readings import Placed
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
 from scan3d_twin.core.registration.clouds import Tree, is_near, prepare_cloud
@@ -378,6 +381,18 @@ def test_gaps() -> None:
         wanted = reference.readings.filled(*given, 0.15, 0.1)
         assert np.isfinite(ranges).sum() > np.isfinite(given[0]).sum()
         assert np.array_equal(ranges, wanted, equal_nan=True)
+
+
+def test_placed_readings() -> None:
+    sweep = image(1)
+    leaning = replace(sweep, T_base_lidar=mounted(sweep.T_base_lidar, MountConfig(0.01, 0.02, 0.1)))
+    for seen in (sweep, leaning):
+        wanted = seen.ranges < 3.0
+        for found, plain in zip(
+            Placed.of(seen, wanted), reference.readings.placed(seen, wanted), strict=True
+        ):
+            assert len(found) > 1000
+            assert np.array_equal(found, plain)
 
 
 def test_free_reach() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RangeImage
 
 
 def mixed(
@@ -75,3 +75,11 @@ def is_near(places: FloatArray, points: FloatArray, within: float) -> BoolArray:
     """Tell which of ``places`` (m, 3) have one of ``points`` (n, 3) closer than ``within``."""
     squares = np.sum((places[:, None] - points) ** 2, axis=2)
     return np.asarray((squares < within * within).any(axis=1))
+
+
+def placed(
+    image: RangeImage, wanted: BoolArray
+) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
+    """Return points (n, 3), lines, beams and distances (n,) of the readings ``wanted`` (m, n)."""
+    points, (lines, beams) = image.points[wanted], np.nonzero(wanted)
+    return points, lines, beams, np.hypot(points[:, 0], points[:, 1])

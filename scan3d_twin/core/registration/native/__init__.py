@@ -261,6 +261,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "near": (c_int64, Doubles, c_int64, Doubles, c_int64, c_double, Flags),
     "mixed": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double, Flags),
     "gaps": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double),
+    "placed": (
+        None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Longs,
+        Longs, Doubles,
+    ),
     "free_reach": (
         c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
     ),

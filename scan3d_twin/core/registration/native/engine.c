@@ -187,7 +187,7 @@ int64_t EXPORT(near)(const double *points, int64_t n, const double *places, int6
     return find_near(points, n, places, m, within, near);
 }
 
-/* mixed_pixels.py, gaps.py and costmap.py */
+/* mixed_pixels.py, gaps.py, readings.py and costmap.py */
 
 void EXPORT(mixed)(const double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
                    int64_t n_beams, double noise, double steepest, uint8_t *mixed) {
@@ -197,6 +197,12 @@ void EXPORT(mixed)(const double *ranges, const double *elevations, const double 
 void EXPORT(gaps)(double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
                   int64_t n_beams, double max_angle, double depth_edge) {
     fill_gaps(ranges, elevations, yaws, n_lines, n_beams, max_angle, depth_edge);
+}
+
+void EXPORT(placed)(const int64_t *index, int64_t n, int64_t n_beams, const double *ranges,
+                    const double *c, const double *s, const double *rays, const double *lever,
+                    double *points, int64_t *lines, int64_t *beams, double *distance) {
+    place_readings(index, n, n_beams, ranges, c, s, rays, lever, points, lines, beams, distance);
 }
 
 int64_t EXPORT(free_reach)(const int64_t *lines, const double *distance, const uint8_t *kinds, int64_t n,

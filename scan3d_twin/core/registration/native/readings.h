@@ -1,5 +1,5 @@
-/* What is done to the readings of a sweep before anything is made of them: see mixed_pixels.py, gaps.py
- * and costmap.py. Lines by beams, dense; NaN is no reading. */
+/* What is done to the readings of a sweep before anything is made of them: see mixed_pixels.py, gaps.py,
+ * readings.py and costmap.py. Lines by beams, dense; NaN is no reading. */
 #pragma once
 
 #include "near.h"
@@ -57,6 +57,23 @@ static void fill_gaps(double *ranges, const double *elevations, const double *ya
         fill_row(ranges + i * n_beams, n_beams, 1, elevations, 1, 1, max_angle, depth_edge);
     for (int64_t j = 0; j < n_beams; j++)
         fill_row(ranges + j, n_lines, n_beams, yaws + j, n_beams, -1, max_angle, depth_edge);
+}
+
+/* Write the points of n readings, their lines, beams and distances from the axis, the base turned by
+ * angles of cosine `c` and sine `s`. */
+static void place_readings(const int64_t *index, int64_t n, int64_t n_beams, const double *ranges,
+                           const double *c, const double *s, const double *rays, const double *lever,
+                           double *points, int64_t *lines, int64_t *beams, double *distance) {
+    for (int64_t k = 0; k < n; k++) {
+        int64_t line = index[k] / n_beams, beam = index[k] % n_beams;
+        const double *ray = rays + 3 * beam;
+        double *point = points + 3 * k, range = ranges[index[k]];
+        point[0] = c[k] * lever[0] - s[k] * lever[1] + range * (c[k] * ray[0] - s[k] * ray[1]);
+        point[1] = s[k] * lever[0] + c[k] * lever[1] + range * (s[k] * ray[0] + c[k] * ray[1]);
+        point[2] = lever[2] + range * ray[2];
+        lines[k] = line, beams[k] = beam;
+        distance[k] = hypot(point[0], point[1]);
+    }
 }
 
 enum { FLOOR = 1, SOLID = 2 };
