@@ -14,7 +14,7 @@ import numpy as np
 
 from scan3d_twin.core.config import GapConfig
 from scan3d_twin.core.registration.native import engine
-from scan3d_twin.core.types import MIXED, FloatArray, RangeImage, read_only
+from scan3d_twin.core.types import MIXED, RangeImage, read_only
 
 STEEPEST = math.radians(80.0)
 """Incidence from which on a UBG-04LX-F01 returns gross errors: steeper steps are no surface."""
@@ -40,14 +40,3 @@ def without_mixed_pixels(image: RangeImage, config: GapConfig) -> RangeImage:
     ranges = np.where(mixed, np.nan, image.ranges)
     codes = np.where(mixed, MIXED, image.codes)
     return replace(image, ranges=read_only(ranges), codes=read_only(codes, np.int64))
-
-
-def steepest_step(nearer: FloatArray, angle: FloatArray, noise: float = NOISE) -> FloatArray:
-    """Return by how much two readings of one surface differ at most [m].
-
-    Args:
-        nearer: The nearer of the two [m].
-        angle: Between their beams [rad].
-        noise: What two readings of the same place may differ by [m].
-    """
-    return np.asarray(np.maximum(noise, nearer * angle * math.tan(STEEPEST)))

@@ -383,6 +383,18 @@ def test_gaps() -> None:
         assert np.array_equal(ranges, wanted, equal_nan=True)
 
 
+def test_neighbours_on_a_surface() -> None:
+    ranges, elevations, yaws = readings(0)
+    lines, beams = (np.ascontiguousarray(part) for part in np.nonzero(np.isfinite(ranges)))
+    counts, n = np.empty(len(lines), dtype=np.int64), len(lines)
+    engine.neighbours(
+        ranges, yaws, elevations, *ranges.shape, lines, beams, n, 0.04, 0.3, counts
+    )  # fmt: skip
+    wanted = reference.readings.neighbours(ranges, elevations, yaws, 0.04, 0.3)
+    assert len(np.unique(counts)) > 5
+    assert np.array_equal(counts, wanted[lines, beams])
+
+
 def test_placed_readings() -> None:
     sweep = image(1)
     leaning = replace(sweep, T_base_lidar=mounted(sweep.T_base_lidar, MountConfig(0.01, 0.02, 0.1)))

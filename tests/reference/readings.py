@@ -83,3 +83,23 @@ def placed(
     """Return points (n, 3), lines, beams and distances (n,) of the readings ``wanted`` (m, n)."""
     points, (lines, beams) = image.points[wanted], np.nonzero(wanted)
     return points, lines, beams, np.hypot(points[:, 0], points[:, 1])
+
+
+def neighbours(
+    ranges: FloatArray, elevations: FloatArray, yaws: FloatArray, noise: float, steepest: float
+) -> IntArray:
+    """Return how many of the eight readings around each can lie on its surface (m, n)."""
+    columns, count = np.broadcast_to(elevations, yaws.shape), np.zeros(ranges.shape, dtype=int)
+    every, before, after = np.s_[:], np.s_[:-1], np.s_[1:]
+    for a, b in (
+        ((every, after), (every, before)),
+        ((after, every), (before, every)),
+        ((after, after), (before, before)),
+        ((after, before), (before, after)),
+    ):
+        angle = np.hypot(yaws[a] - yaws[b], columns[a] - columns[b])
+        step = np.maximum(noise, np.minimum(ranges[a], ranges[b]) * angle * steepest)
+        near = np.abs(ranges[a] - ranges[b]) <= step
+        count[a] += near
+        count[b] += near
+    return count

@@ -268,6 +268,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "free_reach": (
         c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
     ),
+    "neighbours": (
+        None, Doubles, Doubles, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double,
+        c_double, Longs,
+    ),
     "dilated": (c_int64, Flags, c_int64, c_int64, Longs, c_int64, Flags),
     "labels": (c_int64, Flags, c_int64, c_int64, Ints),
     "pieces": (c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs),

@@ -187,7 +187,7 @@ int64_t EXPORT(near)(const double *points, int64_t n, const double *places, int6
     return find_near(points, n, places, m, within, near);
 }
 
-/* mixed_pixels.py, gaps.py, readings.py and costmap.py */
+/* mixed_pixels.py, gaps.py, readings.py, costmap.py and model.py */
 
 void EXPORT(mixed)(const double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
                    int64_t n_beams, double noise, double steepest, uint8_t *mixed) {
@@ -212,6 +212,12 @@ int64_t EXPORT(free_reach)(const int64_t *lines, const double *distance, const u
     find_free_reach(lines, distance, kinds, n, n_lines, start, most, margin, scratch, reach);
     free(scratch);
     return 0;
+}
+
+void EXPORT(neighbours)(const double *ranges, const double *yaws, const double *elevations,
+                        int64_t n_lines, int64_t n_beams, const int64_t *lines, const int64_t *beams,
+                        int64_t n, double noise, double steepest, int64_t *counts) {
+    count_neighbours(ranges, yaws, elevations, n_lines, n_beams, lines, beams, n, noise, steepest, counts);
 }
 
 /* grids.py and target.py */

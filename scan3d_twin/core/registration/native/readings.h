@@ -1,5 +1,5 @@
 /* What is done to the readings of a sweep before anything is made of them: see mixed_pixels.py, gaps.py,
- * readings.py and costmap.py. Lines by beams, dense; NaN is no reading. */
+ * readings.py, costmap.py and model.py. Lines by beams, dense; NaN is no reading. */
 #pragma once
 
 #include "near.h"
@@ -99,5 +99,24 @@ static void find_free_reach(const int64_t *lines, const double *distance, const 
         for (k = 0; k < count && !(scratch[k] - last > most); k++) last = scratch[k];
         double free = k > 0 ? last : 0;
         reach[i] = blocked - margin < free ? blocked - margin : free;
+    }
+}
+
+/* Write how many of the eight readings around each of n can lie on its surface: a surface from the one to
+ * the other is no steeper than one that a lidar measures. */
+static void count_neighbours(const double *ranges, const double *yaws, const double *elevations,
+                             int64_t n_lines, int64_t n_beams, const int64_t *lines, const int64_t *beams,
+                             int64_t n, double noise, double steepest, int64_t *counts) {
+    for (int64_t k = 0; k < n; k++) {
+        int64_t i = lines[k], j = beams[k], here = i * n_beams + j;
+        counts[k] = 0;
+        for (int64_t a = i > 0 ? i - 1 : 0; a <= i + 1 && a < n_lines; a++)
+            for (int64_t b = j > 0 ? j - 1 : 0; b <= j + 1 && b < n_beams; b++) {
+                int64_t there = a * n_beams + b;
+                double r = ranges[here], s = ranges[there], nearer = r < s ? r : s;
+                double angle = hypot(yaws[here] - yaws[there], elevations[j] - elevations[b]);
+                double most = nearer * angle * steepest;
+                counts[k] += there != here && fabs(r - s) <= (most > noise ? most : noise);
+            }
     }
 }
