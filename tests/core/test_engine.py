@@ -300,6 +300,7 @@ def test_small_motions() -> None:
     for step in rng.normal(size=(20, 6)) * 0.4:
         T = displaced(np.eye(4), rng.normal(size=6))
         moved = displaced(T, step)
+        assert np.array_equal(displaced(T, np.stack([-step, step]))[1], moved)
         assert moved == pytest.approx(reference.pose_prior.displaced(T, step), abs=1e-14)
         assert deviation(moved, T) == pytest.approx(step, abs=1e-12)
     assert deviation(T, T) == pytest.approx(np.zeros(6), abs=1e-15)

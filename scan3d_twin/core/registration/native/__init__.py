@@ -252,7 +252,7 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     ),
     "inverse": (None, Doubles, c_int64, c_double, Doubles),
     "marginal": (None, Doubles, c_int64, c_int64, Doubles, Doubles),
-    "displaced": (None, Doubles, Doubles, Doubles),
+    "displaced": (None, Doubles, Doubles, c_int64, Doubles),
     "deviation": (None, Doubles, Doubles, Doubles),
     "displacement": (c_double, Doubles, Doubles, Doubles),
     "tree": (None, Doubles, c_int64, Doubles, Ints, Bytes),

@@ -147,8 +147,8 @@ void EXPORT(marginal)(const double *information, int64_t size, int64_t pose, con
     tighten(reduced.H, (int)pose, out);
 }
 
-void EXPORT(displaced)(const double *T, const double *step, double *out) {
-    displace(T, step, out);
+void EXPORT(displaced)(const double *T, const double *steps, int64_t n, double *out) {
+    for (int64_t k = 0; k < n; k++) displace(T, steps + 6 * k, out + 16 * k);
 }
 
 void EXPORT(deviation)(const double *T, const double *mean, double *off) {

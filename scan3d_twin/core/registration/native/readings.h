@@ -59,13 +59,14 @@ static void fill_gaps(double *ranges, const double *elevations, const double *ya
         fill_row(ranges + j, n_lines, n_beams, yaws + j, n_beams, -1, max_angle, depth_edge);
 }
 
-/* Write the points of n readings, their lines, beams and distances from the axis, the base turned by
- * angles of cosine `c` and sine `s`. */
+/* Write the points of n readings, given by ascending index, their lines, beams and distances from the
+ * axis, the base turned by angles of cosine `c` and sine `s`. */
 static void place_readings(const int64_t *index, int64_t n, int64_t n_beams, const double *ranges,
                            const double *c, const double *s, const double *rays, const double *lever,
                            double *points, int64_t *lines, int64_t *beams, double *distance) {
-    for (int64_t k = 0; k < n; k++) {
-        int64_t line = index[k] / n_beams, beam = index[k] % n_beams;
+    for (int64_t k = 0, line = 0; k < n; k++) {
+        while (index[k] >= (line + 1) * n_beams) line++;
+        int64_t beam = index[k] - line * n_beams;
         const double *ray = rays + 3 * beam;
         double *point = points + 3 * k, range = ranges[index[k]];
         point[0] = c[k] * lever[0] - s[k] * lever[1] + range * (c[k] * ray[0] - s[k] * ray[1]);
