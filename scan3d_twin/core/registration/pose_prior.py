@@ -91,9 +91,12 @@ def deviation(T: FloatArray, mean: FloatArray) -> FloatArray:
 
 
 def displaced(T: FloatArray, step: FloatArray) -> FloatArray:
-    """Return ``T`` (4, 4) after a small motion (6,) of the source about its own origin."""
-    moved = np.empty((4, 4))
-    engine.displaced(np.ascontiguousarray(T), np.ascontiguousarray(step), moved)
+    """Return ``T`` (4, 4) after small motions (..., 6) of the source about its own origin.
+
+    Each starts from ``T``; the result has the shape (..., 4, 4).
+    """
+    moved, steps = np.empty((*step.shape[:-1], 4, 4)), np.ascontiguousarray(step)
+    engine.displaced(np.ascontiguousarray(T), steps, steps.size // 6, moved)
     return moved
 
 

@@ -220,15 +220,14 @@ def _deskew(robot: Robot, lines: list[ScanLine], started: float, yaw: float, fir
     stamps = np.array([sample.stamp for sample in odometry])
     headings = np.unwrap([sample.T_odom_base.yaw for sample in odometry])
     headings += first + wrap(float(headings[0]) - yaw - first) - headings[0]
-    times = robot.lidar.spec.beam_times
+    if not lines:
+        return []
+    times = np.array([line.stamp for line in lines])[:, None] + robot.lidar.spec.beam_times
     holes = np.flatnonzero(np.diff(stamps) > HOLE * robot.base.spec.sample_period)
-    return [
-        (line, np.interp(line.stamp + times, stamps, headings))
-        for line in lines
-        if not np.any(
-            (line.stamp + times[0] < stamps[holes + 1]) & (line.stamp + times[-1] > stamps[holes])
-        )
-    ]
+    after, before = times[:, :1] < stamps[holes + 1], times[:, -1:] > stamps[holes]
+    whole = ~np.any(after & before, axis=1)
+    yaws = np.interp(times, stamps, headings)
+    return [pair for pair, kept in zip(zip(lines, yaws, strict=True), whole, strict=True) if kept]
 
 
 def _front_yaw(yaws: FloatArray) -> float:

@@ -252,12 +252,29 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     ),
     "inverse": (None, Doubles, c_int64, c_double, Doubles),
     "marginal": (None, Doubles, c_int64, c_int64, Doubles, Doubles),
-    "displaced": (None, Doubles, Doubles, Doubles),
+    "displaced": (None, Doubles, Doubles, c_int64, Doubles),
     "deviation": (None, Doubles, Doubles, Doubles),
     "displacement": (c_double, Doubles, Doubles, Doubles),
     "tree": (None, Doubles, c_int64, Doubles, Ints, Bytes),
     "nearest": (None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_int64, Doubles, Ints),
     "neighbourhoods": (None, Doubles, Ints, Bytes, c_int64, c_int64, Doubles, Doubles, Doubles),
+    "near": (c_int64, Doubles, c_int64, Doubles, c_int64, c_double, Flags),
+    "mixed": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double, Flags),
+    "gaps": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double),
+    "placed": (
+        None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Longs,
+        Longs, Doubles,
+    ),
+    "free_reach": (
+        c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
+    ),
+    "neighbours": (
+        None, Doubles, Doubles, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double,
+        c_double, Longs,
+    ),
+    "dilated": (c_int64, Flags, c_int64, c_int64, Longs, c_int64, Flags),
+    "labels": (c_int64, Flags, c_int64, c_int64, Ints),
+    "pieces": (c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs),
     "sizes": (None, Longs),
 }  # fmt: skip
 """What each function of ``engine.c`` returns and takes."""
