@@ -9,12 +9,16 @@ from scan3d_twin.core.observer import Command
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import ScanLine
 from scan3d_twin.recording.folder import write_file
+from scan3d_twin.recording.image import NONE
 from scan3d_twin.recording.settings import Settings, settings_toml
 from scan3d_twin.recording.views import view_bytes, view_path
 
 
 class Keeper:
-    """Keeps each finished view on disk, spares memory if wanted and tells the progress."""
+    """Keeps each finished view on disk, spares memory if wanted and tells the progress.
+
+    To compress the files waits for the end of the run, when they are written once more.
+    """
 
     def __init__(self, folder: Path, settings: Settings, progress: Progress) -> None:
         self._folder = folder
@@ -36,7 +40,7 @@ class Keeper:
         if not self._described:
             write_file(self._folder / "config.toml", settings_toml(self._settings))
             self._described = True
-        write_file(view_path(self._folder, index), view_bytes(session.views[index]))
+        write_file(view_path(self._folder, index), view_bytes(session.views[index], NONE))
         if session.config.spare == "memory":
             session.fold()
         self._progress.view(session)
