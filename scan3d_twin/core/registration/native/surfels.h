@@ -17,11 +17,11 @@ enum { MOMENTS = 11, BLOCK = 2 * LANES };
 
 /* Neighbouring beams of a line that are fitted at once, from `first` on. */
 typedef struct {
-    int64_t first;
     double ray[3][BLOCK], eye[2][BLOCK], inverse_range[BLOCK], sigma[BLOCK];
     double open[BLOCK];             /* 1 where a surfel is wanted and no plane has fitted yet */
     double found[SURFEL][BLOCK];    /* the surfels */
-} Block;
+    int64_t first;
+} __attribute__((aligned(64))) Block;
 
 /* Windows around a reading: half their size in lines and in beams, largest first. */
 typedef struct {
@@ -265,11 +265,13 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
     return count;
 }
 
-/* Write every `stride`-th surfel along lines and beams, the first half a stride from the corner, as
- * columns (SURFEL, n) of `room` each; return n. */
-static int64_t take_sample(const int32_t *index, int64_t n_lines, int64_t n_beams, int64_t stride,
-                           const double *rows, const double *of_rows, int64_t room, double *columns,
-                           double *yaws, int32_t *lines) {
+/* Write every `stride`-th surfel along lines and beams, the first half a stride from the corner, to the
+ * arrays of `out`. */
+static void take_sample(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
+                        const double *of_rows, Sample *out) {
+    const int64_t stride = out->stride, room = out->room;
+    double *restrict columns = out->columns, *restrict yaws = out->yaws;
+    int32_t *restrict lines = out->lines;
     int64_t n = 0;
     for (int64_t i = stride / 2; i < n_lines; i += stride)
         for (int64_t j = stride / 2; j < n_beams; j += stride) {
@@ -278,5 +280,5 @@ static int64_t take_sample(const int32_t *index, int64_t n_lines, int64_t n_beam
             for (int m = 0; m < SURFEL; m++) columns[m * room + n] = rows[SURFEL * row + m];
             yaws[n] = of_rows[row], lines[n++] = (int32_t)i;
         }
-    return n;
+    out->count = n;
 }
