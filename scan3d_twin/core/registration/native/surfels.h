@@ -211,6 +211,21 @@ static int64_t append_surfels(const Block *w, const uint8_t *wanted, const doubl
     return count;
 }
 
+/* The part of a sweep up to the last windows of readings to `keep`: no sum needs what lies beyond. */
+static Sweep up_to_last(const Sweep *sweep, const uint8_t *keep, int64_t tallest, int64_t widest) {
+    int64_t lines = 0, beams = 0;
+    for (int64_t i = 0; i < sweep->n_lines; i++) {
+        int64_t end = sweep->n_beams;
+        while (end > beams && !keep[i * sweep->stride + end - 1]) end--;
+        beams = end > beams ? end : beams;
+        if (memchr(keep + i * sweep->stride, 1, (size_t)beams)) lines = i + 1;
+    }
+    Sweep part = *sweep;
+    part.n_lines = lines + tallest < part.n_lines ? lines + tallest : part.n_lines;
+    part.n_beams = beams + widest < part.n_beams ? beams + widest : part.n_beams;
+    return part;
+}
+
 /* Write the surfels of the readings to `keep`; return how many there are. `index` is -1 elsewhere. */
 static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8_t *keep,
                            const double noise[3], Windows windows, double *rows, double *of_rows,
@@ -220,7 +235,8 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
         tallest = windows.half[k][0] > tallest ? windows.half[k][0] : tallest;
         margin = windows.half[k][1] > margin ? windows.half[k][1] : margin;
     }
-    int64_t n_lines = sweep->n_lines, n_beams = sweep->n_beams, stride = sweep->stride;
+    const Sweep needed = up_to_last(sweep, keep, tallest, margin);
+    int64_t n_lines = needed.n_lines, n_beams = needed.n_beams, stride = sweep->stride;
     int64_t depth = 2 * tallest + 2, width = n_beams + 1 + 2 * margin + BLOCK, row = MOMENTS * width;
     double *sums = malloc(sizeof *sums * (size_t)(depth * row));
     double *turns = malloc(sizeof *turns * (size_t)(2 * depth * n_beams));
@@ -234,7 +250,7 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
         for (; summed < n_lines && summed <= i + tallest; summed++) {
             double *turned = turns + summed % depth * 2 * n_beams;
             turn_line(sweep->yaws + summed * stride, n_beams, turned);
-            add_line(sweep, summed, valid + summed * stride, turned, margin, width,
+            add_line(&needed, summed, valid + summed * stride, turned, margin, width,
                      sums + summed % depth * row, sums + (summed + 1) % depth * row);
         }
 
@@ -250,7 +266,7 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
         const uint8_t *wanted = keep + i * stride;
         const double *turned = turns + i % depth * 2 * n_beams;
         for (int64_t first = 0; first < n_beams; first += BLOCK) {
-            int64_t open = read_block(sweep, i, wanted, turned, noise, first, &w);
+            int64_t open = read_block(&needed, i, wanted, turned, noise, first, &w);
             if (open == 0) continue;
             for (int64_t k = 0; k < windows.count && open > 0; k++)
                 open = fit_planes(&strips[k], windows.half[k][1], sweep->lever[2], noise[2] * noise[2],
