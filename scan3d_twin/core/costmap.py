@@ -248,17 +248,16 @@ def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, F
     """
     key = ("floor", config.target, config.motion)
     if key not in image.derived:
-        points = image.points
-        distance = np.hypot(points[..., 0], points[..., 1])
+        ranges = image.ranges
+        ahead, left, up = image.points_in_base
+        distance = np.sqrt(ahead * ahead + left * left)
         with np.errstate(invalid="ignore"):
-            near = (image.ranges <= config.target.max_range) & (
-                distance > config.motion.self_radius
-            )
-            solid = near & _solid(points[..., 2], config)
-            floor = near & (np.abs(points[..., 2]) <= config.target.floor_height)
+            near = (ranges <= config.target.max_range) & (distance > config.motion.self_radius)
+            solid = near & _solid(up, config)
+            floor = near & (np.abs(up) <= config.target.floor_height)
         reach = _free_reach(image, distance, solid, floor, config)
         yaws = image.yaws[:, image.spec.n_beams // 2].copy()
-        image.derived[key] = (points[solid][:, :2].copy(), reach, yaws)
+        image.derived[key] = (image.points_at(*np.nonzero(solid))[:, :2].copy(), reach, yaws)
     points, reach, yaws = image.derived[key]
     return points, reach, yaws
 

@@ -248,6 +248,13 @@ class RangeImage:
             np.add(lever, ranges * beam, out=result[..., i])
         return result
 
+    @property
+    def points_in_base(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return x, y and z of the points in ``base`` as it stood then (n_lines, n_beams) [m]."""
+        lever, beams, ranges = self.T_base_lidar[:3, 3], self._beams, self.ranges
+        x, y, z = (lever[i] + ranges * beams[:, i] for i in range(3))
+        return x, y, z
+
     def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``points`` of some readings (n, 3) [m], by their lines (n,) and beams (n,)."""
         c, s = np.cos(yaws := self.yaws[lines, beams]), np.sin(yaws)

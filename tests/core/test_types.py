@@ -87,3 +87,7 @@ def test_some_readings_lie_where_they_lie_among_all() -> None:
     lines, beams = (rng.integers(0, n, 500) for n in image.ranges.shape)
     assert np.array_equal(image.points_at(lines, beams), image.points[lines, beams], equal_nan=True)
     assert np.array_equal(image.directions_at(lines, beams), image.directions[lines, beams])
+    x, y, z = image.points_in_base
+    turned = np.hypot(image.points[..., 0], image.points[..., 1])
+    assert np.allclose(np.hypot(x, y), turned, rtol=1e-12, equal_nan=True)
+    assert np.array_equal(z, image.points[..., 2], equal_nan=True)
