@@ -77,6 +77,8 @@ def positive_definite(rows: list[list[float]]) -> bool:
         if not 0.0 < rows[k][k] < math.inf:
             return False
         for i in range(k + 1, n):
+            if rows[i][k] == 0.0:
+                continue
             factor = rows[i][k] / rows[k][k]
             for j in range(k + 1, n):
                 rows[i][j] -= factor * rows[k][j]

@@ -541,6 +541,12 @@ def test_both_sides_agree_on_the_values() -> None:
     assert sizes.tolist() == [ctypes.sizeof(each) for each in native.VALUES]
 
 
+def test_the_address_of_an_array_is_that_of_its_first_number() -> None:
+    numbers = np.arange(12.0).reshape(3, 4)
+    for array in (numbers, numbers[1:], read_only(numbers), np.zeros(0), np.zeros(3, np.bool_)):
+        assert native.address_of(array) == array.ctypes.data
+
+
 def test_arrays_of_another_type_or_layout_are_refused() -> None:
     centres = np.zeros(16384)
     with pytest.raises(ctypes.ArgumentError, match="float64"):

@@ -36,10 +36,9 @@ int64_t EXPORT(survey)(const Sweep *sweep, const int64_t *codes, const uint8_t *
     return make_survey(sweep, codes, keep, out);
 }
 
-int64_t EXPORT(sample)(const int32_t *index, int64_t n_lines, int64_t n_beams, int64_t stride,
-                       const double *rows, const double *of_rows, int64_t room, double *columns,
-                       double *yaws, int32_t *lines) {
-    return take_sample(index, n_lines, n_beams, stride, rows, of_rows, room, columns, yaws, lines);
+void EXPORT(sample)(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
+                    const double *of_rows, Sample *out) {
+    take_sample(index, n_lines, n_beams, rows, of_rows, out);
 }
 
 int64_t EXPORT(known)(const int32_t *index, const uint8_t *valid, int64_t n_lines, int64_t n_beams,
