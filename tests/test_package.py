@@ -108,5 +108,5 @@ def test_the_examples_run_and_are_short(path, tmp_path, monkeypatch, capsys):
     assert len(path.read_text().splitlines()) < 60
     monkeypatch.setattr(sys, "argv", [path.name, str(tmp_path)])
     runpy.run_path(str(path), run_name="__main__")
-    assert "points" in capsys.readouterr().out
+    assert "view" in capsys.readouterr().out
     assert list(tmp_path.iterdir())
