@@ -7,13 +7,14 @@ right, so counter-clockwise around the target.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from scan3d_twin.core.config import Config, TargetConfig
-from scan3d_twin.core.types import FloatArray, IntArray, Pose2, RangeImage, Scan3D
+from scan3d_twin.core.types import FloatArray, IntArray, Pose2, RangeImage, Scan3D, wrap
 
 MAX_INCIDENCE = math.radians(65.0)
 """Q is seen from O2 at no flatter angle than this from its mean normal; beyond about 70 deg the
@@ -29,6 +30,9 @@ BEND = math.radians(90.0)
 an edge, behind which faces mostly stand at right angles, or along a curve."""
 FRONT_SIDE = math.radians(45.0)
 """A tour of the front looks at it from no more than this to either side."""
+NEARLY_ROUND = math.radians(240.0)
+"""Turn since the first view after which the latest one may see the same surface again, so that the
+loop may close [rad]; three sides of a box are 270 deg."""
 _ALTERNATIVES = tuple(
     (turn, factor)
     for _, turn, factor in sorted(
@@ -302,6 +306,11 @@ def _along(contour: Contour, first: int, onwards: FloatArray, length: float) -> 
     if wanted > contour.width:
         return np.asarray(contour.points[-1] + (wanted - contour.width) * onwards)
     return np.array([np.interp(wanted, contour.arc, contour.points[:, i]) for i in (0, 1)])
+
+
+def sum_turns(poses: Iterable[Pose2]) -> float:
+    """Return the sum of the turns from each of ``poses`` to the next [rad], left positive."""
+    return sum(wrap(b.yaw - a.yaw) for a, b in pairwise(poses))
 
 
 def angle_between(a: FloatArray, b: FloatArray) -> float:

@@ -13,7 +13,6 @@ the less the gap tells them apart, the more of the prior's covariance is added t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -31,7 +30,8 @@ from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, about_target, spread
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, wrap
+from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult
+from scan3d_twin.core.viewpoints import NEARLY_ROUND, sum_turns
 
 SEARCH = 0.30
 """Overlap is looked for with a gate this wide [m]: the drift around a target before alignment."""
@@ -40,9 +40,6 @@ MOST_LINKS = 6
 OPTIMISM = 2.0
 """Standard deviations of chained registrations are multiplied by this when they become the prior of
 another one; realised errors are 0.5 to 4 times the predicted ones."""
-NEARLY_ROUND = math.radians(240.0)
-"""Turn since the first view after which the latest may see the same again; three sides of a box
-are 270 deg."""
 ROUNDS = 2
 """Searches for pairs: after the first, views lie where more can be found."""
 KNOWN = 0.05
@@ -163,8 +160,7 @@ def align_final(session: Session) -> Session:
 
 def _turned_round(session: Session) -> bool:
     """Tell whether the robot has gone far enough around the target to see the first view again."""
-    yaws = [view.T_world_scan.yaw for view in session.views]
-    return sum(wrap(b - a) for a, b in pairwise(yaws)) >= NEARLY_ROUND
+    return sum_turns(view.T_world_scan for view in session.views) >= NEARLY_ROUND
 
 
 def solve(session: Session, leave_out: Collection[int] = ()) -> Alignment:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,11 +14,12 @@ from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.planning.surface_prediction import Prediction, predict
 from scan3d_twin.core.scanning.smoothing import smooth
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2, RangeImage, Scan3D, wrap
+from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2, RangeImage, Scan3D
 from scan3d_twin.core.viewpoints import (
     BEND,
     FRONT_SIDE,
     HERE,
+    NEARLY_ROUND,
     Contour,
     angle_between,
     bends_after,
@@ -31,14 +31,13 @@ from scan3d_twin.core.viewpoints import (
     line_means,
     next_segment,
     place,
+    sum_turns,
     sweep_width,
     well_seen,
 )
 
 MIN_LINES = 5
 """A target seen in fewer lines gives no contour to go along."""
-NEARLY_ROUND = math.radians(240.0)
-"""Turn since the first view after which the contour may close; three sides of a box are 270 deg."""
 BESIDE_TOLERANCE = math.radians(20.0)
 """A view this near to ``FRONT_SIDE`` ends a tour of the front: one more would show little new."""
 CLOSED = 0.10
@@ -231,8 +230,7 @@ class PlanningContext:
     def _closed(self) -> bool:
         """Tell whether a tour all round has come back to where the first view began."""
         views = self.session.views
-        yaws = [view.T_world_scan.yaw for view in views]
-        turned = sum(wrap(b - a) for a, b in pairwise(yaws))
+        turned = sum_turns(view.T_world_scan for view in views)
         if turned < NEARLY_ROUND:
             return False
         if turned >= math.tau:

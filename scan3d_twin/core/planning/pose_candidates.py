@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.planning.context import MIN_LINES, PlanningContext, finish
-from scan3d_twin.core.planning.overlap_step import predicted_error
+from scan3d_twin.core.planning.overlap_search import predict_error
 from scan3d_twin.core.planning.surface_patches import (
     Eye,
     Patches,
@@ -158,7 +158,7 @@ class PoseCandidates:
 
     def go(self, pose: Pose2, reason: str, others: tuple[Pose2, ...] = ()) -> Plan:
         """Return the plan to go to ``pose``, with the runners-up ``others``, best first."""
-        chosen = self.candidate(pose, predicted_error(self.context, self._here.inverse() @ pose))
+        chosen = self.candidate(pose, predict_error(self.context, self._here.inverse() @ pose))
         rest = tuple(self.candidate(other, math.nan) for other in others[:KEPT])
         return Plan(
             pose, chosen.overlap, chosen.predicted_rmse, False, (*rest[::-1], chosen), reason

@@ -1,7 +1,7 @@
 """Sweeping: the robot turns on the spot and the vertical scan lines sweep out a range image.
 
-Every beam gets the heading the base had when that beam was measured (de-skewing), and lines that
-did not arrive are scanned again (the data-loss check of the paper's Fig. 5).
+Lines are de-skewed (``deskew``), and lines that did not arrive are scanned again (the data-loss
+check of the paper's Fig. 5).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import DataLossError, LinkTimeoutError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
+from scan3d_twin.core.scanning.deskew import Lines, deskew_lines
 from scan3d_twin.core.scanning.extrinsics import corrected
 from scan3d_twin.core.types import (
     FloatArray,
@@ -38,15 +39,6 @@ PATIENCE = 20
 OUTAGE = 60.0
 """A lidar that is away for longer ends the sweep [s]: time to plug it in again, and for the 3 s
 its motor takes to get up to speed; assumption."""
-
-HOLE = 10
-"""So many sample periods without odometry are a hole, in which nobody knows how the robot turned:
-the lines in it are lost."""
-
-Lines = list[tuple[ScanLine, FloatArray]]
-"""Lines with each beam's heading relative to the middle of the sweep (n_beams,) [rad]."""
-
-
 Reader = Callable[[Robot, float, float], Iterable[ScanLine]]
 """Gives the lines of the time between two times [s], the first one after it included."""
 
@@ -205,30 +197,10 @@ def _pass(
         except LinkTimeoutError:
             away = True
     robot.clock.sleep(2 * robot.base.spec.sample_period)
-    headed = _deskew(robot, lines, started, yaw, ends[0] - direction * margin)
+    headed = deskew_lines(robot, lines, started, yaw, ends[0] - direction * margin)
     if away:
         robot.lidar.read_line(timeout=OUTAGE)
     return headed
-
-
-def _deskew(robot: Robot, lines: list[ScanLine], started: float, yaw: float, first: float) -> Lines:
-    """Give each beam the heading it had, relative to ``yaw``; the turn began near ``first``.
-
-    Lines during which the odometry has a hole are left out.
-    """
-    odometry = robot.base.odometry_since(started)
-    stamps = np.array([sample.stamp for sample in odometry])
-    headings = np.unwrap([sample.T_odom_base.yaw for sample in odometry])
-    headings += first + wrap(float(headings[0]) - yaw - first) - headings[0]
-    times = robot.lidar.spec.beam_times
-    holes = np.flatnonzero(np.diff(stamps) > HOLE * robot.base.spec.sample_period)
-    return [
-        (line, np.interp(line.stamp + times, stamps, headings))
-        for line in lines
-        if not np.any(
-            (line.stamp + times[0] < stamps[holes + 1]) & (line.stamp + times[-1] > stamps[holes])
-        )
-    ]
 
 
 def _front_yaw(yaws: FloatArray) -> float:

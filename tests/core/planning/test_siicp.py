@@ -12,12 +12,9 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.planning import make_planner, planner_names
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.planners.siicp import (
-    motion_error,
-    overlaps,
-    sample_motion_noise,
-    simulated_error,
-)
+from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
+from scan3d_twin.core.planning.overlap_search import list_overlaps
+from scan3d_twin.core.planning.planners.siicp import simulate_error
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Plan, Pose2
 
@@ -61,7 +58,7 @@ def errors(session: Session, overlap: float, n: int, **changes: object) -> np.nd
     rngs = np.random.default_rng(2).spawn(n)
     return np.array(
         [
-            simulated_error(context, overlap, viewpoint, d, r)
+            simulate_error(context, overlap, viewpoint, d, r)
             for d, r in zip(draws, rngs, strict=True)
         ]
     )
@@ -74,14 +71,14 @@ def plan(session: Session, seed: int = 0, **changes: object) -> Plan:
 
 
 def test_overlaps_are_those_of_the_paper() -> None:
-    assert overlaps(PlanningConfig()) == [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    assert list_overlaps(PlanningConfig()) == [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
 
 
 def test_the_motion_error_is_proportional_to_the_move() -> None:
     config = PlanningConfig(lambda_=0.02, gamma=0.01)
-    error = motion_error(np.array([1.0, -2.0, 3.0]), Pose2(0.5, -1.0, 0.4), config)
+    error = scale_motion_error(np.array([1.0, -2.0, 3.0]), Pose2(0.5, -1.0, 0.4), config)
     assert (error.x, error.y, error.yaw) == pytest.approx((0.01, -0.04, 0.012))
-    still = motion_error(np.ones(3), Pose2(), config)
+    still = scale_motion_error(np.ones(3), Pose2(), config)
     assert (still.x, still.y, still.yaw) == (0.0, 0.0, 0.0)
 
 

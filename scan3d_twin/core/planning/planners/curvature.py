@@ -19,8 +19,7 @@ import numpy as np
 from scan3d_twin.core.config import Feature
 from scan3d_twin.core.planning.context import PlanningContext, in_world
 from scan3d_twin.core.planning.hidden_views import termination_plan
-from scan3d_twin.core.planning.overlap_step import plan_with_overlap
-from scan3d_twin.core.planning.planners.siicp import overlaps
+from scan3d_twin.core.planning.overlap_search import list_overlaps, plan_with_overlap
 from scan3d_twin.core.planning.surface_patches import Patches, eye_height, patches_of
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, Plan
@@ -41,7 +40,7 @@ class CurvaturePlanner:
         eye = np.array([0.0, 0.0, eye_height(context.view)])
         whole = patches_of(context.P.points, eye)
         tried: list[Candidate] = []
-        for eta in overlaps(config.planning):
+        for eta in list_overlaps(config.planning):
             placement = context.place(eta)
             if placement.viewpoint is None:
                 continue

@@ -15,7 +15,7 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_views import termination_plan
-from scan3d_twin.core.planning.planners.siicp import smallest_overlap
+from scan3d_twin.core.planning.overlap_search import plan_smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import Simulation
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
@@ -33,7 +33,7 @@ class FisherPlanner:
         try:
             forecast = ErrorPrediction.of(context)
         except RegistrationError:
-            return smallest_overlap(context, lambda eta, O2: math.inf)
+            return plan_smallest_overlap(context, lambda eta, O2: math.inf)
         simulation = Simulation(
             forecast.grid, forecast.on_target, session.config, seed, forecast.scale
         )
@@ -45,4 +45,4 @@ class FisherPlanner:
             simulated = simulation.error(viewpoint, config.checks)
             return max(predicted, simulated) if simulated > config.epsilon else predicted
 
-        return smallest_overlap(context, error)
+        return plan_smallest_overlap(context, error)

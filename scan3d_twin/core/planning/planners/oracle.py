@@ -29,7 +29,7 @@ from scan3d_twin.core.model.evaluation import (
 )
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.planning.context import PlanningContext, blocked, finish
-from scan3d_twin.core.planning.overlap_step import predicted_error
+from scan3d_twin.core.planning.overlap_search import predict_error
 from scan3d_twin.core.planning.pose_candidates import FAR, NEAR
 from scan3d_twin.core.planning.set_cover import Cover, fewest, fewest_chain
 from scan3d_twin.core.session import Session
@@ -71,7 +71,7 @@ class OraclePlanner:
             return finish("no viewpoint left: nothing that is missing can be seen")
         pose = world.poses[chain[0]]
         overlap = float(np.mean(world.visible[chain[0]][seen[-1]])) if seen[-1].any() else 0.0
-        error = predicted_error(context, T_scan_map @ pose)
+        error = predict_error(context, T_scan_map @ pose)
         viewpoint = T_map_world.inverse() @ pose
         reason = f"first of {len(chain)} more views on the true surface"
         if not chained:

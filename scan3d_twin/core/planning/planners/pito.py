@@ -16,8 +16,7 @@ import numpy as np
 
 from scan3d_twin.core.planning.context import PlanningContext, in_world
 from scan3d_twin.core.planning.hidden_views import termination_plan
-from scan3d_twin.core.planning.overlap_step import plan_with_overlap
-from scan3d_twin.core.planning.planners.siicp import overlaps
+from scan3d_twin.core.planning.overlap_search import list_overlaps, plan_with_overlap
 from scan3d_twin.core.planning.surface_patches import Eye, Patches, patches_of
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, Plan, Pose2
@@ -34,7 +33,7 @@ class PitoPlanner:
         eye = Eye.of(context.view, config)
         current = patches_of(context.P.points, np.array([0.0, 0.0, eye.height]))
         tried: list[Candidate] = []
-        for eta in overlaps(config.planning):
+        for eta in list_overlaps(config.planning):
             placement = context.place(eta)
             if placement.viewpoint is None:
                 continue
