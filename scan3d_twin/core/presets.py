@@ -1,4 +1,4 @@
-"""Named sets of options; a preset lies between the defaults and everything the user states."""
+"""Presets: named sets of options that override the defaults and yield to the user's own options."""
 
 from __future__ import annotations
 
@@ -27,22 +27,29 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         },
     },
 }
-"""Options by preset, in the shape of a configuration file. ``paper``: Zhang, Yan and Sheng.
-``best``: the grid engine on the whole sweep, of which the target alone is modelled, all views
-aligned when the contour closes, and the closed-form planner, whose choice must stand six simulated
-registrations; one of them may fail, as virtual scans lose some of what narrow faces tell. A sweep's
-surface counts to 45 deg from its middle, where lines of .5 deg at a standoff of 1 m are 17 mm apart
-on a flat front, less than what counts as covered, and views are added for what gaps hide. The
-motion's constants are those of a turn, a drive and a turn by ``benchmarks/motion_error.py`` (0.003,
-0.011 and 0.029 for 30 robots), rounded up; a run's own innovations scale them. The calibration is
-the conformal factor by ``benchmarks/calibrate_error.py`` on random:1000 to random:1024 (68 steps:
-2.67; from the odd seeds alone 3.18, which none of the even ones' 35 steps exceeds)."""
+"""Options by preset, in the shape of a configuration file.
+
+``paper``: the method as published by Zhang, Yan and Sheng.
+
+``best``: the grid engine registers whole sweeps, of which only the target is modelled; loop closure
+aligns all views; the closed-form planner decides, and six simulated registrations check its choice.
+One of the six may fail, as virtual scans lose some information of narrow faces. Views are added for
+surface hidden in gaps. Where the numbers come from:
+
+* width: surface counts to 45 deg from the middle of a sweep, where lines of 0.5 deg at a standoff
+  of 1 m are 17 mm apart on a flat front, closer than the 20 mm within which surface is covered;
+* lambda, gamma, drift: the errors of a turn, a drive and a turn by ``benchmarks/motion_error.py``
+  (0.003, 0.011 and 0.029 for 30 robots), rounded up; the innovations of a run scale them;
+* calibration: the conformal factor by ``benchmarks/calibrate_error.py`` on random:1000 to
+  random:1024 (68 steps: 2.67; from the odd seeds alone 3.18, which none of the 35 steps of the even
+  seeds exceeds).
+"""
 
 DEFAULT_PRESET = "best"
 
 
 def preset(name: str) -> Mapping[str, Any]:
-    """Return the options of the preset ``name``.
+    """Return the options of the preset ``name``, in the shape of a configuration file.
 
     Raises:
         UnknownNameError: There is no such preset; the message lists them.
