@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
-from scan3d_twin.core.digitize import start, views
+from scan3d_twin.core.digitize import iterate_views, start_session
 from scan3d_twin.core.navigation.costmap import Costmap
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.session import Session
@@ -30,8 +30,10 @@ class Episode:
 
     def __init__(self, stage: Stage, scout: EpisodeScout, seed: int) -> None:
         self.stage, self.scout = stage, scout
-        session, viewpoint = start(scout.look(), scout.here, scout.config, seed, None)
-        self._loop = views(scout, session, viewpoint)
+        session, viewpoint = start_session(
+            scout.take_panorama(), scout.here, scout.config, seed, None
+        )
+        self._loop = iterate_views(scout, session, viewpoint)
         self.session: Session = next(self._loop)
         self.score = Score(stage, scout.truth, self.session)
         self.score.update(self.session)
@@ -69,7 +71,7 @@ class Episode:
 
     def look(self) -> None:
         """Look around from here, unless this was done already."""
-        if not self.context.looked:
+        if not self.context.has_panorama:
             self.session = self._loop.send(LOOK)
 
     def close(self) -> None:

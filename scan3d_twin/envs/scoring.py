@@ -12,12 +12,12 @@ from scipy.spatial import cKDTree
 from scan3d_twin.core.model.evaluation import (
     COVERAGE_DISTANCE,
     Truth,
-    displacement,
-    surface_distance,
-    true_pose,
+    find_true_pose,
+    measure_displacement,
+    measure_surface_distance,
 )
-from scan3d_twin.core.model.fused_cloud import supported, voxel_thin
-from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.model.fused_cloud import find_supported, thin_by_voxel
+from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
 from scan3d_twin.envs.stage import SPACING, Stage, coverable
@@ -45,7 +45,7 @@ class Score:
     def update(self, session: Session) -> None:
         """Take in the latest view of ``session``."""
         views = session.views
-        self._true += [true_pose(view, self._truth) for view in views[len(self._true) :]]
+        self._true += [find_true_pose(view, self._truth) for view in views[len(self._true) :]]
         if len(views) > 1:
             self.errors.append(self._error(session, len(views) - 1))
         known = [view.T_world_scan for view in views[: len(self._placed)]]
@@ -60,20 +60,23 @@ class Score:
     def f_score(self, session: Session, distance: float = 0.020) -> float:
         """Return the F-score of the model at ``distance`` [m]; 0 for an empty one."""
         model = np.concatenate(
-            [view.T_world_scan.apply(view.target.points[supported(view)]) for view in session.views]
+            [
+                view.T_world_scan.apply(view.target.points[find_supported(view)])
+                for view in session.views
+            ]
         )
         if len(model) == 0:
             return 0.0
         T_map_world = self._true[0] @ session.views[0].T_world_scan.inverse()
-        thin = voxel_thin(T_map_world.apply(model), distance / 2)
-        off = surface_distance(thin, self._stage.surface, self._stage.normals, SPACING)
+        thin = thin_by_voxel(T_map_world.apply(model), distance / 2)
+        off = measure_surface_distance(thin, self._stage.surface, self._stage.normals, SPACING)
         precision, recall = float(np.mean(off <= distance)), self._recall(thin, distance)
         return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
     def _recall(self, model: FloatArray, distance: float) -> float:
         if not len(self._surface):
             return 1.0
-        return float(np.mean(nearest(cKDTree(model), self._surface)[0] <= distance))
+        return float(np.mean(find_nearest(cKDTree(model), self._surface)[0] <= distance))
 
     def _cover(self, points: FloatArray) -> None:
         """Mark the samples near ``points`` (n, 3) in ``map``."""
@@ -90,7 +93,7 @@ class Score:
         inside = (samples >= low) & (samples <= high)
         near = inside[:, 0] & inside[:, 1] & inside[:, 2]  # a fraction of all(axis=1)
         tree = cKDTree(points, balanced_tree=False, compact_nodes=False)  # built in a third
-        near[near] = np.isfinite(nearest(tree, samples[near], within)[0])
+        near[near] = np.isfinite(find_nearest(tree, samples[near], within)[0])
         return np.asarray(near)
 
     def _error(self, session: Session, k: int) -> float:
@@ -100,4 +103,4 @@ class Score:
         points = points[:: max(1, len(points) // MOST_POINTS)]
         true = self._true[k - 1].inverse() @ self._true[k]
         placed = previous.T_world_scan.inverse() @ view.T_world_scan
-        return displacement(points, placed, true)
+        return measure_displacement(points, placed, true)

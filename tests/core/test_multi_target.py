@@ -26,6 +26,7 @@ SMALL = Box((1.3, -0.9, 0.0), (1.5, -0.6, 0.4))
 
 
 def middles(hints: list[FloatArray]) -> list[float]:
+    """Return the median y of each target."""
     return [float(np.median(hint[:, 1])) for hint in hints]
 
 

@@ -99,11 +99,11 @@ def sim(
 def picture_of(scene: Scene, robot: RobotName) -> bytes | str:
     """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
     from scan3d_twin.core.errors import ConfigError
-    from scan3d_twin.core.png import png_bytes
+    from scan3d_twin.core.png import encode_png
     from scan3d_twin.sim.scenes.pictures import render
 
     try:
-        return png_bytes(render(scene, robot))
+        return encode_png(render(scene, robot))
     except ConfigError as error:
         return str(error)
 

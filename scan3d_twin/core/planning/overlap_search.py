@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 
 from scan3d_twin.core.config import PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.planning.context import PlanningContext, blocked, in_world
+from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, to_world
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.types import Candidate, Plan, Pose2
 
@@ -33,14 +33,14 @@ def plan_smallest_overlap(context: PlanningContext, error: Callable[[float, Pose
     candidates: list[Candidate] = []
     for eta in list_overlaps(config):
         # Find the viewpoint of this overlap
-        placement = context.place(eta)
-        if not placement.wanted and not context.looked:
-            return blocked(context)
+        placement = context.find_placement(eta)
+        if not placement.is_wanted and not context.has_panorama:
+            return blocked_plan(context)
         if placement.viewpoint is None:
             continue
 
         # Accept it if it meets epsilon
-        viewpoint, E = in_world(context, placement.viewpoint), error(eta, placement.viewpoint)
+        viewpoint, E = to_world(context, placement.viewpoint), error(eta, placement.viewpoint)
         candidates.append(Candidate(viewpoint, eta, E, feasible=True))
         if config.epsilon >= E:
             return _plan_for(candidates[-1], candidates, fell_back=False)
@@ -58,11 +58,11 @@ def plan_with_overlap(
         reason: Why this overlap, in words.
         tried: Candidates that were considered before.
     """
-    placement = context.place(overlap)
-    if placement.viewpoint is None or not (placement.wanted or context.looked):
-        return blocked(context)
+    placement = context.find_placement(overlap)
+    if placement.viewpoint is None or not (placement.is_wanted or context.has_panorama):
+        return blocked_plan(context)
     error = predict_error(context, placement.viewpoint)
-    viewpoint = in_world(context, placement.viewpoint)
+    viewpoint = to_world(context, placement.viewpoint)
     candidate = Candidate(viewpoint, overlap, error, feasible=True)
     return Plan(viewpoint, overlap, error, False, (*tried, candidate), reason)
 
@@ -85,13 +85,13 @@ def _plan_default_overlap(
     context: PlanningContext, candidates: list[Candidate], config: PlanningConfig
 ) -> Plan:
     """Return the plan for a featureless surface: the default overlap (80 %), whatever its error."""
-    placement = context.place(config.default_overlap)
+    placement = context.find_placement(config.default_overlap)
     if placement.viewpoint is None:
-        return blocked(context)
+        return blocked_plan(context)
     error = next(
         (c.predicted_rmse for c in candidates if c.overlap == config.default_overlap), math.nan
     )
-    viewpoint = in_world(context, placement.viewpoint)
+    viewpoint = to_world(context, placement.viewpoint)
     default = Candidate(viewpoint, config.default_overlap, error, feasible=True)
     return _plan_for(default, candidates, fell_back=True)
 

@@ -10,7 +10,7 @@ from synthetic import Box, observe
 from scan3d_twin.core.config import Config, PlanningConfig
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.core.planning import make_planner, planner_names
+from scan3d_twin.core.planning import list_planners, make_planner
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
 from scan3d_twin.core.planning.overlap_search import list_overlaps
@@ -39,11 +39,13 @@ def session_at(boxes: tuple[Box, ...], config: Config | None = None) -> Session:
 
 @pytest.fixture(scope="module")
 def wall() -> Session:
+    """Return a session in front of a bare wall."""
     return session_at(WALL)
 
 
 @pytest.fixture(scope="module")
 def steps() -> Session:
+    """Return a session in front of a wall with pilasters."""
     return session_at(STEPS)
 
 
@@ -52,7 +54,7 @@ def errors(session: Session, overlap: float, n: int, **changes: object) -> np.nd
     planning = replace(session.config.planning, **changes)  # type: ignore[arg-type]
     session = replace(session, config=replace(session.config, planning=planning))
     context = PlanningContext(session)
-    viewpoint = context.place(overlap).viewpoint
+    viewpoint = context.find_placement(overlap).viewpoint
     assert viewpoint is not None
     draws = np.random.default_rng(1).standard_normal((n, 1, 3))
     rngs = np.random.default_rng(2).spawn(n)
@@ -65,6 +67,7 @@ def errors(session: Session, overlap: float, n: int, **changes: object) -> np.nd
 
 
 def plan(session: Session, seed: int = 0, **changes: object) -> Plan:
+    """Return the plan of SiICP with changed options."""
     planning = replace(session.config.planning, **changes)  # type: ignore[arg-type]
     session = replace(session, config=replace(session.config, planning=planning))
     return make_planner("siicp").plan(session, np.random.default_rng(seed))
@@ -189,6 +192,6 @@ def test_a_lost_target_ends_the_run(wall: Session) -> None:
 
 
 def test_an_unknown_planner_is_an_error_that_lists_the_known() -> None:
-    assert "siicp" in planner_names()
+    assert "siicp" in list_planners()
     with pytest.raises(UnknownNameError, match=r"no planner 'best'; known: .*siicp"):
         make_planner("best")

@@ -1,4 +1,4 @@
-"""A fixed overlap: what people do who have no planner."""
+"""Fixed planner: always the same overlap, as people do without a planner."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class FixedPlanner:
     """The overlap `baselines.fixed_overlap`, always."""
 
     def __init__(self, overlap: float | None = None) -> None:
-        """Choose the overlap; None leaves it to ``config.baselines.fixed_overlap``."""
+        """Set the overlap; None for ``config.baselines.fixed_overlap``."""
         self._overlap = overlap
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:

@@ -23,7 +23,7 @@ from scan3d_twin.core.planning.error_measure import measure_error
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
 from scan3d_twin.core.planning.overlap_search import list_overlaps, plan_smallest_overlap
-from scan3d_twin.core.planning.simulated_registration import Simulation
+from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
 from scan3d_twin.core.registration.icp import cut_lines, register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, Scan3D
@@ -56,7 +56,7 @@ def _simulate_visible(
 ) -> Callable[[float, Pose2], float]:
     """Return the error of a viewpoint by simulated registration of what would be seen there."""
     try:
-        simulation = Simulation.of(context, int(rng.integers(2**63)))
+        simulation = SimulatedRegistration.of(context, int(rng.integers(2**63)))
     except RegistrationError:
         return lambda eta, O2: math.inf
     return lambda eta, O2: simulation.error(O2, context.session.config.planning.trials)
@@ -88,7 +88,7 @@ def simulate_error(
     Q = context.P.last_lines(n_Q)
     Q_prime = _select_surface(context, config).last_lines(n_Q)
     Q_prime = Q_prime.middle_lines(max(1, round(config.alpha * n_Q)))  # eq. (5)
-    border = cut_lines(Q, right=not context.ends)
+    border = cut_lines(Q, right=not context.has_end_in_view)
     tree = cKDTree(Q.points)
 
     # Displace and register each draw
@@ -116,4 +116,4 @@ def _select_surface(context: PlanningContext, config: PlanningConfig) -> Scan3D:
     """
     if config.virtual_scan == "copy":
         return context.P
-    return context.P.on(context.smoothed)
+    return context.P.with_points_of(context.smoothed)
