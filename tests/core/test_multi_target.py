@@ -10,7 +10,7 @@ from paper import paper_config
 from synthetic import Box, observe
 from two_targets import TWO
 
-from scan3d_twin.core.digitize import digitize
+from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.multi_target import drive_back, find_places
 from scan3d_twin.core.observer import Unobserved
@@ -53,7 +53,7 @@ def test_the_robot_finds_two_targets_and_drives_back_between_them(tmp_path: Path
     with open_sim(load_scene(str(path)), 0, TwinConfig.ideal()) as (robot, _):
         start = robot.base.odometry().T_odom_base
         places = find_places(robot, config, Unobserved(), 2)
-        session = digitize(robot, make_planner("fixed50"), config, 0, Unobserved(), places[0])
+        session = run_loop(robot, make_planner("fixed50"), config, 0, Unobserved(), places[0])
         drive_back(robot, start, session, Unobserved())
         assert robot.base.odometry().T_odom_base.distance(start) < 0.05
     for place, expected in zip(places, [(1.3, 0.9), (1.35, -0.8)], strict=True):
