@@ -23,7 +23,7 @@ from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.recording.recorder import SerialTaps
 from scan3d_twin.run.folder import claim_folder
-from scan3d_twin.run.settings import REAL, settings
+from scan3d_twin.run.settings import REAL_SCENE, build_settings
 
 LINES = ("base", "lidar")
 
@@ -122,9 +122,11 @@ def main():
     give_back_memory()
     clock, taps = FarClock(Connection(int(sys.argv[1]))), SerialTaps()
     given = tomllib.loads("\n".join(sys.argv[3:]))
-    effective = settings([preset("best"), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    effective = build_settings(
+        [preset("best"), SMALL_COMPUTER, given, {"run": {"scene": REAL_SCENE}}]
+    )
     folder = claim_folder(Path(sys.argv[2]))
-    run(effective, REAL, opening(clock, taps), folder, as_json=True, taps=taps)
+    run(effective, REAL_SCENE, opening(clock, taps), folder, as_json=True, taps=taps)
     print(sorted({name.partition(".")[0] for name in sys.modules}), file=sys.stderr)
 
 

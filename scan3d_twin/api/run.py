@@ -12,24 +12,24 @@ from datetime import datetime
 from pathlib import Path
 from typing import cast
 
-from scan3d_twin.api.resume import MovedCheck, Resume
+from scan3d_twin.api.resume import MovedCheck, ResumedRun
 from scan3d_twin.api.save import save_run
 from scan3d_twin.api.view_saver import ViewSaver
-from scan3d_twin.api.watch import UNWATCHED, Onlooker, Watch
+from scan3d_twin.api.watch import UNWATCHED, RunWatcher, WatchOptions
 from scan3d_twin.core.errors import FileError, HazardError, LinkError, ScanError
 from scan3d_twin.core.observer import Observer, Observers
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.recorder import Recorder, SerialTaps
-from scan3d_twin.run.closed_loop import Loop, Opening, close_loop
+from scan3d_twin.run.closed_loop import LoopOutcome, RobotContext, close_loop
 from scan3d_twin.run.folder import release_folder
-from scan3d_twin.run.report import Effort, Report, failure
+from scan3d_twin.run.report import Effort, Report, failure_reason
 from scan3d_twin.run.settings import Settings
-from scan3d_twin.run.versions import versions
+from scan3d_twin.run.versions import collect_versions
 from scan3d_twin.sim.config import RobotName
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """What came of a run.
 
     Attributes:
@@ -45,18 +45,18 @@ class Outcome:
     ended: BaseException | None
 
 
-def run_in(
+def run_in_folder(
     settings: Settings,
     name: str,
-    opening: Opening,
+    opening: RobotContext,
     folder: Path,
     observer: Observer,
     *,
     taps: SerialTaps | None = None,
-    resume: Resume | None = None,
-    watch: Watch = UNWATCHED,
+    resume: ResumedRun | None = None,
+    watch: WatchOptions = UNWATCHED,
     begun: float = 0.0,
-) -> Outcome:
+) -> RunOutcome:
     """Digitise with the robot of ``opening`` and save the results in ``folder``.
 
     Args:
@@ -79,7 +79,7 @@ def run_in(
     try:
         with (
             watch.onlooker(name, observer.on_event) as onlooker,
-            recording(folder, taps, resume) as recorder,
+            open_recorder(folder, taps, resume) as recorder,
         ):
             outcome = _digitize_and_save(
                 settings, name, opening, recorder, observer, resume, onlooker, begun
@@ -90,7 +90,7 @@ def run_in(
     return outcome
 
 
-def end(outcome: Outcome) -> None:
+def raise_if_failed(outcome: RunOutcome) -> None:
     """Raise what ended the run before its time or makes it a failure, if anything did."""
     if isinstance(outcome.ended, KeyboardInterrupt):
         views = outcome.report["views"]
@@ -100,15 +100,15 @@ def end(outcome: Outcome) -> None:
 
 
 @contextmanager
-def recording(
-    folder: Path, taps: SerialTaps | None = None, resume: Resume | None = None
+def open_recorder(
+    folder: Path, taps: SerialTaps | None = None, resume: ResumedRun | None = None
 ) -> Iterator[Recorder]:
     """Open the session file of the run in ``folder``.
 
     Of a run that ends without a view it is kept only for what it tells of a robot that failed.
     """
     started = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
-    origin = {**versions(), "command": shlex.join(sys.argv), "started": started}
+    origin = {**collect_versions(), "command": shlex.join(sys.argv), "started": started}
     earlier = None if resume is None else resume.recorded
     recorder = Recorder(folder, time.monotonic, origin, earlier)
     if taps is not None:
@@ -123,13 +123,13 @@ def recording(
 def _digitize_and_save(
     settings: Settings,
     name: str,
-    opening: Opening,
+    opening: RobotContext,
     recorder: Recorder,
     observer: Observer,
-    resume: Resume | None,
-    onlooker: Onlooker,
+    resume: ResumedRun | None,
+    onlooker: RunWatcher,
     begun: float,
-) -> Outcome:
+) -> RunOutcome:
     """Digitise, save and judge."""
     started, folder = time.perf_counter(), recorder.path.parent
     with opening as (robot, truth):
@@ -154,10 +154,10 @@ def _digitize_and_save(
         )
     except FileError as error:  # the disk that was full before is full now
         raise (loop.ended if isinstance(loop.ended, FileError) else error) from None
-    return Outcome(folder, report, loop.session, loop.ended or _failed(loop.session))
+    return RunOutcome(folder, report, loop.session, loop.ended or _scan_error(loop.session))
 
 
-def _finish(recorder: Recorder, loop: Loop) -> None:
+def _finish(recorder: Recorder, loop: LoopOutcome) -> None:
     """End the session file; a full disk that has ended the run has no room for an end either."""
     try:
         recorder.finish(loop.session)
@@ -167,8 +167,8 @@ def _finish(recorder: Recorder, loop: Loop) -> None:
             raise
 
 
-def _failed(session: Session) -> ScanError | None:
-    reason = failure(session)
+def _scan_error(session: Session) -> ScanError | None:
+    reason = failure_reason(session)
     return ScanError(reason) if reason else None
 
 

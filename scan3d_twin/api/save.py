@@ -23,8 +23,8 @@ from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.folder import write_file
 from scan3d_twin.run.report import Effort, Journey, Report, build_report, report_json
 from scan3d_twin.run.settings import Settings, settings_toml
-from scan3d_twin.viz.report_page import Pictures, report_page
-from scan3d_twin.viz.top_view import top_view
+from scan3d_twin.viz.report_page import Pictures, render_report_page
+from scan3d_twin.viz.top_view import draw_top_view
 
 
 def save_run(
@@ -61,7 +61,7 @@ def save_run(
     for index, each in enumerate(session.views):
         write_file(view_path(folder, index), view_bytes(each))
     _remove_views_from(len(session.views), folder)
-    picture = top_view(
+    picture = draw_top_view(
         model.points,
         model.view,
         [each.T_world_scan for each in session.views],
@@ -76,7 +76,7 @@ def save_run(
         write_file(folder / "scene.png", scene_picture)
     pictures = Pictures(picture, scene_picture)
     options = settings_toml(settings)
-    page = report_page(report, options, session, model, pictures, evaluation)
+    page = render_report_page(report, options, session, model, pictures, evaluation)
     write_file(folder / "report.html", page)
     return report
 

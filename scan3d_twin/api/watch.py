@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Onlooker:
+class RunWatcher:
     """The live view of one run, if there is one.
 
     Attributes:
@@ -43,13 +43,13 @@ class Onlooker:
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class WatchOptions:
     """How a run is to be watched.
 
     Attributes:
         address: Host and TCP port at which the live view is served; None for no live view.
         speed: Speed of the twin while it is watched, such as ``10x``; None for a real robot.
-        picture: See ``Onlooker``.
+        picture: See ``RunWatcher``.
     """
 
     address: tuple[str, int] | None = None
@@ -57,20 +57,20 @@ class Watch:
     picture: Callable[[], bytes | str] = str
 
     @contextmanager
-    def onlooker(self, name: str, report: Callable[[str], None]) -> Iterator[Onlooker]:
+    def onlooker(self, name: str, report: Callable[[str], None]) -> Iterator[RunWatcher]:
         """Serve the live view of the run called ``name`` if one is wanted.
 
         Raises:
             LinkError: It cannot be served there.
         """
         if self.address is None:
-            yield Onlooker(None, self.picture)
+            yield RunWatcher(None, self.picture)
             return
         from scan3d_twin.viz.live import open_live_view
 
         host, port = self.address
         with open_live_view(host, port, name, self.speed, report) as view:
-            yield Onlooker(view, self.picture)
+            yield RunWatcher(view, self.picture)
 
 
-UNWATCHED = Watch()
+UNWATCHED = WatchOptions()

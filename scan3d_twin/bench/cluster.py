@@ -14,14 +14,14 @@ from typing import Any
 
 from scan3d_twin.bench.engine import WorkerLostError
 from scan3d_twin.bench.task import Task
-from scan3d_twin.bench.work import Done, code_hash, perform
+from scan3d_twin.bench.work import TaskResult, code_hash, run_task
 from scan3d_twin.core.errors import ConfigError, LinkError
 
 CONNECT_TIMEOUT = 15.0
 """For the scheduler to answer [s]; a loopback takes 2."""
 WORKER_TIMEOUT = 60.0
 """For a worker to come [s]; one begins in 5 on a quiet computer."""
-POLL = 0.5
+POLL_PERIOD = 0.5
 """Time between two looks at the clock of the tasks [s]."""
 
 
@@ -79,8 +79,8 @@ class ClusterEngine:
         self._client = client
         self._address = address
         self._timeout = timeout
-        self._inner: dict[Future[Done], Any] = {}
-        self._begun: dict[Future[Done], float] = {}
+        self._inner: dict[Future[TaskResult], Any] = {}
+        self._begun: dict[Future[TaskResult], float] = {}
 
     @property
     def slots(self) -> int:
@@ -88,21 +88,21 @@ class ClusterEngine:
         threads: dict[str, int] = self._ask(self._client.nthreads)
         return max(1, sum(threads.values()))
 
-    def submit(self, task: Task) -> Future[Done]:
+    def submit(self, task: Task) -> Future[TaskResult]:
         """See ``Engine``."""
-        outer: Future[Done] = Future()
-        self._inner[outer] = self._ask(lambda: self._client.submit(perform, task, pure=False))
+        outer: Future[TaskResult] = Future()
+        self._inner[outer] = self._ask(lambda: self._client.submit(run_task, task, pure=False))
         self._begun[outer] = time.monotonic()
         return outer
 
-    def wait(self, futures: Collection[Future[Done]]) -> Collection[Future[Done]]:
+    def wait(self, futures: Collection[Future[TaskResult]]) -> Collection[Future[TaskResult]]:
         """See ``Engine``."""
         from distributed import wait
 
         while True:
             try:
                 inner = [self._inner[future] for future in futures]
-                wait(inner, timeout=POLL, return_when="FIRST_COMPLETED")  # type: ignore[no-untyped-call]
+                wait(inner, timeout=POLL_PERIOD, return_when="FIRST_COMPLETED")  # type: ignore[no-untyped-call]
             except TimeoutError:
                 self._end_overdue(futures)
             except CancelledError as error:
@@ -114,7 +114,7 @@ class ClusterEngine:
                 return finished
             self._ask(self._client.nthreads)
 
-    def _settle(self, outer: Future[Done]) -> None:
+    def _settle(self, outer: Future[TaskResult]) -> None:
         """Give ``outer`` the outcome of its task, in the engine's words."""
         inner = self._inner.pop(outer)
         del self._begun[outer]
@@ -130,7 +130,7 @@ class ClusterEngine:
         else:
             outer.set_exception(error)
 
-    def _end_overdue(self, futures: Collection[Future[Done]]) -> None:
+    def _end_overdue(self, futures: Collection[Future[TaskResult]]) -> None:
         """Give up tasks whose time is over, and restart the workers that hang on them."""
         now = time.monotonic()
         overdue = [f for f in futures if now - self._begun[f] > self._timeout]

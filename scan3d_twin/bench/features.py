@@ -11,12 +11,12 @@ from scan3d_twin.core.planning.planners.curvature import feature_score
 from scan3d_twin.core.planning.surface_patches import eye_height, patches_of
 from scan3d_twin.core.session import Session
 
-SHARE = 0.5
+SCORED_SHARE = 0.5
 """The score is that of this share of the latest view, on the travel side: half way between the
 smallest and the largest overlaps of the paper."""
 
 
-def feature_before(session: Session, k: int) -> float | None:
+def feature_score_before(session: Session, k: int) -> float | None:
     """Return the feature score that the planner met after view ``k``; None where there was no step.
 
     The spread of the normals (curvature.py), whatever the planner looked at itself.
@@ -27,5 +27,5 @@ def feature_before(session: Session, k: int) -> float | None:
     if context.n_lines < MIN_LINES:
         return None
     eye = np.array([0.0, 0.0, eye_height(context.view)])
-    Q = patches_of(context.P.last_lines(context.n_Q(SHARE)).points, eye)
+    Q = patches_of(context.P.last_lines(context.n_Q(SCORED_SHARE)).points, eye)
     return feature_score(Q, len(patches_of(context.P.points, eye)), "normals")

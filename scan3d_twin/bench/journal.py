@@ -17,7 +17,7 @@ from typing import Any
 from scan3d_twin.bench.record import Record, from_row, to_json
 from scan3d_twin.core.errors import FileError
 
-PATTERN = "journal*.jsonl"
+JOURNAL_PATTERN = "journal*.jsonl"
 
 
 def journal_path(folder: Path, shard: tuple[int, int]) -> Path:

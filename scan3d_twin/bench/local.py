@@ -12,10 +12,10 @@ from typing import Any
 
 from scan3d_twin.bench.engine import WorkerLostError
 from scan3d_twin.bench.task import Task
-from scan3d_twin.bench.work import Done, perform
+from scan3d_twin.bench.work import TaskResult, run_task
 from scan3d_twin.core.errors import ConfigError
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """One thread per worker: the arrays are small, and more only get into each other's way."""
 
 
@@ -26,7 +26,7 @@ def local_engine(jobs: int, timeout: float) -> Iterator[LocalEngine]:
     Raises:
         ConfigError: The process pool is not installed.
     """
-    with _environment(dict.fromkeys(THREADS, "1")):
+    with _environment(dict.fromkeys(THREAD_VARIABLES, "1")):
         engine = LocalEngine(jobs, timeout)
         try:
             yield engine
@@ -47,20 +47,20 @@ class LocalEngine:
         """See ``Engine``: as many again wait at the pool's door."""
         return 2 * self._jobs
 
-    def submit(self, task: Task) -> Future[Done]:
+    def submit(self, task: Task) -> Future[TaskResult]:
         """See ``Engine``."""
-        outer: Future[Done] = Future()
+        outer: Future[TaskResult] = Future()
         try:
-            inner = self._pool.schedule(perform, args=(task,), timeout=self._timeout)
+            inner = self._pool.schedule(run_task, args=(task,), timeout=self._timeout)
         except (BrokenProcessPool, RuntimeError):
             # A pool breaks when its last idle worker is killed; the tasks are not to blame.
             self.stop()
             self._pool = self._open()
-            inner = self._pool.schedule(perform, args=(task,), timeout=self._timeout)
+            inner = self._pool.schedule(run_task, args=(task,), timeout=self._timeout)
         inner.add_done_callback(lambda future: _pass_on(future, outer, self._timeout))
         return outer
 
-    def wait(self, futures: Collection[Future[Done]]) -> Collection[Future[Done]]:
+    def wait(self, futures: Collection[Future[TaskResult]]) -> Collection[Future[TaskResult]]:
         """See ``Engine``."""
         return wait(futures, return_when=FIRST_COMPLETED).done
 
@@ -81,7 +81,7 @@ class LocalEngine:
         return ProcessPool(max_workers=self._jobs, context=context)
 
 
-def _pass_on(inner: Future[Done], outer: Future[Done], timeout: float) -> None:
+def _pass_on(inner: Future[TaskResult], outer: Future[TaskResult], timeout: float) -> None:
     """Give ``outer`` the outcome of ``inner``, in the engine's words."""
     from pebble import ProcessExpired
 

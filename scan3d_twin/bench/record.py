@@ -1,7 +1,7 @@
 """The record of one closed loop: a row of the journal and of the Parquet file.
 
 SI units and radians, as everywhere inside. One task gives the same record again, except for
-``TIMINGS``. Null is what was not measured or is not finite.
+``TIMING_FIELDS``. Null is what was not measured or is not finite.
 """
 
 from __future__ import annotations
@@ -138,20 +138,20 @@ class Record:
     steps: tuple[Step, ...] = ()
 
 
-TIMINGS = ("plan_cpu", "cpu", "wall", "attempts")
+TIMING_FIELDS = ("plan_cpu", "cpu", "wall", "attempts")
 """What differs between two runs of one task, in a record and in its steps."""
 
 
-def lasting(record: Record) -> dict[str, Any]:
+def without_timings(record: Record) -> dict[str, Any]:
     """Return what every run of the task gives again."""
-    row = {name: value for name, value in asdict(record).items() if name not in TIMINGS}
-    steps = [{k: v for k, v in step.items() if k not in TIMINGS} for step in row["steps"]]
+    row = {name: value for name, value in asdict(record).items() if name not in TIMING_FIELDS}
+    steps = [{k: v for k, v in step.items() if k not in TIMING_FIELDS} for step in row["steps"]]
     return {**row, "steps": steps}
 
 
 def to_json(record: Record) -> str:
     """Return ``record`` as one line."""
-    return json.dumps(finite(asdict(record)), ensure_ascii=False, allow_nan=False)
+    return json.dumps(replace_nonfinite(asdict(record)), ensure_ascii=False, allow_nan=False)
 
 
 def from_row(row: Mapping[str, Any]) -> Record:
@@ -160,17 +160,17 @@ def from_row(row: Mapping[str, Any]) -> Record:
     Raises:
         KeyError, TypeError: It is none.
     """
-    steps = tuple(Step(**_known(Step, step)) for step in row["steps"])
-    return Record(**{**_known(Record, row), "steps": steps})
+    steps = tuple(Step(**_select_known(Step, step)) for step in row["steps"])
+    return Record(**{**_select_known(Record, row), "steps": steps})
 
 
-def columns(cls: type = Record) -> dict[str, str]:
+def sql_columns(cls: type = Record) -> dict[str, str]:
     """Return DuckDB's type of each field of ``cls``."""
     hints = get_type_hints(cls)
     return {field.name: _sql_type(hints[field.name]) for field in fields(cls)}
 
 
-_SQL: Mapping[Any, str] = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE", bool: "BOOLEAN"}
+_SQL_TYPES: Mapping[Any, str] = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE", bool: "BOOLEAN"}
 
 
 def _sql_type(hint: Any) -> str:
@@ -181,21 +181,21 @@ def _sql_type(hint: Any) -> str:
     if get_origin(hint) is tuple:
         return _sql_type(get_args(hint)[0]) + "[]"
     if is_dataclass(hint) and isinstance(hint, type):
-        inner = ", ".join(f'"{name}" {kind}' for name, kind in columns(hint).items())
+        inner = ", ".join(f'"{name}" {kind}' for name, kind in sql_columns(hint).items())
         return f"STRUCT({inner})"
-    return _SQL[hint]
+    return _SQL_TYPES[hint]
 
 
-def _known(cls: type, row: Mapping[str, Any]) -> dict[str, Any]:
+def _select_known(cls: type, row: Mapping[str, Any]) -> dict[str, Any]:
     """Return what ``cls`` has fields for: records of a later version may say more."""
     names = {field.name for field in fields(cls)}
     return {name: value for name, value in row.items() if name in names}
 
 
-def finite(value: Any) -> Any:
+def replace_nonfinite(value: Any) -> Any:
     """Return ``value`` with None for what JSON has no number for."""
     if isinstance(value, dict):
-        return {name: finite(each) for name, each in value.items()}
+        return {name: replace_nonfinite(each) for name, each in value.items()}
     if isinstance(value, (list, tuple)):
-        return [finite(each) for each in value]
+        return [replace_nonfinite(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -35,7 +35,7 @@ from typing import Any
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.run.resolve import resolve_sim
-from scan3d_twin.run.settings import Options, merge, read_settings
+from scan3d_twin.run.settings import Options, merge_options, read_settings
 
 SUITES = files("scan3d_twin.bench") / "suites"
 
@@ -83,11 +83,11 @@ class Experiment:
 
     def with_options(self, options: Options) -> Experiment:
         """Return the experiment with ``options`` stated for every variant."""
-        variants = {name: merge([own, options]) for name, own in self.variants.items()}
+        variants = {name: merge_options([own, options]) for name, own in self.variants.items()}
         return replace(self, variants=variants)
 
 
-def tasks(experiment: Experiment) -> list[Task]:
+def list_tasks(experiment: Experiment) -> list[Task]:
     """Return the tasks of ``experiment``, seed by seed, so that what there is stays paired.
 
     Raises:
@@ -103,7 +103,7 @@ def tasks(experiment: Experiment) -> list[Task]:
     return [task for _, task in sorted(rows.values(), key=lambda row: row[0])]
 
 
-def shard_of(whole: Sequence[Task], number: int, count: int) -> list[Task]:
+def select_shard(whole: Sequence[Task], number: int, count: int) -> list[Task]:
     """Return every ``count``-th of the ``whole``, from ``number`` - 1 on."""
     return list(whole[number - 1 :: count])
 
@@ -111,7 +111,7 @@ def shard_of(whole: Sequence[Task], number: int, count: int) -> list[Task]:
 def _task(scene: str, variant: str, variants: Mapping[str, Options]) -> Task:
     path = Path(scene)
     found = str(path.resolve()) if path.suffix and path.is_file() else scene
-    given = merge([variants[variant], {"run": {"scene": found}}])
+    given = merge_options([variants[variant], {"run": {"scene": found}}])
     try:
         settings, loaded = resolve_sim(given)
     except ConfigError as error:
@@ -153,7 +153,7 @@ def read_experiment(path: Path) -> Experiment:
     _check_keys(document, ("description", "options", "variants", "grids"), where)
     common = _table(document, "options", where)
     own = {
-        name: merge([common, _table(document["variants"], name, f"{where}: variants")])
+        name: merge_options([common, _table(document["variants"], name, f"{where}: variants")])
         for name in _table(document, "variants", where)
     }
     grids = document.get("grids", [])
@@ -167,7 +167,7 @@ def read_experiment(path: Path) -> Experiment:
     )
 
 
-def experiment_of(
+def make_experiment(
     scenes: Sequence[str], planners: Sequence[str], presets: Sequence[str]
 ) -> Experiment:
     """Return planners x presets on ``scenes``; without planners each preset's own."""

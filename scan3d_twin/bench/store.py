@@ -8,20 +8,20 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from scan3d_twin.bench.journal import PATTERN, read_journals
-from scan3d_twin.bench.record import Record, columns, from_row, to_json
+from scan3d_twin.bench.journal import JOURNAL_PATTERN, read_journals
+from scan3d_twin.bench.record import Record, from_row, sql_columns, to_json
 from scan3d_twin.core.errors import ConfigError, FileError
 
-RESULTS = "results.parquet"
+RESULTS_FILE = "results.parquet"
 
 
-def collect(folder: Path) -> list[Record]:
+def collect_records(folder: Path) -> list[Record]:
     """Return the records of all journals in ``folder``: of each run the last one, in order.
 
     A run is a scene, a variant and a seed: what was run anew with other options under the same
     name counts once.
     """
-    records = read_journals(sorted(folder.glob(PATTERN))).values()
+    records = read_journals(sorted(folder.glob(JOURNAL_PATTERN))).values()
     runs = {(record.scene, record.variant, record.seed): record for record in records}
     return [runs[run] for run in sorted(runs)]
 
@@ -40,7 +40,9 @@ def write_parquet(records: Iterable[Record], path: Path) -> None:
         lines.flush()
         try:
             with duckdb.connect() as database:
-                rows = database.read_json(lines.name, columns=columns(), format="newline_delimited")
+                rows = database.read_json(
+                    lines.name, columns=sql_columns(), format="newline_delimited"
+                )
                 rows.write_parquet(str(part), compression="zstd")
             os.replace(part, path)
         except (OSError, duckdb.Error) as error:
@@ -55,7 +57,11 @@ def read_results(path: Path) -> list[Record]:
         FileError: There are none.
     """
     if path.is_dir():
-        records = collect(path) if any(path.glob(PATTERN)) else _read_parquet(path / RESULTS)
+        records = (
+            collect_records(path)
+            if any(path.glob(JOURNAL_PATTERN))
+            else _read_parquet(path / RESULTS_FILE)
+        )
     else:
         records = _read_parquet(path)
     if not records:

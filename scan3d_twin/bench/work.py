@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import scan3d_twin
-from scan3d_twin.bench.features import feature_before
+from scan3d_twin.bench.features import feature_score_before
 from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import TwinError
@@ -19,17 +19,17 @@ from scan3d_twin.core.model.evaluation import Evaluation, Reference, evaluate_mo
 from scan3d_twin.core.model.fused_cloud import Model, build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
-from scan3d_twin.run.closed_loop import Loop, close_loop
+from scan3d_twin.run.closed_loop import LoopOutcome, close_loop
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
-from scan3d_twin.viz.top_view import top_view
+from scan3d_twin.viz.top_view import draw_top_view
 
-COMPLETE = ("front complete", "contour complete")
+COMPLETE_REASONS = ("front complete", "contour complete")
 """Reasons to stop that mean that nothing is left to scan start so."""
 
 
 @dataclass(frozen=True)
-class Done:
+class TaskResult:
     """What came of a task.
 
     Attributes:
@@ -41,7 +41,7 @@ class Done:
     picture: str | None = None
 
 
-def perform(task: Task) -> Done:
+def run_task(task: Task) -> TaskResult:
     """Run ``task``; a scan that cannot go on is a result too.
 
     Raises:
@@ -55,7 +55,7 @@ def perform(task: Task) -> Done:
             loop = close_loop(robot, truth, task.settings, Unobserved(), time.process_time)
     except TwinError as error:
         blank = replace(task.blank(), stop=f"{type(error).__name__}: {error}")
-        return Done(_signed(blank, wall, cpu))
+        return TaskResult(_add_provenance(blank, wall, cpu))
     if loop.ended is not None and not isinstance(loop.ended, TwinError):
         raise loop.ended
     seen = any(len(view.target) for view in loop.session.views)
@@ -63,19 +63,21 @@ def perform(task: Task) -> Done:
     evaluation = (
         evaluate_model(loop.session, model, Reference.of(loop.session, truth)) if seen else None
     )
-    record = _filled(task.blank(), loop, model, evaluation)
-    picture = _picture(task, record, loop.session, model) if task.picture and seen else None
-    return Done(_signed(record, wall, cpu), picture)
+    record = _fill_record(task.blank(), loop, model, evaluation)
+    picture = _draw_picture(task, record, loop.session, model) if task.picture and seen else None
+    return TaskResult(_add_provenance(record, wall, cpu), picture)
 
 
-def _filled(blank: Record, loop: Loop, model: Model, evaluation: Evaluation | None) -> Record:
+def _fill_record(
+    blank: Record, loop: LoopOutcome, model: Model, evaluation: Evaluation | None
+) -> Record:
     """Return the record of ``loop``; without ``evaluation`` nothing of the target was seen."""
     errors = [pair.error for pair in evaluation.pairs] if evaluation else []
     record = replace(
         blank,
         status="failed" if loop.ended else "done",
         stop=loop.session.stop_reason,
-        complete=loop.session.stop_reason.startswith(COMPLETE),
+        complete=loop.session.stop_reason.startswith(COMPLETE_REASONS),
         views=len(loop.session.views),
         success=bool(errors) and max(errors) <= blank.epsilon,
         max_error=max(errors, default=None),
@@ -101,7 +103,7 @@ def _quality(model: Model, evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _step(loop: Loop, k: int, evaluation: Evaluation | None) -> Step:
+def _step(loop: LoopOutcome, k: int, evaluation: Evaluation | None) -> Step:
     """Return the row of view ``k``."""
     view, journey = loop.session.views[k], loop.journeys[k]
     step = Step(
@@ -114,7 +116,7 @@ def _step(loop: Loop, k: int, evaluation: Evaluation | None) -> Step:
         time=journey.duration,
         coverage=evaluation.coverage_by_view[k] if evaluation else None,
         plan_cpu=loop.plan_times[k] if k < len(loop.plan_times) else None,
-        feature=feature_before(loop.session, k),
+        feature=feature_score_before(loop.session, k),
     )
     return step if k == 0 else replace(step, **_registered(loop.session, k, evaluation))
 
@@ -141,8 +143,8 @@ def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict
     return planned | errors
 
 
-def _picture(task: Task, record: Record, session: Session, model: Model) -> str:
-    return top_view(
+def _draw_picture(task: Task, record: Record, session: Session, model: Model) -> str:
+    return draw_top_view(
         model.points,
         model.view,
         [each.T_world_scan for each in session.views],
@@ -153,7 +155,7 @@ def _picture(task: Task, record: Record, session: Session, model: Model) -> str:
     )
 
 
-def _signed(record: Record, wall: float, cpu: float) -> Record:
+def _add_provenance(record: Record, wall: float, cpu: float) -> Record:
     """Return ``record`` with what it took and by which software."""
     return replace(
         record,

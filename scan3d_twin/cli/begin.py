@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
-from scan3d_twin.run.folder import claim_folder, free_folder, release_folder
+from scan3d_twin.run.folder import claim_folder, find_free_folder, release_folder
 
 
 @contextmanager
@@ -30,4 +30,4 @@ def begun(scene: str, out: Path | None) -> Iterator[Path]:
 
 def default_folder(scene: str) -> Path:
     """Return a new folder under ``runs`` for a run in ``scene``."""
-    return free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")
+    return find_free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")

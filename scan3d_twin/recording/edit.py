@@ -12,16 +12,16 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.mapping.loop_closure import Alignment, align, apply_alignment
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.load import Recorded, load_session, session_path
+from scan3d_twin.recording.load import RecordedRun, find_session_file, load_session
 from scan3d_twin.recording.mcap import ros_records
 from scan3d_twin.recording.mcap.reader import is_finished, is_sound, is_written
-from scan3d_twin.recording.mcap.reopen import keep_beside, latest_backup, reopen
+from scan3d_twin.recording.mcap.reopen import back_up, find_latest_backup, reopen
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
 from scan3d_twin.recording.recorder import finish_file
 from scan3d_twin.recording.session_log import SessionLog
 
 
-def recover(folder: Path, wall: Callable[[], float]) -> Path | None:
+def recover_session(folder: Path, wall: Callable[[], float]) -> Path | None:
     """Make a whole session file of one that was cut off or damaged; it is kept beside the new one.
 
     Args:
@@ -34,7 +34,7 @@ def recover(folder: Path, wall: Callable[[], float]) -> Path | None:
     Raises:
         FileError: There is no session, or a run is writing to it.
     """
-    path = session_path(folder)
+    path = find_session_file(folder)
     if is_finished(path) and is_sound(path):
         return None
     reopened = reopen(path, wall, whole=True)
@@ -42,7 +42,7 @@ def recover(folder: Path, wall: Callable[[], float]) -> Path | None:
     return reopened.backup
 
 
-def without_view(session: Session, index: int) -> Session:
+def remove_view(session: Session, index: int) -> Session:
     """Return ``session`` without the view ``index``, the others placed again.
 
     All at once if the run aligned its views so, else one on the other, as they were taken.
@@ -67,7 +67,7 @@ def without_view(session: Session, index: int) -> Session:
     return again
 
 
-def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> Recorded:
+def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> RecordedRun:
     """Drop the view ``index`` from the session in ``folder`` and return the session as it is then.
 
     Args:
@@ -76,31 +76,31 @@ def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> Recorded:
         wall: Returns the time here [s]; only differences count.
 
     Raises:
-        ConfigError: As for ``without_view``.
+        ConfigError: As for ``remove_view``.
         FileError: There is no session, a run is writing to it, or there is no room.
     """
     recorded = load_session(folder)
-    session, mark = without_view(recorded.session, index), recorded.mark
+    session, mark = remove_view(recorded.session, index), recorded.mark
     reopened = reopen(recorded.path, wall, whole=True)
     log = SessionLog(recorded.session)
     for state in (replace(session, stop_reason=""), session):
         for kind, number, packed in log.changes(state, mark):
-            record = ros_records.record(mark.stamp, kind, number, packed)
+            record = ros_records.encode_record(mark.stamp, kind, number, packed)
             reopened.file.write(RECORDS, mark.stamp, record)
     finish_file(reopened.file, recorded.path.with_name(SESSION_FILE))
     return load_session(folder)
 
 
-def undo(folder: Path) -> Recorded:
+def undo_last_change(folder: Path) -> RecordedRun:
     """Take the last change of the session in ``folder`` back; doing it twice does it again.
 
     Raises:
         FileError: There is nothing to take back, or a run is writing to the session.
     """
-    path, backup = session_path(folder), latest_backup(folder)
+    path, backup = find_session_file(folder), find_latest_backup(folder)
     if is_written(path):
         raise FileError(f"{path} is being written by a run that goes on: stop that first")
-    keep_beside(path)
+    back_up(path)
     name = SESSION_FILE + backup.name.split(".mcap", 1)[1]
     try:
         if path.name != name:

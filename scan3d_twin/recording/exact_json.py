@@ -92,7 +92,7 @@ def unpack(hint: Any, packed: Packed) -> Any:
     text, blob = packed
     try:
         return _Unpacker(blob).value(hint, json.loads(text))
-    except _WRONG as error:
+    except _DECODE_ERRORS as error:
         name = getattr(hint, "__name__", hint)
         raise FileError(f"no valid {name} in the file: {error}") from None
 
@@ -106,11 +106,11 @@ def unpack_fields(cls: type, packed: Packed) -> dict[str, Any]:
     text, blob = packed
     try:
         return _Unpacker(blob).fields(cls, json.loads(text))
-    except _WRONG as error:
+    except _DECODE_ERRORS as error:
         raise FileError(f"no valid {cls.__name__} in the file: {error}") from None
 
 
-_WRONG = (ValueError, TypeError, KeyError, IndexError, AttributeError)
+_DECODE_ERRORS = (ValueError, TypeError, KeyError, IndexError, AttributeError)
 """What values of another shape than the hint's run into."""
 
 

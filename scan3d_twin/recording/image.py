@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from scan3d_twin.core.types import Observation, RangeImage
 
-FAST = 1
+COMPRESSION_LEVEL = 1
 """Level of compression."""
 
 
@@ -32,7 +32,9 @@ def npz_bytes(**arrays: npt.NDArray[Any]) -> bytes:
     Compressed fast: half the time of NumPy's own level for 4 % more bytes.
     """
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=FAST) as archive:
+    with zipfile.ZipFile(
+        buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=COMPRESSION_LEVEL
+    ) as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, array, allow_pickle=False)

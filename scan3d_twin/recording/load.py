@@ -15,15 +15,15 @@ from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, ScanLine
 from scan3d_twin.recording.mcap import ros_messages as ros
-from scan3d_twin.recording.mcap.reader import Delivered, contents, is_finished, is_written
-from scan3d_twin.recording.mcap.reopen import up_to_last_mark
+from scan3d_twin.recording.mcap.reader import RawMessage, is_finished, is_written, read_contents
+from scan3d_twin.recording.mcap.reopen import read_to_last_mark
 from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
 from scan3d_twin.recording.session_log import Mark, SessionState
-from scan3d_twin.run.settings import Settings, settings
+from scan3d_twin.run.settings import Settings, build_settings
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedRun:
     """What a session file holds.
 
     Attributes:
@@ -50,7 +50,7 @@ class Recorded:
     provenance: Mapping[str, str]
 
 
-def session_path(place: Path) -> Path:
+def find_session_file(place: Path) -> Path:
     """Return the session file of the run in the folder ``place``; a file is itself.
 
     A run in progress comes before a finished one it goes on from.
@@ -66,7 +66,7 @@ def session_path(place: Path) -> Path:
     raise FileError(f"no session in {place}: a run's folder holds a {SESSION_FILE}")
 
 
-def load_session(place: Path) -> Recorded:
+def load_session(place: Path) -> RecordedRun:
     """Return the session recorded in the folder ``place``, or in the file ``place`` itself.
 
     An unfinished file is read as far as it goes and stays as it is.
@@ -74,9 +74,9 @@ def load_session(place: Path) -> Recorded:
     Raises:
         FileError: There is none, no view was finished in it, or it is damaged.
     """
-    path = session_path(place)
+    path = find_session_file(place)
     texts, state = {}, SessionState()
-    for each in contents(path, RECORDS):
+    for each in read_contents(path, RECORDS):
         if isinstance(each, Metadata):
             texts[each.name] = each.metadata
         else:
@@ -86,12 +86,12 @@ def load_session(place: Path) -> Recorded:
     if state.session is None or state.mark is None or "settings" not in texts:
         raise FileError(f"no view was finished in {path}: there is nothing to go on from")
     described = texts["settings"]
-    return Recorded(
+    return RecordedRun(
         path=path,
         finished=is_finished(path),
         running=is_written(path),
         name=described["name"],
-        settings=settings([tomllib.loads(described["toml"])]),
+        settings=build_settings([tomllib.loads(described["toml"])]),
         session=state.session,
         before_end=state.open_session or state.session,
         mark=state.mark,
@@ -99,26 +99,26 @@ def load_session(place: Path) -> Recorded:
     )
 
 
-def commands(path: Path) -> Iterator[tuple[float, float, float]]:
+def read_commands(path: Path) -> Iterator[tuple[float, float, float]]:
     """Yield stamp [s], speed [m/s] and turn rate [rad/s] of what was sent to the base.
 
     In the order in which it was sent, up to the last mark.
     """
-    for each in up_to_last_mark(path, COMMANDS):
-        if isinstance(each, Delivered) and each.topic == COMMANDS:
+    for each in read_to_last_mark(path, COMMANDS):
+        if isinstance(each, RawMessage) and each.topic == COMMANDS:
             twist = _decoded(each).twist
             yield each.nanoseconds / 1e9, float(twist.linear.x), float(twist.angular.z)
 
 
-def last_odometry(path: Path) -> tuple[float, Pose2]:
+def read_last_odometry(path: Path) -> tuple[float, Pose2]:
     """Return the stamp [s] and place ``T_odom_base`` of the last sample, also after the last mark.
 
     Raises:
         FileError: There is none.
     """
     last = None
-    for each in contents(path, ODOMETRY):
-        if isinstance(each, Delivered):
+    for each in read_contents(path, ODOMETRY):
+        if isinstance(each, RawMessage):
             last = each
     if last is None:
         raise FileError(f"{path} holds no odometry")
@@ -127,17 +127,17 @@ def last_odometry(path: Path) -> tuple[float, Pose2]:
     return last.nanoseconds / 1e9, Pose2(pose.position.x, pose.position.y, yaw)
 
 
-def lines(path: Path) -> Iterator[ScanLine]:
+def read_lines(path: Path) -> Iterator[ScanLine]:
     """Yield all scan lines, also those of looks around and unfinished sweeps.
 
     As ROS has them: to the nanosecond, distances to 7 digits. Sweeps in views are exact.
     """
-    for each in contents(path, SCANS):
-        if isinstance(each, Delivered):
+    for each in read_contents(path, SCANS):
+        if isinstance(each, RawMessage):
             scan = _decoded(each)
             stamp = scan.header.stamp.sec + scan.header.stamp.nanosec / 1e9
             yield ScanLine(stamp, scan.ranges.astype("float64"), scan.intensities.astype("int64"))
 
 
-def _decoded(each: Delivered) -> Any:
+def _decoded(each: RawMessage) -> Any:
     return ros.typestore().deserialize_cdr(each.data, each.name)

@@ -14,7 +14,7 @@ from scan3d_twin.core.navigation.motion_control import travelled
 from scan3d_twin.core.observer import Command, attended
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
-from scan3d_twin.recording.load import Recorded
+from scan3d_twin.recording.load import RecordedRun
 from scan3d_twin.recording.mcap import cdr, ros_records
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
@@ -84,7 +84,7 @@ class Recorder:
         folder: Path,
         wall: Callable[[], float],
         provenance: Mapping[str, str],
-        earlier: Recorded | None = None,
+        earlier: RecordedRun | None = None,
     ) -> None:
         """Begin the session file of the run in ``folder``.
 
@@ -119,7 +119,7 @@ class Recorder:
         if self._reopened:
             self._last = robot.base.odometry()
         self._file.write(
-            "/tf_static", robot.clock.now(), ros.mount(robot.T_base_lidar), latched=True
+            "/tf_static", robot.clock.now(), ros.encode_mount(robot.T_base_lidar), latched=True
         )
         self._follow()
         recorded = replace(robot, base=_TappedBase(robot.base, self._on_command))
@@ -133,27 +133,27 @@ class Recorder:
         if self._file.sink.closed or self._failure is not None:
             return
         try:
-            self._file.write(topic, stamp, cdr.serial_bytes(stamp, direction, data))
+            self._file.write(topic, stamp, cdr.encode_serial_bytes(stamp, direction, data))
         except FileError as error:
             self._failure = error
 
     def on_event(self, text: str) -> None:
         """See ``Observer``."""
-        self._file.write("/rosout", self._now(), ros_records.log(self._now(), text))
+        self._file.write("/rosout", self._now(), ros_records.encode_log(self._now(), text))
 
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``."""
         self._follow()
-        self._file.write(SCANS, self._now(), cdr.scan(line, self._attached().lidar.spec))
+        self._file.write(SCANS, self._now(), cdr.encode_scan(line, self._attached().lidar.spec))
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
         index, view, now = len(session.views) - 1, session.views[-1], self._now()
         self._T_world_odom = _odom_in_world(session)
         self._follow()
-        self._file.write("/cloud", now, ros.cloud(now, index, view))
+        self._file.write("/cloud", now, ros.encode_cloud(now, index, view))
         if view.registration is not None:
-            placed = ros_records.registration(now, index, view.registration)
+            placed = ros_records.encode_registration(now, index, view.registration)
             self._file.write("/registration", now, placed)
         self._keep(session)
 
@@ -161,9 +161,9 @@ class Recorder:
         """See ``Observer``."""
         index, plan, now = len(session.plans) - 1, session.plans[-1], self._now()
         self._follow()
-        self._file.write("/plan", now, ros_records.plan(now, index, plan))
+        self._file.write("/plan", now, ros_records.encode_plan(now, index, plan))
         if plan.viewpoint is not None:
-            self._file.write("/viewpoint", now, ros.viewpoint(now, plan.viewpoint))
+            self._file.write("/viewpoint", now, ros.encode_viewpoint(now, plan.viewpoint))
         self._keep(session)
 
     def command(self) -> Command:
@@ -207,7 +207,7 @@ class Recorder:
         here = self._attached().base.odometry().T_odom_base
         self.mark = replace(self.mark, stamp=now, T_odom_base=here)
         for kind, index, packed in self._log.changes(session, self.mark):
-            self._file.write(RECORDS, now, ros_records.record(now, kind, index, packed))
+            self._file.write(RECORDS, now, ros_records.encode_record(now, kind, index, packed))
         self._file.flush(now)
         self._file.sink.sync()
         self._kept = True
@@ -224,15 +224,17 @@ class Recorder:
             self.mark = replace(self.mark, path=self.mark.path + path, turn=self.mark.turn + turn)
         fresh = [s for s in samples if self._last is None or s.stamp > self._last.stamp]
         for sample in fresh:
-            self._file.write(ODOMETRY, sample.stamp, cdr.odometry(sample, self._last))
+            self._file.write(ODOMETRY, sample.stamp, cdr.encode_odometry(sample, self._last))
             self._last = sample
         if fresh and self._last is not None:
             stamp, T_odom_base = self._last.stamp, self._last.T_odom_base
-            self._file.write("/tf", stamp, cdr.frames(stamp, self._T_world_odom, T_odom_base))
+            self._file.write(
+                "/tf", stamp, cdr.encode_frames(stamp, self._T_world_odom, T_odom_base)
+            )
 
     def _on_command(self, linear: float, angular: float) -> None:
         now = self._now()
-        self._file.write(COMMANDS, now, cdr.command(now, linear, angular))
+        self._file.write(COMMANDS, now, cdr.encode_command(now, linear, angular))
 
     def _now(self) -> float:
         return 0.0 if self._robot is None else self._robot.clock.now()

@@ -39,12 +39,12 @@ def replay(
     for k, view in enumerate(session.views):
         again = integrate(again, view.observation)
         if k < len(session.plans):
-            again = _planned(again, session, planner)
+            again = _plan_again(again, session, planner)
         step(k)
     return again
 
 
-def _planned(again: Session, session: Session, planner: Planner) -> Session:
+def _plan_again(again: Session, session: Session, planner: Planner) -> Session:
     plan = ask(planner, again)
     looks = [look for taken, look in session.panoramas if taken == len(again.views)]
     if plan.needs_panorama and looks:
@@ -53,25 +53,25 @@ def _planned(again: Session, session: Session, planner: Planner) -> Session:
     return again.with_plan(plan)
 
 
-def finished(again: Session, recorded: Session) -> Session:
+def finish_replay(again: Session, recorded: Session) -> Session:
     """Return the replayed session as it ends, if the ``recorded`` one has ended by itself."""
     reasons = {STOPPED, *(plan.reason for plan in recorded.plans[-1:])}
     return align_final(again) if recorded.stop_reason in reasons else again
 
 
-def identical(a: object, b: object) -> bool:
+def is_identical(a: object, b: object) -> bool:
     """Tell whether two sessions, views or plans are the same bit by bit."""
     return pack(a) == pack(b)
 
 
-def differences(recorded: Session, again: Session) -> list[Row]:
+def compare_sessions(recorded: Session, again: Session) -> list[Row]:
     """Return a row per view: how its pose, registration and plan differ, in people's units."""
     rows = []
     for k, (before, now) in enumerate(zip(recorded.views, again.views, strict=True)):
         plans = [each.plans[k] if k < len(each.plans) else None for each in (recorded, again)]
         row = {
             "view": k,
-            "identical": identical((before, plans[0]), (now, plans[1])),
+            "identical": is_identical((before, plans[0]), (now, plans[1])),
             "moved_mm": _mm(before.T_world_scan.distance(now.T_world_scan)),
             "turned_deg": _turned(before.T_world_scan, now.T_world_scan),
             "recorded": {**_registration(before), **_plan(plans[0])},

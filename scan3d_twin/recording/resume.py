@@ -21,11 +21,11 @@ from scan3d_twin.recording.session_log import Mark
 
 HALF_STEP = 0.001
 """The twin's clock moves in steps of 2 ms; half of one keeps rounding from adding another [s]."""
-SAME_PLACE, SAME_HEADING = 0.005, math.radians(0.5)
+MAX_DISTANCE_OFF, MAX_HEADING_OFF = 0.005, math.radians(0.5)
 """Odometry that is off by less has the same view ahead [m], [rad]: a range error at 1 m."""
-PAUSE = 1.0
+RESUME_PAUSE = 1.0
 """On the robot's clock, between what was recorded and what goes on [s]."""
-MOVED = 0.10
+MOVED_DISTANCE = 0.10
 """A first view that lies farther from where odometry has it was taken from elsewhere [m]: three
 times what odometry is off after 1 m, 3 % of the way."""
 SEARCH_XY, SEARCH_YAW, STARTS = 0.2, math.radians(10.0), 32
@@ -51,7 +51,7 @@ def reenact(robot: Robot, commands: Iterable[Command], mark: Mark) -> bool:
     here, there = robot.base.odometry().T_odom_base, mark.T_odom_base
     if here == there:
         return True
-    if here.distance(there) > SAME_PLACE or abs(wrap(here.yaw - there.yaw)) > SAME_HEADING:
+    if here.distance(there) > MAX_DISTANCE_OFF or abs(wrap(here.yaw - there.yaw)) > MAX_HEADING_OFF:
         raise ScanError(
             f"the twin now goes another way than recorded ({here.distance(there):.3f} m off): the "
             "run cannot go on with this version; `twin session info` names the one that recorded it"
@@ -66,7 +66,7 @@ def _wait_until(clock: Clock, stamp: float) -> None:
             clock.sleep(left - HALF_STEP)
 
 
-def continued(robot: Robot, T_odom_here: Pose2, stamp: float) -> Robot:
+def continue_odometry(robot: Robot, T_odom_here: Pose2, stamp: float) -> Robot:
     """Return ``robot``, just opened, with its odometry and clock carried on.
 
     Args:
@@ -74,14 +74,14 @@ def continued(robot: Robot, T_odom_here: Pose2, stamp: float) -> Robot:
         T_odom_here: Where that was by the recorded odometry.
         stamp: The latest one that was recorded [s].
     """
-    later = stamp + PAUSE - robot.clock.now()
-    clock = _LaterClock(robot.clock, later)
+    later = stamp + RESUME_PAUSE - robot.clock.now()
+    clock = _ShiftedClock(robot.clock, later)
     T_odom_opened = T_odom_here @ robot.base.odometry().T_odom_base.inverse()
     base = _ContinuedBase(robot.base, T_odom_opened, later)
-    return replace(robot, base=base, lidar=_LaterLidar(robot.lidar, later), clock=clock)
+    return replace(robot, base=base, lidar=_ShiftedLidar(robot.lidar, later), clock=clock)
 
 
-class _LaterClock:
+class _ShiftedClock:
     """A ``Clock`` that is ahead of another."""
 
     def __init__(self, clock: Clock, later: float) -> None:
@@ -94,7 +94,7 @@ class _LaterClock:
         return self._clock.now() + self._later
 
 
-class _LaterLidar:
+class _ShiftedLidar:
     """A ``Lidar`` by that clock."""
 
     def __init__(self, lidar: Lidar, later: float) -> None:
@@ -147,7 +147,7 @@ class _ContinuedBase:
         )
 
 
-def warning(session: Session) -> str:
+def moved_warning(session: Session) -> str:
     """Return what to say of the first view that was taken after going on; empty if all is well.
 
     It is laid on the one before it once more, trusting the odometry far less than usually. Where
@@ -163,7 +163,7 @@ def warning(session: Session) -> str:
         return "the first view after going on shows nothing known: was the robot moved?"
     truly, points = Pose2.from_matrix(found.T_target_source), view.target.points
     off = max(truly.distance(move), rms(truly.apply(points) - move.apply(points)))
-    if off > MOVED:
+    if off > MOVED_DISTANCE:
         return (
             f"the first view after going on lies {100 * off:.0f} cm from where the odometry has "
             "it: was the robot moved?"

@@ -11,7 +11,7 @@ from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.types import LidarSpec, RangeImage, read_only
 from scan3d_twin.devices.urg import model as urg04lx
 
-SCAN, BACK = "scan.npz", "scan_back.npz"
+SCAN_FILE, BACK_SCAN_FILE = "scan.npz", "scan_back.npz"
 """What ``twin scan`` writes: a sweep, and with --back the sweep to the other side."""
 
 
@@ -43,7 +43,7 @@ def read_image(path: Path) -> RangeImage:
         raise FileError(f"{path} is no sweep of twin scan, sim or real: {error}") from error
 
 
-def places_in(folder: Path) -> list[list[RangeImage]]:
+def read_places(folder: Path) -> list[list[RangeImage]]:
     """Return all sweeps in ``folder`` and the folders in it, grouped by the place of the robot.
 
     A sweep and the one back were taken from one place; of all others nothing is known.
@@ -51,7 +51,11 @@ def places_in(folder: Path) -> list[list[RangeImage]]:
     Raises:
         FileError: There is no sweep, or one cannot be read.
     """
-    paths = sorted(p for p in folder.glob("**/*.npz") if p.name != BACK) if folder.is_dir() else []
+    paths = (
+        sorted(p for p in folder.glob("**/*.npz") if p.name != BACK_SCAN_FILE)
+        if folder.is_dir()
+        else []
+    )
     if not paths:
         raise FileError(
             f"no sweeps in {folder}: give the folder of `twin scan --width 360` or of a run"
@@ -60,5 +64,5 @@ def places_in(folder: Path) -> list[list[RangeImage]]:
 
 
 def _one_place(path: Path) -> list[Path]:
-    back = path.with_name(BACK)
-    return [path, back] if path.name == SCAN and back.exists() else [path]
+    back = path.with_name(BACK_SCAN_FILE)
+    return [path, back] if path.name == SCAN_FILE and back.exists() else [path]

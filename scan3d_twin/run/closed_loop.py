@@ -18,7 +18,7 @@ from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.run.report import Journey
-from scan3d_twin.run.settings import NAME_OR_PLACE, Settings, stated_place
+from scan3d_twin.run.settings import NAME_OR_PLACE, Settings, parse_place
 
 Timer = Callable[[], float]
 """Returns the computer's time [s] since some moment."""
@@ -32,12 +32,12 @@ class Truth(evaluation.Truth, Protocol):
         ...
 
 
-Opening = AbstractContextManager[tuple[Robot, Truth | None]]
+RobotContext = AbstractContextManager[tuple[Robot, Truth | None]]
 """Opens a robot, and the truth if anybody knows it."""
 
 
 @dataclass(frozen=True)
-class Loop:
+class LoopOutcome:
     """What came of a closed loop.
 
     Attributes:
@@ -56,7 +56,7 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Earlier:
+class EarlierRun:
     """The part of a run that is done when another one goes on from there.
 
     Attributes:
@@ -74,9 +74,9 @@ def close_loop(
     settings: Settings,
     observer: Observer,
     timer: Timer,
-    earlier: Earlier | None = None,
+    earlier: EarlierRun | None = None,
     begun: float = 0.0,
-) -> Loop:
+) -> LoopOutcome:
     """Digitise with an open robot, whatever ends it.
 
     Args:
@@ -92,8 +92,8 @@ def close_loop(
         BaseException: Whatever ended the loop before there was a view.
     """
     planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
-    log = _Log(robot, earlier, begun)
-    target = _target(settings.run.target, truth)
+    log = _ProgressLog(robot, earlier, begun)
+    target = _find_target(settings.run.target, truth)
     ended: BaseException | None = None
     try:
         session = digitize(
@@ -108,8 +108,8 @@ def close_loop(
     except BaseException as error:
         if log.session is None:
             raise
-        ended, session = error, log.session.ended(_words(error))
-    return Loop(session, log.journey(), tuple(log.journeys), tuple(planner.seconds), ended)
+        ended, session = error, log.session.ended(_describe_error(error))
+    return LoopOutcome(session, log.journey(), tuple(log.journeys), tuple(planner.seconds), ended)
 
 
 class TimedPlanner:
@@ -130,7 +130,7 @@ class TimedPlanner:
             self.seconds[-1] += self._timer() - started
 
 
-class Odometer:
+class JourneyMeter:
     """The way of a base; to be read before the base forgets its odometry.
 
     Counts from when the base was opened, or goes on from an ``earlier`` journey.
@@ -152,14 +152,14 @@ class Odometer:
         self._stamp = samples[-1].stamp
 
 
-class _Log(Unobserved):
+class _ProgressLog(Unobserved):
     """Keeps the last session at hand and notes the way by the end of each view."""
 
-    def __init__(self, robot: Robot, earlier: Earlier | None, begun: float) -> None:
+    def __init__(self, robot: Robot, earlier: EarlierRun | None, begun: float) -> None:
         self.session = None if earlier is None else earlier.session
         self.journeys: list[Journey] = []
         before = Journey(0.0, 0.0, begun) if earlier is None else earlier.journey
-        self._odometer = Odometer(robot.base, before)
+        self._odometer = JourneyMeter(robot.base, before)
         self._begun = 0.0 if earlier is not None else begun
         self._clock = robot.clock
 
@@ -179,16 +179,16 @@ class _Log(Unobserved):
         self.session = session
 
 
-def _target(text: str, truth: Truth | None) -> tuple[float, float] | None:
+def _find_target(text: str, truth: Truth | None) -> tuple[float, float] | None:
     """Return the place in ``odom`` [m] that ``text`` states as x,y or by name; None if empty."""
     if not text:
         return None
     if "," not in text and truth is not None:
         return truth.locate(text)
-    return stated_place(text, "x,y in metres" if truth is None else NAME_OR_PLACE)
+    return parse_place(text, "x,y in metres" if truth is None else NAME_OR_PLACE)
 
 
-def _words(error: BaseException) -> str:
+def _describe_error(error: BaseException) -> str:
     """Return ``error`` as the reason why a run ended."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"

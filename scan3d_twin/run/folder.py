@@ -27,7 +27,7 @@ def claim_folder(path: Path) -> Path:
     return path
 
 
-def free_folder(path: Path) -> Path:
+def find_free_folder(path: Path) -> Path:
     """Return ``path``, or the first of ``path-2``, ``path-3`` ... that does not exist."""
     candidate, number = path, 1
     while candidate.exists():

@@ -15,7 +15,7 @@ from typing import Any
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import wrap
-from scan3d_twin.run.findings import findings
+from scan3d_twin.run.run_warnings import find_warnings
 from scan3d_twin.run.settings import Settings
 
 Report = dict[str, Any]
@@ -85,11 +85,11 @@ def build_report(
         "peak_memory_mb": _number(effort.peak_memory / 1e6, 1),
         "points": points,
         "mesh_accuracy_mm": _distances(mesh_accuracy) if mesh_accuracy else None,
-        "warnings": findings(session, evaluation),
+        "warnings": find_warnings(session, evaluation),
     }
 
 
-TIMINGS = ("wall_time_s", "plan_time_s", "real_time_factor", "peak_memory_mb")
+TIMING_FIELDS = ("wall_time_s", "plan_time_s", "real_time_factor", "peak_memory_mb")
 """The fields that differ between two runs of one seed."""
 
 
@@ -105,7 +105,7 @@ def report_schema() -> dict[str, Any]:
     return schema
 
 
-def failure(session: Session) -> str:
+def failure_reason(session: Session) -> str:
     """Return why ``session`` failed as a scan; empty when it did not.
 
     It failed when fewer than two views are registered, or when no step was predicted to meet
@@ -159,7 +159,7 @@ def _registrations(session: Session, evaluation: Evaluation | None) -> Report:
 def _registration(session: Session, k: int, pair: PairError | None) -> Report:
     """Return the row of view ``k``: what was planned for it, and what came of it."""
     plan, result = session.plans[k - 1], session.views[k].registration
-    moved, turned = correction(session, k)
+    moved, turned = odometry_correction(session, k)
     return {
         "view": k,
         "overlap": _number(plan.overlap, 4),
@@ -176,7 +176,7 @@ def _registration(session: Session, k: int, pair: PairError | None) -> Report:
     }
 
 
-def correction(session: Session, k: int) -> tuple[float, float]:
+def odometry_correction(session: Session, k: int) -> tuple[float, float]:
     """Return how far registration moved [m] and turned [rad] view ``k`` from odometry's place."""
     previous, view = session.views[k - 1], session.views[k]
     odometry = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan

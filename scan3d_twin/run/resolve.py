@@ -9,8 +9,8 @@ from scan3d_twin.run.settings import (
     NAME_OR_PLACE,
     Options,
     Settings,
-    settings,
-    stated_place,
+    build_settings,
+    parse_place,
     world_options,
 )
 from scan3d_twin.sim.scenes.scene import Scene, load_scene
@@ -23,33 +23,33 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
         ConfigError: A key, name or value is wrong.
         SceneError: The scene cannot be built.
     """
-    effective = settings([*_named(given), given])
+    effective = build_settings([*_named_options(given), given])
     check_planner(effective.config.planner, truth_known=True)
     scene = load_scene(effective.run.scene, effective.run.mesh_scale)
     _check_target(effective.run.target, scene)
-    return settings_for(scene, given), scene
+    return settings_for_scene(scene, given), scene
 
 
-def settings_for(scene: Scene, given: Options) -> Settings:
+def settings_for_scene(scene: Scene, given: Options) -> Settings:
     """Return the effective settings in ``scene`` for what is ``given``."""
-    return settings([_of_scene(scene), *_named(given), given])
+    return build_settings([_scene_options(scene), *_named_options(given), given])
 
 
 def _check_target(text: str, scene: Scene) -> None:
     """Refuse a target that is neither a place nor one of ``scene``; empty is what stands out."""
     if "," in text:
-        stated_place(text, NAME_OR_PLACE)
+        parse_place(text, NAME_OR_PLACE)
     elif text and text not in scene.targets:
         raise UnknownNameError("target", text, scene.targets)
 
 
-def _named(given: Options) -> list[Options]:
+def _named_options(given: Options) -> list[Options]:
     """Return what the world and the preset stand for."""
-    run = settings([given]).run
+    run = build_settings([given]).run
     return [world_options(run.world), preset(run.preset)]
 
 
-def _of_scene(scene: Scene) -> Options:
+def _scene_options(scene: Scene) -> Options:
     """Return what ``scene`` says about how it is to be scanned."""
     standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
     return {"tour": scene.tour, "planning": standoff}

@@ -1,7 +1,7 @@
 """Everything a run was told, merged from its sources and written so that it can be run again.
 
 Sources are nested mappings in the shape of the TOML file: the fields of ``Config`` and
-``TwinConfig`` by name, sections as tables, and the table ``run`` with the fields of ``Run``.
+``TwinConfig`` by name, sections as tables, and the table ``run`` with the fields of ``RunConfig``.
 A field whose name Python reserves (``lambda_``) is spelled without its underscore.
 """
 
@@ -24,13 +24,13 @@ from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
 
 Options = Mapping[str, Any]
-REAL = "real"
+REAL_SCENE = "real"
 """Stands for a scene's name where the real robot was; no scene is called so."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RunConfig:
     """What is scanned, and by which draw."""
 
     scene: str = "three_boxes"
@@ -58,48 +58,48 @@ class Run:
 class Settings:
     """The effective configuration of a run."""
 
-    run: Run = field(default_factory=Run)
+    run: RunConfig = field(default_factory=RunConfig)
     config: Config = field(default_factory=Config)
     twin: TwinConfig = field(default_factory=TwinConfig)
 
 
-def key(name: str) -> str:
+def option_key(name: str) -> str:
     """Return the key under which the field ``name`` is written: ``lambda`` for ``lambda_``."""
     return name.rstrip("_")
 
 
-def merge(sources: Iterable[Options]) -> dict[str, Any]:
+def merge_options(sources: Iterable[Options]) -> dict[str, Any]:
     """Return all ``sources`` as one mapping; later ones win, table by table."""
     merged: dict[str, Any] = {}
     for source in sources:
         for name, value in source.items():
             if isinstance(value, Mapping) and isinstance(merged.get(name, {}), Mapping):
-                value = merge([merged.get(name, {}), value])
+                value = merge_options([merged.get(name, {}), value])
             merged[name] = value
     return merged
 
 
-def settings(sources: Iterable[Options]) -> Settings:
+def build_settings(sources: Iterable[Options]) -> Settings:
     """Return the settings that ``sources`` state, later ones first, and defaults for the rest.
 
     Raises:
         ConfigError: A key is unknown, or a value is of the wrong type or out of range.
     """
-    options = merge(sources)
+    options = merge_options(sources)
     for name in options:
         if name not in former_names(Config):
             _check_known(name, _known_keys())
     return Settings(
-        run=_build(Run, options.get("run", {}), "run."),
-        config=_build(Config, _part(options, Config), ""),
-        twin=_build(TwinConfig, _part(options, TwinConfig), ""),
+        run=_build(RunConfig, options.get("run", {}), "run."),
+        config=_build(Config, _select_options(options, Config), ""),
+        twin=_build(TwinConfig, _select_options(options, TwinConfig), ""),
     )
 
 
 def world_options(name: str) -> Options:
     """Return the options that the twin's named world stands for."""
     lidar, errors = WORLDS[name]
-    return {"lidar": _plain(lidar), "errors": _plain(errors)}
+    return {"lidar": _to_plain(lidar), "errors": _to_plain(errors)}
 
 
 def read_settings(path: Path) -> Options:
@@ -118,19 +118,23 @@ def read_settings(path: Path) -> Options:
 
 def settings_toml(effective: Settings) -> str:
     """Return ``effective`` as a TOML file that ``read_settings`` reads back."""
-    tables = {**_plain(effective.config), **_plain(effective.twin), "run": _plain(effective.run)}
+    tables = {
+        **_to_plain(effective.config),
+        **_to_plain(effective.twin),
+        "run": _to_plain(effective.run),
+    }
     ordered = sorted(tables.items(), key=lambda item: isinstance(item[1], dict))
-    command = "real" if effective.run.scene == REAL else "sim"
+    command = "real" if effective.run.scene == REAL_SCENE else "sim"
     return f"# Run again: twin {command} --config THIS_FILE\n" + tomli_w.dumps(dict(ordered))
 
 
-def _part(options: Options, cls: type) -> dict[str, Any]:
-    names = {key(f.name) for f in fields(cls)} | set(former_names(cls))
+def _select_options(options: Options, cls: type) -> dict[str, Any]:
+    names = {option_key(f.name) for f in fields(cls)} | set(former_names(cls))
     return {name: value for name, value in options.items() if name in names}
 
 
 def _known_keys() -> list[str]:
-    return ["run", *(key(f.name) for cls in (Config, TwinConfig) for f in fields(cls))]
+    return ["run", *(option_key(f.name) for cls in (Config, TwinConfig) for f in fields(cls))]
 
 
 def _check_known(name: str, known: list[str], where: str = "") -> None:
@@ -145,7 +149,7 @@ def _build(cls: type[T], values: Any, where: str) -> T:
     """Return ``cls`` with ``values`` by key, checked; ``where`` leads to them, for messages."""
     if not isinstance(values, Mapping):
         raise ConfigError(f"{where.rstrip('.')} must be a table, got {values!r}")
-    names = {key(f.name): f.name for f in fields(cls)}  # type: ignore[arg-type]
+    names = {option_key(f.name): f.name for f in fields(cls)}  # type: ignore[arg-type]
     hints, former = get_type_hints(cls), former_names(cls)
     arguments: dict[str, Any] = {}
     for name, value in values.items():
@@ -166,9 +170,9 @@ def _is_whole(value: Any, hint: Any) -> bool:
     return hint is float and isinstance(value, int) and not isinstance(value, bool)
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if is_dataclass(value):
-        return {key(f.name): _plain(getattr(value, f.name)) for f in fields(value)}
+        return {option_key(f.name): _to_plain(getattr(value, f.name)) for f in fields(value)}
     return value
 
 
@@ -176,7 +180,7 @@ NAME_OR_PLACE = "a name or x,y in metres"
 """What a target of the twin can be stated as."""
 
 
-def stated_place(text: str, choice: str) -> tuple[float, float]:
+def parse_place(text: str, choice: str) -> tuple[float, float]:
     """Return the place of a target stated as x,y [m].
 
     Raises:

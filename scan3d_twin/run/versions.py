@@ -14,7 +14,7 @@ LIBRARIES = (
 """Distributions whose versions can change a result, a file or the command line."""
 
 
-def versions() -> dict[str, str]:
+def collect_versions() -> dict[str, str]:
     """Return versions by name: the program, Python, installed libraries and the system."""
     found = {"scan3d_twin": __version__, "python": platform.python_version()}
     for name in LIBRARIES:
@@ -25,8 +25,8 @@ def versions() -> dict[str, str]:
     return {**found, "platform": platform.platform()}
 
 
-def version_text() -> str:
+def format_versions() -> str:
     """Return what ``twin --version`` prints."""
-    found = versions()
+    found = collect_versions()
     width = max(map(len, found))
     return "\n".join(f"{name:<{width}}  {text}" for name, text in found.items())

@@ -9,31 +9,33 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray
-from scan3d_twin.sim.scenes.tessellation import KNOWN, geom_triangles
+from scan3d_twin.sim.scenes.tessellation import TRIANGULATED_TYPES, geom_triangles
 
 _GEOM = mujoco.mjtGeom
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID)
 _STRAIGHT = (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Return whether Embree is installed; it is not for every processor."""
     return importlib.util.find_spec("embreex") is not None
 
 
-def triangulated(model: Any) -> bool:
+def can_triangulate(model: Any) -> bool:
     """Return whether nothing in ``model`` moves and triangles can stand for all of it."""
-    return model.nq == 0 and set(model.geom_type.tolist()) <= {int(kind) for kind in KNOWN}
+    return model.nq == 0 and set(model.geom_type.tolist()) <= {
+        int(kind) for kind in TRIANGULATED_TYPES
+    }
 
 
-def visible(model: Any, geom: int) -> bool:
+def is_visible(model: Any, geom: int) -> bool:
     """Return whether rays see a geom: MuJoCo's pass through what is wholly transparent."""
     material = model.geom_matid[geom]
     alpha = model.geom_rgba[geom, 3]
     return bool(alpha > 0 and (material < 0 or model.mat_rgba[material, 3] > 0))
 
 
-class Triangles:
+class TriangleScene:
     """The visible geoms of a static model as triangles in Embree; single precision.
 
     Arrays by triangle have one more entry, for a miss.
@@ -48,7 +50,7 @@ class Triangles:
         attitudes = np.array(data.geom_xmat).reshape(-1, 3, 3)
         parts, owners, shapes = [], [], []
         for geom in range(model.ngeom):
-            if visible(model, geom):
+            if is_visible(model, geom):
                 local = geom_triangles(model, geom)
                 parts.append(local @ attitudes[geom].T + data.geom_xpos[geom])
                 owners.append(np.full(len(local), geom))

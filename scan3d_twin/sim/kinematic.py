@@ -25,7 +25,7 @@ from scan3d_twin.core.types import (
     read_only,
     wrap,
 )
-from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, true_move, turn_scale
+from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, apply_motion_errors, turn_scale
 from scan3d_twin.sim.base.profiles import PROFILES
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.lidar.noise import Draws
@@ -35,7 +35,7 @@ from scan3d_twin.sim.robot import Stream, draw_robot, stream
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.truth import Truth
 
-TURNS = math.pi
+TURN_PER_MOVE = math.pi
 """Turned on the way from one viewpoint to the next, to drive past the target: a quarter turn away
 and one back [rad]."""
 
@@ -162,12 +162,12 @@ class KinematicRobot:
 
     def _move(self, path: FloatArray, yaw: float) -> None:
         """Follow ``path`` (n, 2) in ``odom`` [m] and turn to ``yaw`` [rad]."""
-        true = true_move(self.here, path, yaw, self._spec, self._errors)
+        true = apply_motion_errors(self.here, path, yaw, self._spec, self._errors)
         slip = Pose2(*((SLIP_XY, SLIP_XY, SLIP_YAW) * self._rng.standard_normal(3)))
         motion = self._config.motion
         places = np.concatenate([[[self.here.x, self.here.y]], path])
         length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
-        seconds = length / motion.speed + TURNS / motion.turn_rate
+        seconds = length / motion.speed + TURN_PER_MOVE / motion.turn_rate
         self.world.add(seconds, self.world.pose @ true @ slip)
         x, y = places[-1].tolist()
         self.here = Pose2(x, y, yaw)

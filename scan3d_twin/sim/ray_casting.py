@@ -9,11 +9,11 @@ import numpy as np
 from mujoco import batch
 
 from scan3d_twin.core.types import FloatArray, IntArray
-from scan3d_twin.sim.embree import Triangles, available, triangulated
+from scan3d_twin.sim.embree import TriangleScene, can_triangulate, is_available
 
-CROWDED = 8
+EMBREE_MIN_GEOMS = 8
 """Geoms from which on Embree is faster; measured: 8 geoms 1.8 times, 109 geoms 10 times."""
-LARGE_MESH = 2000
+EMBREE_MIN_TRIANGLES = 2000
 """Triangles of all meshes from which on Embree is faster."""
 
 
@@ -51,8 +51,8 @@ def choose_caster(model: Any) -> RayCaster:
 
     Embree (where it is installed) for crowded scenes and large meshes, unless something moves.
     """
-    large = model.ngeom >= CROWDED or model.nmeshface >= LARGE_MESH
-    if large and available() and triangulated(model):
+    large = model.ngeom >= EMBREE_MIN_GEOMS or model.nmeshface >= EMBREE_MIN_TRIANGLES
+    if large and is_available() and can_triangulate(model):
         return EmbreeCaster(model)
     return MujocoCaster(model)
 
@@ -84,7 +84,7 @@ class EmbreeCaster:
     """
 
     def __init__(self, model: Any) -> None:
-        self._triangles = Triangles(model)
+        self._triangles = TriangleScene(model)
 
     def cast(self, qpos: FloatArray, origins: FloatArray, directions: FloatArray) -> Hits:
         """See ``RayCaster.cast``."""

@@ -7,7 +7,7 @@ from pathlib import Path
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
-def resource_dir(name: str) -> Path:
+def find_resource_dir(name: str) -> Path:
     """Return the folder ``assets`` or ``scenes``.
 
     Raises:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.sim.world import RECENT, World, interpolate
+from scan3d_twin.sim.world import HISTORY_STEPS, World, interpolate
 
-COLUMNS = 7
+POSE_COLUMNS = 7
 """Of the base's pose: place and quaternion."""
 
 
-class Trace:
+class PoseTrace:
     """The true poses of the base from the beginning on; a ``Device`` of the clock.
 
     Attributes:
@@ -19,22 +19,22 @@ class Trace:
     """
 
     def __init__(self, world: World) -> None:
-        self.next_step = RECENT // 2
+        self.next_step = HISTORY_STEPS // 2
         self._world = world
-        self._rows = np.empty((1024, COLUMNS))
+        self._rows = np.empty((1024, POSE_COLUMNS))
         self._kept = 0
 
     def service(self) -> None:
         """Keep the poses of the steps since the last call."""
         steps = self._world.steps
         if steps >= len(self._rows):
-            grown = np.empty((2 * (steps + 1), COLUMNS))
+            grown = np.empty((2 * (steps + 1), POSE_COLUMNS))
             grown[: self._kept] = self._rows[: self._kept]
             self._rows = grown
         fresh = np.arange(self._kept, steps + 1)
         self._rows[fresh] = self._world.base_rows(fresh)
         self._kept = steps
-        self.next_step = steps + RECENT // 2
+        self.next_step = steps + HISTORY_STEPS // 2
 
     def scene_qpos(self) -> FloatArray:
         """Return the positions of the scene's moving objects."""

@@ -13,13 +13,13 @@ from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.lidar.scanner import Evidence
 from scan3d_twin.sim.ray_casting import RayCaster
 from scan3d_twin.sim.scenes.scene import Scene
-from scan3d_twin.sim.scenes.surface_samples import corners, sample_geom
+from scan3d_twin.sim.scenes.surface_samples import bounding_points, sample_geom
 
-ON_FLOOR = 0.002
+MIN_FACE_HEIGHT = 0.002
 """Faces that look down from less than this above the floor lie on it [m]."""
 
 
-class Whereabouts(Protocol):
+class PoseHistory(Protocol):
     """Where things were; ``Trace`` with physics, ``KinematicWorld`` without."""
 
     def base_pose(self, time: float) -> Pose2:
@@ -37,7 +37,7 @@ class Truth:
     def __init__(
         self,
         scene: Scene,
-        world: Whereabouts,
+        world: PoseHistory,
         caster: RayCaster,
         evidence: Callable[[], Evidence | None],
     ) -> None:
@@ -75,7 +75,7 @@ class Truth:
             points.append(local @ rotation.T + geom.xpos)
             normals.append(directions @ rotation.T)
         p, n = np.concatenate(points), np.concatenate(normals)
-        keep = (p[:, 2] > ON_FLOOR) | (n[:, 2] > -0.9)
+        keep = (p[:, 2] > MIN_FACE_HEIGHT) | (n[:, 2] > -0.9)
         return p[keep], n[keep]
 
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
@@ -103,7 +103,7 @@ class Truth:
         boxes = []
         for part in self._scene.targets[name]:
             geom = data.geom(part)
-            local = corners(self._scene.model, geom.id)
+            local = bounding_points(self._scene.model, geom.id)
             boxes.append(local @ geom.xmat.reshape(3, 3).T + geom.xpos)
         extent = np.concatenate(boxes)
         x, y = ((extent.min(axis=0) + extent.max(axis=0)) / 2)[:2]

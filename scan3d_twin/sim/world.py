@@ -12,19 +12,19 @@ import numpy as np
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import FloatArray, IntArray, read_only
 from scan3d_twin.sim.base.profiles import PROFILES
-from scan3d_twin.sim.base.uneven_floor import lay_floor, uneven_floor
+from scan3d_twin.sim.base.uneven_floor import draw_uneven_floor, lay_floor
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
-from scan3d_twin.sim.resources import resource_dir
+from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.scenes.scene import Scene
 
 PREFIX = "robot/"
 TIMESTEP = 0.002
 """Physics step [s]; 1 to 4 ms agree within .5 %, 2 ms keeps the tilt under .5 deg."""
-SETTLE = 1.0
+SETTLE_TIME = 1.0
 """Physics time before time 0, in which the suspension comes to rest [s]."""
-RECENT = 16_384
+HISTORY_STEPS = 16_384
 """Steps of which the poses are kept: 32 s, a sweep of 300 lines."""
-TRACE = slice(-6, None)
+TRACE_SENSORS = slice(-6, None)
 """The sensors of the trace: the lidar's place and three axes; the base's place and quaternion."""
 
 
@@ -59,7 +59,7 @@ class RobotErrors:
             friction=float(rng.uniform(config.friction_min, config.friction_max)),
             cogging=config.cogging,
             cogging_phase=read_only(rng.uniform(0.0, 2 * np.pi, 2)),
-            floor=uneven_floor(config, rng) if config.uneven > 0 else None,
+            floor=draw_uneven_floor(config, rng) if config.uneven > 0 else None,
             mount=(config.mount_lateral, config.mount_roll, config.mount_pitch),
         )
 
@@ -73,15 +73,15 @@ def robot_spec(robot: RobotName) -> Any:
 
     The two generations differ in their wheels; the file has those of the Create 2.
     """
-    spec = mujoco.MjSpec.from_file(str(resource_dir("assets") / "mjcf" / "create2.xml"))
+    spec = mujoco.MjSpec.from_file(str(find_resource_dir("assets") / "mjcf" / "create2.xml"))
     profile = PROFILES[robot]
     radius, half = profile.wheel_diameter / 2, profile.wheel_base / 2
     for side, sign in (("left", 1), ("right", -1)):
         tyre = spec.geom(f"{side}_tyre")
         tyre.size = [radius, tyre.size[1], radius]
         spec.body(f"{side}_mount").pos = [0, sign * half, radius]
-    for sensor in spec.sensors[TRACE]:
-        sensor.nsample = RECENT
+    for sensor in spec.sensors[TRACE_SENSORS]:
+        sensor.nsample = HISTORY_STEPS
     return spec
 
 
@@ -169,7 +169,7 @@ class World:
         self.data = mujoco.MjData(model)
         self.steps = 0
         self.timestep = float(model.opt.timestep)
-        self._settled = round(SETTLE / self.timestep)
+        self._settled = round(SETTLE_TIME / self.timestep)
         self._scene_nq = scene.model.nq  # attached last, the robot comes after the scene's joints
         mujoco.mj_step(model, self.data, nstep=self._settled)
         mujoco.mj_forward(model, self.data)
@@ -177,7 +177,7 @@ class World:
         self._base_qpos = self.data.qpos[free : free + 7]
         histories = [
             _history(model, self.data, sensor, self._settled)
-            for sensor in range(model.nsensor)[TRACE]
+            for sensor in range(model.nsensor)[TRACE_SENSORS]
         ]
         self._lidar, self._base = histories[:4], histories[4:]
 
@@ -206,7 +206,7 @@ class World:
 
     def lidar_poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the lidar's positions (n, 3) [m] and rotations (n, 3, 3) in ``map``."""
-        first = max(0, self.steps - RECENT)
+        first = max(0, self.steps - HISTORY_STEPS)
         rows = interpolate(self._lidar_rows, times / self.timestep, first, self.steps)
         return rows[:, :3], rows[:, 3:].reshape(-1, 3, 3).transpose(0, 2, 1)
 
@@ -216,7 +216,7 @@ class World:
 
     def _slots(self, steps: IntArray) -> IntArray:
         """Return where in the history the values of ``steps`` since time 0 lie."""
-        return (steps + self._settled) % RECENT
+        return (steps + self._settled) % HISTORY_STEPS
 
 
 def _history(model: Any, data: Any, sensor: int, settled: int) -> FloatArray:
@@ -227,11 +227,13 @@ def _history(model: Any, data: Any, sensor: int, settled: int) -> FloatArray:
     """
     dim = int(model.sensor_dim[sensor])
     times = int(model.sensor_historyadr[sensor]) + 2
-    values = times + RECENT
+    values = times + HISTORY_STEPS
     latest = settled - 1
     if not np.isclose(data.history[times + latest], data.time - model.opt.timestep):
         raise SceneError(f"MuJoCo {mujoco.__version__} keeps its history of sensors otherwise")
-    result: FloatArray = data.history[values : values + RECENT * dim].reshape(RECENT, dim)
+    result: FloatArray = data.history[values : values + HISTORY_STEPS * dim].reshape(
+        HISTORY_STEPS, dim
+    )
     return result
 
 

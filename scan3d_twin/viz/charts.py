@@ -75,7 +75,7 @@ class Chart:
         return self.height - BOTTOM - share * (self.height - TOP - BOTTOM)
 
 
-def svg(chart: Chart) -> str:
+def render_chart(chart: Chart) -> str:
     """Return ``chart`` as an SVG element to be put into a page."""
     parts = [
         f'<svg class="chart" viewBox="0 0 {chart.width:g} {chart.height:g}" role="img">',

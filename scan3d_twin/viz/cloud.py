@@ -13,17 +13,17 @@ from scan3d_twin.core.model.fused_cloud import Model, voxel_thin
 from scan3d_twin.core.png import png_bytes
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 
-MOST_POINTS = 300_000
+MAX_TARGET_POINTS = 300_000
 """Points of the target in a page: 8 bytes each, 3.2 MB as text."""
-MOST_AROUND = 60_000
-AROUND_VOXEL = 0.03
+MAX_SURROUNDING_POINTS = 60_000
+SURROUNDINGS_VOXEL = 0.03
 """Side of the voxels in which the surroundings are thinned [m]."""
 GREY = "#8b949e"
 FIELD_OF_VIEW = math.radians(35.0)
 """Vertical, of the camera."""
-RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("z", "<u2"), ("shade", "u1"), ("", "u1")])
+POINT_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("z", "<u2"), ("shade", "u1"), ("", "u1")])
 STILL_WIDTH, STILL_HEIGHT = 1200, 720
 
 
@@ -45,7 +45,7 @@ class Camera:
 
 
 @dataclass(frozen=True, slots=True)
-class Packed:
+class PackedCloud:
     """Points as records of 8 bytes: 16 bits a coordinate between ``low`` and ``low + extent``.
 
     Attributes:
@@ -61,7 +61,7 @@ class Packed:
     extent: float
 
 
-def camera_of(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
+def choose_camera(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
     """Return a camera that sees all ``points`` (n, 3) from the side of most ``viewpoints``."""
     if len(points) == 0:
         return Camera(np.zeros(3), 3.0, math.pi, math.radians(25.0))
@@ -81,16 +81,16 @@ def camera_of(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
     return camera
 
 
-def surroundings(session: Session) -> FloatArray:
+def surrounding_points(session: Session) -> FloatArray:
     """Return what the views saw besides the target, thinned (n, 3) in ``world`` [m]."""
-    clouds = [_besides(session, k) for k in range(len(session.views))]
+    clouds = [_points_off_target(session, k) for k in range(len(session.views))]
     if not clouds:
         return np.zeros((0, 3))
-    thin = voxel_thin(np.concatenate(clouds), AROUND_VOXEL)
-    return thin[:: max(1, math.ceil(len(thin) / MOST_AROUND))]
+    thin = voxel_thin(np.concatenate(clouds), SURROUNDINGS_VOXEL)
+    return thin[:: max(1, math.ceil(len(thin) / MAX_SURROUNDING_POINTS))]
 
 
-def _besides(session: Session, k: int) -> FloatArray:
+def _points_off_target(session: Session, k: int) -> FloatArray:
     """Return the points of view ``k`` that are not of its target, in ``world`` (n, 3) [m]."""
     view = session.views[k]
     beams = view.image.spec.n_beams
@@ -100,7 +100,7 @@ def _besides(session: Session, k: int) -> FloatArray:
     return view.T_world_scan.apply(view.sweep.points[~ours])
 
 
-def shade(normals: FloatArray, camera: Camera) -> FloatArray:
+def shade_normals(normals: FloatArray, camera: Camera) -> FloatArray:
     """Return how bright surfaces with ``normals`` (n, 3) are, 0..1; unknown ones are medium.
 
     The light comes from above, to the left of ``camera``.
@@ -111,35 +111,37 @@ def shade(normals: FloatArray, camera: Camera) -> FloatArray:
     return np.asarray(np.clip(np.where(np.isfinite(lit), lit, 0.7), 0.0, 1.0))
 
 
-def pack(model: Model, views: int, around: FloatArray, camera: Camera) -> Packed:
+def pack_points(model: Model, views: int, around: FloatArray, camera: Camera) -> PackedCloud:
     """Return ``model``, of so many ``views``, and the surroundings ``around`` (n, 3), for a page.
 
     They are thinned to what a page can hold, and lit for ``camera``.
     """
     chosen = model.select(np.argsort(model.view, kind="stable"))
-    chosen = chosen.select(np.arange(0, len(model), max(1, math.ceil(len(model) / MOST_POINTS))))
+    chosen = chosen.select(
+        np.arange(0, len(model), max(1, math.ceil(len(model) / MAX_TARGET_POINTS)))
+    )
     points = np.concatenate([chosen.points, around])
     low = points.min(axis=0) if len(points) else np.zeros(3)
     extent = max(1e-3, float(np.ptp(points, axis=0).max())) if len(points) else 1.0
-    records = np.zeros(len(points), RECORD)
+    records = np.zeros(len(points), POINT_RECORD)
     for axis, name in enumerate("xyz"):
         records[name] = np.round((points[:, axis] - low[axis]) / extent * 65535)
-    light = np.concatenate([shade(chosen.normals, camera), np.full(len(around), 0.8)])
+    light = np.concatenate([shade_normals(chosen.normals, camera), np.full(len(around), 0.8)])
     records["shade"] = np.round(255 * light)
     counts = [*np.bincount(chosen.view, minlength=views), len(around)]
     firsts = np.cumsum([0, *counts[:-1]])
     ranges = [(int(first), int(count)) for first, count in zip(firsts, counts, strict=True)]
-    return Packed(records.tobytes(), ranges, low, extent)
+    return PackedCloud(records.tobytes(), ranges, low, extent)
 
 
-def still(model: Model, camera: Camera) -> bytes:
+def render_still(model: Model, camera: Camera) -> bytes:
     """Return a picture of ``model`` from ``camera`` as PNG with a transparent background."""
     size = (STILL_HEIGHT, STILL_WIDTH)
     x, y, depth = _project(model.points, camera)
     front = depth > 0.05
     order = np.flatnonzero(front)[np.argsort(-depth[front])]  # far ones first: near ones win
     picture = np.zeros((*size, 4), np.uint8)
-    colours = _colours(model.view, shade(model.normals, camera))[order]
+    colours = _colours(model.view, shade_normals(model.normals, camera))[order]
     column, row = np.round(x[order]).astype(np.int64), np.round(y[order]).astype(np.int64)
     for down in range(-1, 2):
         for across in range(-1, 2):
@@ -168,5 +170,5 @@ def _project(points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray
 
 def _colours(view: IntArray, light: FloatArray) -> npt.NDArray[np.uint8]:
     """Return the opaque colours (n, 4) of points by view, darker where ``light`` (n,) is less."""
-    lit = rgb(view) * (0.55 + 0.6 * light[:, None])
+    lit = view_colours_rgb(view) * (0.55 + 0.6 * light[:, None])
     return np.column_stack([np.minimum(lit, 255), np.full(len(view), 255)]).astype(np.uint8)

@@ -17,15 +17,15 @@ from scan3d_twin.core.observer import Command, attended
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, ScanLine
 from scan3d_twin.viz.server import open_server
-from scan3d_twin.viz.stage import Stage, add_looks
+from scan3d_twin.viz.stage import Stage, add_look_controls
 
-REFRESH = 0.1
+REFRESH_PERIOD = 0.1
 """Time between two pictures of the moving robot [s]: the lidar's own period."""
-PAUSED = 0.05
+PAUSE_PERIOD = 0.05
 """Time given away at each look at the buttons while paused [s]."""
 SPEEDS = {"real time": 1.0, "2x": 2.0, "5x": 5.0, "10x": 10.0, "30x": 30.0, "unlimited": 0.0}
 """Speeds of the twin by name; 0 for no limit."""
-FRESH = 3.0
+RELOAD_TIME = 3.0
 """A page that reloads is back within this time [s]."""
 
 
@@ -54,7 +54,7 @@ class LiveView:
         self._build_buttons(gui)
         self._timeline = gui.add_slider("Views", 0, 1, step=1, initial_value=1, disabled=True)
         self._timeline.on_update(lambda _: self.stage.show_upto(int(self._timeline.value)))
-        add_looks(gui, self.stage)
+        add_look_controls(gui, self.stage)
         if speed is not None:
             chosen = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value=speed)
             chosen.on_update(lambda _: self._set_speed(chosen.value))
@@ -108,7 +108,7 @@ class LiveView:
 
     def _due(self) -> bool:
         now = time.monotonic()
-        if now - self._drawn < REFRESH:
+        if now - self._drawn < REFRESH_PERIOD:
             return False
         self._drawn = now
         return True
@@ -119,7 +119,7 @@ class LiveView:
 
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``; stops as ``attend`` does."""
-        due = time.monotonic() - self._drawn >= REFRESH
+        due = time.monotonic() - self._drawn >= REFRESH_PERIOD
         self.attend()
         robot = self._robot
         if robot is None or not due:
@@ -149,7 +149,7 @@ class LiveView:
         """See ``Observer``."""
         self.stage.views(session)
         self.stage.plan(session)
-        self._plan.content = plan_table(session)
+        self._plan.content = format_plan(session)
 
     def command(self) -> Command:
         """See ``Observer``: stop and pause between two views."""
@@ -157,7 +157,7 @@ class LiveView:
             return "stop"
         if self._pause.is_set():
             self._status.content = "**paused**"
-            time.sleep(PAUSED)
+            time.sleep(PAUSE_PERIOD)
             return "pause"
         return "go"
 
@@ -176,8 +176,8 @@ class LiveView:
         """Stay until the last page is closed, or Ctrl-C."""
         last = time.monotonic()
         try:
-            while time.monotonic() - last < FRESH:
-                time.sleep(REFRESH)
+            while time.monotonic() - last < RELOAD_TIME:
+                time.sleep(REFRESH_PERIOD)
                 if self.is_read():
                     last = time.monotonic()
         except KeyboardInterrupt:
@@ -204,7 +204,7 @@ class _Pace:
             self._began = (time.monotonic(), now)
 
 
-def plan_table(session: Session) -> str:
+def format_plan(session: Session) -> str:
     """Return the last plan of ``session`` as a table in Markdown."""
     plan = session.plans[-1]
     rows = ["", f"{plan.reason}", ""]

@@ -18,7 +18,7 @@ from typing import Any
 from scan3d_twin.core.model.evaluation import Evaluation
 from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.colours import colour
+from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Report
 from scan3d_twin.viz import cloud, sections
 
@@ -39,7 +39,7 @@ class Pictures:
     scene: bytes | str
 
 
-def report_page(
+def render_report_page(
     report: Report,
     settings_toml: str,
     session: Session,
@@ -61,30 +61,30 @@ def report_page(
     parts = [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{escape(title)}</title><style>{_asset('report.css')}</style></head><body><main>",
-        sections.head(report),
-        sections.warnings(report["warnings"]),
-        _model(session, model),
-        sections.top_view(pictures.top_view),
-        sections.views(report, session),
-        sections.overlap_curves(session),
-        sections.coverage(session, evaluation),
-        sections.scene(pictures.scene),
-        sections.options(settings_toml),
-        sections.foot(report),
+        f"<title>{escape(title)}</title><style>{_read_asset('report.css')}</style></head><body><main>",
+        sections.render_head(report),
+        sections.render_warnings(report["warnings"]),
+        _render_model(session, model),
+        sections.render_top_view(pictures.top_view),
+        sections.render_views(report, session),
+        sections.render_overlap_curves(session),
+        sections.render_coverage(session, evaluation),
+        sections.render_scene(pictures.scene),
+        sections.render_options(settings_toml),
+        sections.render_foot(report),
         "</main></body></html>\n",
     ]
     return "\n".join(part for part in parts if part)
 
 
-def _model(session: Session, model: Model) -> str:
+def _render_model(session: Session, model: Model) -> str:
     """Return the section with the interactive model; the still picture until that is drawn."""
     if len(model) == 0:
         return "<h2>Model</h2><p>No view shows anything of the target: there is no model.</p>"
     viewpoints = [view.T_world_scan for view in session.views]
-    camera = cloud.camera_of(model.points, viewpoints)
-    packed = cloud.pack(model, len(session.views), cloud.surroundings(session), camera)
-    picture = base64.b64encode(cloud.still(model, camera)).decode()
+    camera = cloud.choose_camera(model.points, viewpoints)
+    packed = cloud.pack_points(model, len(session.views), cloud.surrounding_points(session), camera)
+    picture = base64.b64encode(cloud.render_still(model, camera)).decode()
     data = base64.b64encode(packed.data).decode()
     return f"""<h2>Model</h2>
 <figure>
@@ -93,21 +93,21 @@ def _model(session: Session, model: Model) -> str:
  src="data:image/png;base64,{picture}">
 <canvas tabindex="0" aria-label="The model in 3D: drag to turn, two fingers to zoom"></canvas>
 </div>
-{_controls(session)}
+{_render_controls(session)}
 <figcaption class="screen">Drag to turn, shift-drag to move, click and scroll or pinch to zoom,
 double-click to return. Every view has its colour; the lines show where it was taken.</figcaption>
 </figure>
 <script type="application/json" id="meta">{_meta(session, model, packed, camera)}</script>
 <script type="text/plain" id="cloud">{data}</script>
-<script>{_asset("report.js")}</script>"""
+<script>{_read_asset("report.js")}</script>"""
 
 
-def _controls(session: Session) -> str:
+def _render_controls(session: Session) -> str:
     """Return the buttons below the model, hidden until it is drawn."""
     last = len(session.views) - 1
     views = "".join(
         f'<label><input type="checkbox" data-view="{k}" checked>'
-        f'<span class="swatch" style="background:{colour(k)}"></span>{k}</label>'
+        f'<span class="swatch" style="background:{view_colour(k)}"></span>{k}</label>'
         for k in range(last + 1)
     )
     return f"""<div class="controls" id="controls">
@@ -121,7 +121,7 @@ def _controls(session: Session) -> str:
 </div>"""
 
 
-def _meta(session: Session, model: Model, packed: cloud.Packed, camera: cloud.Camera) -> str:
+def _meta(session: Session, model: Model, packed: cloud.PackedCloud, camera: cloud.Camera) -> str:
     """Return what the script needs besides the points, as JSON."""
     heights = model.points[:, 2]
     meta: dict[str, Any] = {
@@ -129,7 +129,7 @@ def _meta(session: Session, model: Model, packed: cloud.Packed, camera: cloud.Ca
         "low": [round(float(v), 6) for v in packed.low],
         "extent": round(packed.extent, 6),
         "heights": [round(float(heights.min()), 4), round(float(heights.max()), 4)],
-        "colours": [colour(k) for k in range(len(session.views))],
+        "colours": [view_colour(k) for k in range(len(session.views))],
         "grey": cloud.GREY,
         "lines": _viewpoint_lines(session),
         "camera": {
@@ -149,7 +149,7 @@ def _viewpoint_lines(session: Session) -> list[float]:
     numbers: list[float] = []
     for k, view in enumerate(session.views):
         pose = view.T_world_scan
-        rgb = [round(int(colour(k)[i : i + 2], 16) / 255, 3) for i in (1, 3, 5)]
+        rgb = [round(int(view_colour(k)[i : i + 2], 16) / 255, 3) for i in (1, 3, 5)]
         half = min(session.config.sweep.width, math.pi) / 2
         tip = (pose.x, pose.y, ROBOT_HEIGHT)
         ends = [((pose.x, pose.y, 0.0), tip)]
@@ -165,5 +165,5 @@ def _viewpoint_lines(session: Session) -> list[float]:
     return numbers
 
 
-def _asset(name: str) -> str:
+def _read_asset(name: str) -> str:
     return (files("scan3d_twin.viz") / name).read_text(encoding="utf-8")

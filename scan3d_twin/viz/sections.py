@@ -14,15 +14,15 @@ from scan3d_twin.core.model.evaluation import Evaluation
 from scan3d_twin.core.model.fused_cloud import scanned_share
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
-from scan3d_twin.recording.colours import colour
+from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Report
-from scan3d_twin.viz.charts import Chart, Dot, round_up, svg
+from scan3d_twin.viz.charts import Chart, Dot, render_chart, round_up
 
-TALLEST = 5.0
+MAX_CHART_ERROR = 5.0
 """Charts of errors end at this many times epsilon; what is above is an arrow at the edge."""
 
 
-def head(report: Report) -> str:
+def render_head(report: Report) -> str:
     """Return the title, the end of the run in words and its key figures."""
     figures = [
         ("Views", f"{report['views']}", ""),
@@ -59,7 +59,7 @@ def _quality(report: Report) -> list[tuple[str, str, str]]:
     return figures
 
 
-def warnings(found: Sequence[str]) -> str:
+def render_warnings(found: Sequence[str]) -> str:
     """Return what people should know before they trust the model."""
     if not found:
         return '<p class="fine">Nothing to warn of: all views are registered as wanted.</p>'
@@ -69,7 +69,7 @@ def warnings(found: Sequence[str]) -> str:
     )
 
 
-def top_view(document: str) -> str:
+def render_top_view(document: str) -> str:
     """Return the top view; its style sheet is kept to itself by being a picture of its own."""
     data = base64.b64encode(document.encode()).decode()
     return (
@@ -81,7 +81,7 @@ def top_view(document: str) -> str:
     )
 
 
-def views(report: Report, session: Session) -> str:
+def render_views(report: Report, session: Session) -> str:
     """Return the table of views: what was planned, what came of it."""
     if not session.views:
         return ""
@@ -106,7 +106,7 @@ def _row(k: int, session: Session, row: dict[str, Any] | None, *, known: bool) -
     dash = "\N{EN DASH}"
     epsilon = 1e3 * session.config.planning.epsilon
     points = f"{len(session.views[k].target):,}".replace(",", "\N{THIN SPACE}")
-    first = f'<span class="swatch" style="background:{colour(k)}"></span>{k}'
+    first = f'<span class="swatch" style="background:{view_colour(k)}"></span>{k}'
     if row is None:
         blanks = "".join(f"<td>{dash}</td>" for _ in range(6 if known else 4))
         return f"<tr><td>{first}</td><td>{points}</td>{blanks}<td class='words'>the first</td></tr>"
@@ -134,7 +134,7 @@ def _note(row: dict[str, Any]) -> str:
     return "; ".join(notes + (["default overlap"] if row["fell_back"] else []))
 
 
-def overlap_curves(session: Session) -> str:
+def render_overlap_curves(session: Session) -> str:
     """Return a chart E(eta) for each planning step that predicted errors."""
     epsilon = 1e3 * session.config.planning.epsilon
     steps = [
@@ -150,7 +150,7 @@ def overlap_curves(session: Session) -> str:
         for c in plan.candidates
         if math.isfinite(c.predicted_rmse)
     ]
-    top = round_up(min(TALLEST * epsilon, 1.1 * max([epsilon, *finite])))
+    top = round_up(min(MAX_CHART_ERROR * epsilon, 1.1 * max([epsilon, *finite])))
     charts = "".join(
         _overlap_curve(k, plan, epsilon, top) for k, plan in steps if len(plan.candidates) > 1
     )
@@ -174,7 +174,7 @@ def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
         Dot(
             c.overlap,
             1e3 * c.predicted_rmse,
-            colour(k),
+            view_colour(k),
             filled=chosen and abs(c.overlap - plan.overlap) < 1e-9,
             title=f"overlap {c.overlap:.0%}: {_millimetres(c.predicted_rmse)}",
         )
@@ -195,12 +195,12 @@ def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
         percent="x",
         width=330,
         height=220,
-        colour=colour(k),
+        colour=view_colour(k),
     )
-    return f"<figure><h3>{escape(title)}</h3>{svg(chart)}</figure>"
+    return f"<figure><h3>{escape(title)}</h3>{render_chart(chart)}</figure>"
 
 
-def coverage(session: Session, evaluation: Evaluation | None) -> str:
+def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
     """Return the chart of coverage against time, each view a numbered dot."""
     if not session.views:
         return ""
@@ -216,7 +216,7 @@ def coverage(session: Session, evaluation: Evaluation | None) -> str:
     times = [float(view.observation.image.stamps.max()) for view in session.views]
     scale, unit = (1.0, "s") if times[-1] < 600 else (60.0, "min")
     dots = [
-        Dot(time / scale, share, colour(k), f"{k}", title=f"after view {k}: {share:.1%}")
+        Dot(time / scale, share, view_colour(k), f"{k}", title=f"after view {k}: {share:.1%}")
         for k, (time, share) in enumerate(zip(times, shares, strict=True))
     ]
     chart = Chart(
@@ -231,12 +231,12 @@ def coverage(session: Session, evaluation: Evaluation | None) -> str:
         height=260,
     )
     return (
-        f'<h2>Coverage</h2><figure class="wide">{svg(chart)}<figcaption>{what}, at the end of each '
-        "view, which is numbered.</figcaption></figure>"
+        f'<h2>Coverage</h2><figure class="wide">{render_chart(chart)}<figcaption>{what}, '
+        "at the end of each view, which is numbered.</figcaption></figure>"
     )
 
 
-def scene(picture: bytes | str) -> str:
+def render_scene(picture: bytes | str) -> str:
     """Return the rendered picture of the scene, or why there is none; nothing for no words."""
     if not picture:
         return ""
@@ -250,7 +250,7 @@ def scene(picture: bytes | str) -> str:
     )
 
 
-def options(settings_toml: str) -> str:
+def render_options(settings_toml: str) -> str:
     """Return the effective options, folded away on a screen."""
     return (
         "<h2>Options</h2><details><summary>All effective options, to run it again</summary>"
@@ -258,7 +258,7 @@ def options(settings_toml: str) -> str:
     )
 
 
-def foot(report: Report) -> str:
+def render_foot(report: Report) -> str:
     """Return what made the page."""
     return (
         f"<footer>scan3d_twin {escape(report['version'])}; all lengths in metres unless said "

@@ -31,18 +31,18 @@ def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserS
     """
     chosen = _free_port(host, port)
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a closed page is no error
-    with _silence():
+    with _silence_stdout():
         server = viser.ViserServer(host=host, port=chosen, label=title, verbose=False)
     try:
-        theme(server, dark=False)
+        set_theme(server, dark=False)
         name = LOOPBACK if host in ("0.0.0.0", "") else host
         yield server, f"http://{name}:{server.get_port()}"
     finally:
-        with _silence():
+        with _silence_stdout():
             server.stop()
 
 
-def theme(server: viser.ViserServer, *, dark: bool) -> None:
+def set_theme(server: viser.ViserServer, *, dark: bool) -> None:
     """Give the page its looks: light or dark, without what asks other machines."""
     server.gui.configure_theme(
         control_width="medium",
@@ -54,7 +54,7 @@ def theme(server: viser.ViserServer, *, dark: bool) -> None:
     server.gui.main_panel.dock_right()
 
 
-def _silence() -> contextlib.AbstractContextManager[object]:
+def _silence_stdout() -> contextlib.AbstractContextManager[object]:
     """Keep viser's greetings out of what the program prints for others to read."""
     return contextlib.redirect_stdout(io.StringIO())
 

@@ -9,8 +9,8 @@ import viser
 
 from scan3d_twin.core.model.fused_cloud import scanned_share
 from scan3d_twin.core.session import Session
-from scan3d_twin.viz.live import plan_table
-from scan3d_twin.viz.stage import Stage, add_looks
+from scan3d_twin.viz.live import format_plan
+from scan3d_twin.viz.stage import Stage, add_look_controls
 
 
 class SessionView:
@@ -31,7 +31,7 @@ class SessionView:
         step = gui.add_slider("Views", min=1, max=max(2, count), step=1, initial_value=count)
         step.disabled = count < 2
         step.on_update(lambda _: self._show(int(step.value)))
-        add_looks(gui, self._stage)
+        add_look_controls(gui, self._stage)
         self._plan = gui.add_markdown("")
 
     def _show(self, count: int) -> None:
@@ -48,4 +48,4 @@ class SessionView:
         last = len(whole.views) - 1
         ended = f": {whole.stop_reason}" if count > last and whole.stop_reason else ""
         self._words.content = f"**view {count - 1} of {last}**, {share:.0%} scanned{ended}"
-        self._plan.content = plan_table(past) if past.plans else ""
+        self._plan.content = format_plan(past) if past.plans else ""

@@ -15,17 +15,17 @@ import viser
 from scan3d_twin.core.model.fused_cloud import voxel_thin
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
-from scan3d_twin.recording.colours import rgb
-from scan3d_twin.viz.cloud import camera_of
-from scan3d_twin.viz.server import theme
+from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.viz.cloud import choose_camera
+from scan3d_twin.viz.server import set_theme
 
 EYE_HEIGHT = 0.30
 """Height at which a viewpoint is drawn: that of the lidar [m]."""
-MOST_POINTS = 25_000
+MAX_VIEW_POINTS = 25_000
 """Points shown of a view: a model of ten views stays quick on a phone."""
 BACKGROUND_VOXEL = 0.05
 """Side of the voxels in which what else a view saw is thinned [m]."""
-POINT = 0.011
+POINT_SIZE = 0.011
 """Size of a point [m]: the distance of two readings at 1.2 m."""
 GREY, DARK, RED, CHOSEN = (150, 158, 168), (60, 66, 74), (235, 50, 50), (11, 98, 196)
 ORANGE, PALE, CELL, SECTION = (230, 120, 20), (190, 196, 204), (222, 226, 231), (196, 203, 211)
@@ -71,7 +71,11 @@ class Stage:
             self._line.points = points.astype(np.float32)
             return
         self._line = self._server.scene.add_point_cloud(
-            "/line", points.astype(np.float32), RED, point_size=1.6 * POINT, precision="float32"
+            "/line",
+            points.astype(np.float32),
+            RED,
+            point_size=1.6 * POINT_SIZE,
+            precision="float32",
         )
 
     def hide_line(self) -> None:
@@ -91,13 +95,17 @@ class Stage:
 
     def _add_view(self, index: int, view: View) -> None:
         """Add the points of a view below a frame that is its frame ``scan``."""
-        scene, name, colour = self._server.scene, f"/views/{index:03d}", rgb(np.array([index]))[0]
+        scene, name, colour = (
+            self._server.scene,
+            f"/views/{index:03d}",
+            view_colours_rgb(np.array([index]))[0],
+        )
         self._views.append(scene.add_frame(name, show_axes=False))
         target = view.target.points
-        step = max(1, math.ceil(len(target) / MOST_POINTS))
-        self._cloud(f"{name}/target", target[::step], colour, POINT)
+        step = max(1, math.ceil(len(target) / MAX_VIEW_POINTS))
+        self._cloud(f"{name}/target", target[::step], colour, POINT_SIZE)
         around = voxel_thin(_background(view), BACKGROUND_VOXEL)
-        self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT))
+        self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT_SIZE))
         place = (0.0, 0.0, EYE_HEIGHT)
         scene.add_icosphere(f"{name}/place", 0.03, colour, subdivisions=2, position=place)
         scene.add_label(f"{name}/number", f"{index}", position=(0.0, 0.0, EYE_HEIGHT + 0.06))
@@ -171,14 +179,14 @@ class Stage:
 
     def dark(self, wanted: bool) -> None:
         """Show the page dark or light."""
-        theme(self._server, dark=wanted)
+        set_theme(self._server, dark=wanted)
 
     def look_at(self, session: Session) -> None:
         """Let pages look at the target from the robot's side."""
         hint = np.column_stack([session.hint, np.zeros(len(session.hint))])
         seen = [view.T_world_scan.apply(view.target.points) for view in session.views]
         poses = [view.T_world_scan for view in session.views]
-        camera = camera_of(np.concatenate([hint, *seen]), poses)
+        camera = choose_camera(np.concatenate([hint, *seen]), poses)
         a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.1 * camera.distance
         ray = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
         eye = camera.middle + d * ray
@@ -189,7 +197,7 @@ class Stage:
             client.camera.position = eye
 
 
-def add_looks(gui: Any, stage: Stage) -> None:
+def add_look_controls(gui: Any, stage: Stage) -> None:
     """Add to ``gui`` what changes the looks of ``stage`` alone."""
     background = gui.add_checkbox("Background", initial_value=True)
     background.on_update(lambda _: stage.show_background(background.value))

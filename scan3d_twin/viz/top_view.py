@@ -14,7 +14,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
-from scan3d_twin.recording.colours import colour
+from scan3d_twin.recording.colours import view_colour
 
 WIDTH, MARGIN, TITLE_HEIGHT = 900.0, 60.0, 34.0
 """Of the picture, in its own units."""
@@ -61,7 +61,7 @@ class _Frame:
         return self.y_max - self.height / self.scale
 
 
-def top_view(
+def draw_top_view(
     points: FloatArray,
     view: IntArray,
     viewpoints: Sequence[Pose2],
@@ -136,7 +136,7 @@ def _points(frame: _Frame, points: FloatArray, view: IntArray) -> list[str]:
         dots = size * cells[cells[:, 0] == index, 1:]
         path = "".join(f"M{frame.x(x):.1f} {frame.y(y):.1f}h0" for x, y in dots)
         parts.append(
-            f'<path d="{path}" stroke="{colour(int(index))}" stroke-width="{POINT_SIZE}" '
+            f'<path d="{path}" stroke="{view_colour(int(index))}" stroke-width="{POINT_SIZE}" '
             f'stroke-linecap="round" fill="none"/>'
         )
     return parts
@@ -147,7 +147,7 @@ def _sectors(frame: _Frame, viewpoints: Sequence[Pose2], width: float, reach: fl
     for index, pose in enumerate(viewpoints):
         outline = _sector_points(pose, width, reach)
         corners = " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in outline)
-        parts.append(f'<polygon class="sector" points="{corners}" stroke="{colour(index)}"/>')
+        parts.append(f'<polygon class="sector" points="{corners}" stroke="{view_colour(index)}"/>')
     return parts
 
 
@@ -160,7 +160,7 @@ def _stars(frame: _Frame, viewpoints: Sequence[Pose2]) -> list[str]:
             f"{x + r * math.sin(a):.1f},{y - r * math.cos(a):.1f}"
             for a, r in ((math.tau * k / 10, 4.0 if k % 2 else 10.0) for k in range(10))
         )
-        parts.append(f'<polygon class="star" points="{tips}" fill="{colour(index)}"/>')
+        parts.append(f'<polygon class="star" points="{tips}" fill="{view_colour(index)}"/>')
         tx, ty = x - 19 * math.cos(pose.yaw), y + 19 * math.sin(pose.yaw) + 4.5
         parts.append(
             f'<text class="label" x="{tx:.1f}" y="{ty:.1f}" text-anchor="middle">{index}</text>'

@@ -13,7 +13,7 @@ from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.presets import preset
 from scan3d_twin.core.session import Session
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
@@ -21,7 +21,7 @@ RIVALS = ("frontier2d", "pito", "see")
 
 
 def config(tour: str, **changes: object) -> Config:
-    own = settings([{"tour": tour}, preset("best")]).config
+    own = build_settings([{"tour": tour}, preset("best")]).config
     return dataclasses.replace(own, **changes)  # type: ignore[arg-type]
 
 

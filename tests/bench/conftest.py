@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from benches import quick_tasks
+from short_experiments import quick_tasks
 
 from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.task import Task

@@ -16,7 +16,7 @@ from scan3d_twin.core.navigation.motion_control import drive_to, turn_by
 from scan3d_twin.core.observer import attended
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
-from scan3d_twin.recording.resume import PAUSE, continued, reenact, warning
+from scan3d_twin.recording.resume import RESUME_PAUSE, continue_odometry, moved_warning, reenact
 from scan3d_twin.recording.session_log import Mark
 from scan3d_twin.sim.robot import open_sim
 
@@ -90,14 +90,14 @@ def make_robot():
 
 def test_odometry_and_clock_of_a_continued_robot_go_on():
     here = Pose2(1.0, -0.5, 2.0)
-    robot = continued(make_robot(), here, 100.0)
-    assert robot.clock.now() == 100.0 + PAUSE
+    robot = continue_odometry(make_robot(), here, 100.0)
+    assert robot.clock.now() == 100.0 + RESUME_PAUSE
     assert robot.base.odometry().T_odom_base == here
     drive_to(robot, 1.0, 0.5, MotionConfig())
     end = robot.base.odometry()
     assert end.T_odom_base.distance(Pose2(1.0, 0.5)) < 0.02
     assert end.stamp == pytest.approx(robot.clock.now(), abs=0.016)
-    assert robot.lidar.read_line(1.0).stamp == 100.0 + PAUSE + 0.5
+    assert robot.lidar.read_line(1.0).stamp == 100.0 + RESUME_PAUSE + 0.5
     samples = robot.base.odometry_since(robot.clock.now() - 1.0)
     assert len(samples) == pytest.approx(1.0 / 0.015, abs=2)
     assert samples[-1] == end
@@ -107,7 +107,7 @@ def test_a_robot_that_was_not_opened_at_the_origin_is_carried_on_too():
     robot = make_robot()
     drive_to(robot, 0.3, 0.1, MotionConfig())
     here = Pose2(1.0, -0.5, 2.0)
-    again = continued(robot, here, 5.0).base.odometry().T_odom_base
+    again = continue_odometry(robot, here, 5.0).base.odometry().T_odom_base
     assert again.distance(here) < 1e-12
     assert math.isclose(again.yaw, here.yaw)
 
@@ -123,11 +123,11 @@ def taken(push):
 
 @pytest.mark.parametrize("push", [Pose2(), Pose2(0.02, -0.02, 0.01)], ids=str)
 def test_a_robot_that_stayed_is_not_suspected(push):
-    assert warning(taken(push)) == ""
+    assert moved_warning(taken(push)) == ""
 
 
 @pytest.mark.parametrize(
     "push", [Pose2(-0.2, 0.0, 0.0), Pose2(-0.15, -0.1, 0.1), Pose2(0.0, 0.0, 0.12)], ids=str
 )
 def test_a_robot_that_was_moved_is_noticed(push):
-    assert "was the robot moved?" in warning(taken(push))
+    assert "was the robot moved?" in moved_warning(taken(push))

@@ -9,7 +9,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.evaluation import surface_distance, true_pose
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.types import Pose2, wrap
-from scan3d_twin.sim.base.motion_errors import CREEP, SLIP_XY, SLIP_YAW, true_move
+from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, TURN_CREEP, apply_motion_errors
 from scan3d_twin.sim.base.profiles import CREATE2
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import (
@@ -78,7 +78,7 @@ def test_an_ideal_robot_only_slips():
         errors.append([true.x, true.y - 0.8, true.yaw - 0.5])
     spread = np.std(np.array(errors), axis=0)
     assert spread == pytest.approx([SLIP_XY, SLIP_XY, SLIP_YAW], rel=0.2)
-    assert np.mean(errors, axis=0) == pytest.approx([0, 0, -0.5 * CREEP / 0.7], abs=6e-3)
+    assert np.mean(errors, axis=0) == pytest.approx([0, 0, -0.5 * TURN_CREEP / 0.7], abs=6e-3)
 
 
 def test_it_errs_as_the_robot_of_the_physics_does():
@@ -94,7 +94,7 @@ def test_it_errs_as_the_robot_of_the_physics_does():
             end = real.base.odometry().T_odom_base
             true = start.inverse() @ truth.pose_at(real.clock.now())
         path = np.array([[end.x, end.y]])
-        drifted = true_move(Pose2(), path, end.yaw, CREATE2, drawn)
+        drifted = apply_motion_errors(Pose2(), path, end.yaw, CREATE2, drawn)
         for name, there in (("physics", true), ("kinematic", drifted)):
             off = (there.x - end.x, there.y - end.y, wrap(there.yaw - end.yaw))
             errors[name].append(off)

@@ -75,7 +75,7 @@ def test_embree_is_chosen_for_crowds_and_large_meshes_that_stand_still(scene_of)
 
 
 def test_without_embree_mujoco_casts_all(monkeypatch):
-    monkeypatch.setattr("scan3d_twin.sim.ray_casting.available", lambda: False)
+    monkeypatch.setattr("scan3d_twin.sim.ray_casting.is_available", lambda: False)
     assert isinstance(choose_caster(load_scene("clutter_100").model), MujocoCaster)
 
 

@@ -12,7 +12,7 @@ from scan3d_twin.core.errors import LinkError
 from scan3d_twin.core.observer import Observers, Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.viz.live import LiveView, open_live_view, plan_table
+from scan3d_twin.viz.live import LiveView, format_plan, open_live_view
 from scan3d_twin.viz.server import LOOPBACK, open_server
 
 
@@ -119,7 +119,7 @@ def test_a_slow_speed_keeps_the_twin_at_it(view):
 
 
 def test_the_plan_is_told_as_a_table(session):
-    table = plan_table(replace(session, plans=session.plans[:2]))
+    table = format_plan(replace(session, plans=session.plans[:2]))
     assert "| 20% | no registration |" in table
     assert "| **80%** | **15.0 mm** |" in table
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.reporting.statistics import (
     Estimate,
-    discordant,
-    median,
-    paired_difference,
+    estimate_median,
+    mcnemar_p,
+    wilcoxon_p,
 )
 
 
@@ -62,7 +62,7 @@ Runs = dict[str, dict[int, Record]]
 """Records by variant and seed."""
 
 
-def comparisons(records: Iterable[Record]) -> list[Comparison]:
+def compare_variants(records: Iterable[Record]) -> list[Comparison]:
     """Return each variant against the best of its scene and scope.
 
     Scopes are not mixed: who registers all that is seen solves an easier task than who registers
@@ -70,27 +70,27 @@ def comparisons(records: Iterable[Record]) -> list[Comparison]:
     the truth and are no reference.
     """
     found = []
-    for (scene, scope), runs in _runs(records, lambda r: (r.scene, r.scope)).items():
+    for (scene, scope), runs in _group_runs(records, lambda r: (r.scene, r.scope)).items():
         able = [name for name in runs if not _is_oracle(runs[name])]
         if len(runs) < 2 or not able:
             continue
         reference = min(able, key=lambda name: (*_rank(list(runs[name].values())), name))
         for name in runs:
             if name != reference:
-                found.append(_comparison(scene, scope, name, runs[name], reference, runs))
+                found.append(_compare(scene, scope, name, runs[name], reference, runs))
     return found
 
 
-def regrets(records: Iterable[Record]) -> list[Regret]:
+def compare_with_oracle(records: Iterable[Record]) -> list[Regret]:
     """Return each variant against each oracle of its scene."""
     found = []
-    for (scene, _), runs in _runs(records, lambda r: (r.scene, "")).items():
+    for (scene, _), runs in _group_runs(records, lambda r: (r.scene, "")).items():
         oracles = [name for name in runs if _is_oracle(runs[name])]
         for oracle in oracles:
             for name in runs:
                 if name not in oracles:
                     ratios = [_regret(a, b) for a, b in _pairs(runs[name], runs[oracle])]
-                    found.append(Regret(scene, name, oracle, median(ratios)))
+                    found.append(Regret(scene, name, oracle, estimate_median(ratios)))
     return found
 
 
@@ -100,7 +100,7 @@ def views_to(record: Record, coverage: float) -> int | None:
     return min(reached, default=None)
 
 
-def _runs(
+def _group_runs(
     records: Iterable[Record], key: Callable[[Record], tuple[str, str]]
 ) -> dict[tuple[str, str], Runs]:
     found: dict[tuple[str, str], Runs] = {}
@@ -117,14 +117,14 @@ def _is_oracle(runs: dict[int, Record]) -> bool:
 
 def _rank(records: Sequence[Record]) -> tuple[float, float]:
     success = sum(record.success for record in records) / len(records)
-    return -success, median([record.views for record in records]).value
+    return -success, estimate_median([record.views for record in records]).value
 
 
 def _pairs(a: dict[int, Record], b: dict[int, Record]) -> list[tuple[Record, Record]]:
     return [(a[seed], b[seed]) for seed in sorted(a.keys() & b.keys())]
 
 
-def _comparison(
+def _compare(
     scene: str, scope: str, name: str, mine: dict[int, Record], reference: str, runs: Runs
 ) -> Comparison:
     pairs = _pairs(mine, runs[reference])
@@ -138,11 +138,11 @@ def _comparison(
         reference=reference,
         pairs=len(pairs),
         success=(sum(x.success for x in a) - sum(y.success for y in b)) / count,
-        success_p=discordant([x.success for x in a], [y.success for y in b]),
-        views=median([x.views / y.views for x, y in pairs if y.views]),
-        views_p=paired_difference([x.views for x in a], [y.views for y in b]),
-        time=median([x / y for x, y in timed]),
-        time_p=paired_difference([x for x, _ in timed], [y for _, y in timed]),
+        success_p=mcnemar_p([x.success for x in a], [y.success for y in b]),
+        views=estimate_median([x.views / y.views for x, y in pairs if y.views]),
+        views_p=wilcoxon_p([x.views for x in a], [y.views for y in b]),
+        time=estimate_median([x / y for x, y in timed]),
+        time_p=wilcoxon_p([x for x, _ in timed], [y for _, y in timed]),
     )
 
 

@@ -10,11 +10,16 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from scan3d_twin.bench.record import Record, Step
-from scan3d_twin.bench.reporting.plot import Axis, Plot, axis_over, colours, shares
-from scan3d_twin.bench.reporting.statistics import Estimate, median, paired_difference, rate
-from scan3d_twin.bench.reporting.summary import ratios
+from scan3d_twin.bench.reporting.measures import error_ratios
+from scan3d_twin.bench.reporting.plot import Axis, Plot, assign_colours, axis_over, share_axis
+from scan3d_twin.bench.reporting.statistics import (
+    Estimate,
+    estimate_median,
+    estimate_rate,
+    wilcoxon_p,
+)
 
-GRID = 40
+CURVE_POINTS = 40
 """Places along an axis at which curves of runs are read."""
 Cells = list[list[str | float | int | None]]
 
@@ -40,25 +45,25 @@ Group = dict[str, list[Record]]
 """Runs of one scene by variant."""
 
 
-def figures_of(records: Sequence[Record]) -> list[Figure]:
+def draw_figures(records: Sequence[Record]) -> list[Figure]:
     """Return figures 2 to 7 of all scenes; those without data are left out."""
     known = [record for record in records if record.status != "lost"]
-    paint = colours(sorted({record.variant for record in known}))
+    paint = assign_colours(sorted({record.variant for record in known}))
     found: list[Figure | None] = []
     for scene in sorted({record.scene for record in known}):
         group: Group = {}
         for record in known:
             if record.scene == scene:
                 group.setdefault(record.variant, []).append(record)
-        found += [pareto(scene, group, paint)]
-        found += [coverage(scene, group, paint, along) for along in ALONG]
-        found += [calibration(scene, group, paint), overlaps(scene, group, paint)]
-        found += [features(scene, group, paint), success_by_lambda(scene, group, paint)]
-        found += [bars(scene, group, paint)]
+        found += [draw_pareto(scene, group, paint)]
+        found += [draw_coverage(scene, group, paint, along) for along in COVERAGE_AXES]
+        found += [draw_calibration(scene, group, paint), draw_overlaps(scene, group, paint)]
+        found += [draw_features(scene, group, paint), draw_success_by_lambda(scene, group, paint)]
+        found += [draw_success_bars(scene, group, paint)]
     return [figure for figure in found if figure is not None]
 
 
-def pareto(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
+def draw_pareto(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     """F2: views against the worst error, a dot a run."""
     shown = [r for runs in group.values() for r in runs if r.max_error]
     if not shown:
@@ -78,7 +83,7 @@ def pareto(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
 
 
 @dataclass(frozen=True)
-class Along:
+class CoverageAxis:
     """What coverage is plotted over."""
 
     name: str
@@ -86,14 +91,16 @@ class Along:
     of: Callable[[Step], float]
 
 
-ALONG = (
-    Along("views", "views", lambda step: step.view + 1),
-    Along("metres", "driven [m]", lambda step: step.path),
-    Along("seconds", "robot's time [s]", lambda step: step.time),
+COVERAGE_AXES = (
+    CoverageAxis("views", "views", lambda step: step.view + 1),
+    CoverageAxis("metres", "driven [m]", lambda step: step.path),
+    CoverageAxis("seconds", "robot's time [s]", lambda step: step.time),
 )
 
 
-def coverage(scene: str, group: Group, paint: dict[str, str], along: Along) -> Figure | None:
+def draw_coverage(
+    scene: str, group: Group, paint: dict[str, str], along: CoverageAxis
+) -> Figure | None:
     """F3: coverage over views, metres or seconds: medians and their intervals."""
     steps = [step for runs in group.values() for run in runs for step in run.steps]
     if not steps:
@@ -102,12 +109,12 @@ def coverage(scene: str, group: Group, paint: dict[str, str], along: Along) -> F
     if along.name == "views":
         places = [float(k) for k in range(1, int(x.high) + 1)]
     else:
-        places = [float(v) for v in np.linspace(0.0, x.high, GRID)]
-    plot = Plot(f"{scene}: coverage", x, shares("coverage at 20 mm"))
+        places = [float(v) for v in np.linspace(0.0, x.high, CURVE_POINTS)]
+    plot = Plot(f"{scene}: coverage", x, share_axis("coverage at 20 mm"))
     rows: Cells = [["variant", along.name, "coverage", "low", "high", "runs"]]
     for variant, runs in group.items():
         plot.name(variant, paint[variant])
-        curve = [(at, median([_covered(r, along, at) for r in runs])) for at in places]
+        curve = [(at, estimate_median([_covered(r, along, at) for r in runs])) for at in places]
         plot.band(curve, paint[variant])
         rows += [[variant, at, *_cells(e)] for at, e in curve]
     caption = (
@@ -117,14 +124,16 @@ def coverage(scene: str, group: Group, paint: dict[str, str], along: Along) -> F
     return Figure(f"F3-{scene}-{along.name}", caption, plot.svg(), rows)
 
 
-def _covered(run: Record, along: Along, at: float) -> float:
+def _covered(run: Record, along: CoverageAxis, at: float) -> float:
     """Return what ``run`` had covered by ``at``."""
     return max((s.coverage or 0.0 for s in run.steps if along.of(s) <= at), default=0.0)
 
 
-def calibration(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
+def draw_calibration(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     """F4: predicted against realised error, a dot a registration."""
-    shown = [(v, r, s) for v, runs in group.items() for r in runs for s in r.steps if _judged(s)]
+    shown = [
+        (v, r, s) for v, runs in group.items() for r in runs for s in r.steps if _has_both_errors(s)
+    ]
     if not shown:
         return None
     errors = [_mm(value) for _, _, s in shown for value in (s.predicted, s.error)]
@@ -133,7 +142,7 @@ def calibration(scene: str, group: Group, paint: dict[str, str]) -> Figure | Non
     plot.diagonal()
     plot.limit(1e3 * shown[0][1].epsilon, "\N{GREEK SMALL LETTER EPSILON}")
     for variant in group:
-        label = median([q for r in group[variant] for q in ratios(r)])
+        label = estimate_median([q for r in group[variant] for q in error_ratios(r)])
         plot.name(f"{variant}: \N{MULTIPLICATION SIGN} {label.value:.2f}", paint[variant])
         points = [(_mm(s.predicted), _mm(s.error)) for v, _, s in shown if v == variant]
         plot.dots(points, paint[variant], size=2.2)
@@ -146,7 +155,7 @@ def calibration(scene: str, group: Group, paint: dict[str, str]) -> Figure | Non
     return Figure(f"F4-{scene}", caption, plot.svg(), rows)
 
 
-def _judged(step: Step) -> bool:
+def _has_both_errors(step: Step) -> bool:
     return bool(step.predicted) and bool(step.error)
 
 
@@ -163,7 +172,7 @@ def steps_of(run: Record) -> list[tuple[float, float, float | None, float | None
     return rows
 
 
-def overlaps(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
+def draw_overlaps(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     """F5a: the chosen overlap along the way round the target."""
     steps = {v: [s for r in runs for s in steps_of(r) if s[2] is not None]
              for v, runs in group.items()}  # fmt: skip
@@ -172,7 +181,9 @@ def overlaps(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
         return None
     x = axis_over("way along the viewpoints [m]", [s[0] for rows in steps.values() for s in rows])
     plot = Plot(
-        f"{scene}: chosen overlap along the target", x, shares("overlap \N{GREEK SMALL LETTER ETA}")
+        f"{scene}: chosen overlap along the target",
+        x,
+        share_axis("overlap \N{GREEK SMALL LETTER ETA}"),
     )
     rows: Cells = [["variant", "way_m", "step_m", "overlap", "feature"]]
     for variant, found in steps.items():
@@ -186,7 +197,7 @@ def overlaps(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     return Figure(f"F5a-{scene}", caption, plot.svg(), rows)
 
 
-def features(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
+def draw_features(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     """F5b: length of the steps against the features before them (the paper's claim)."""
     steps = {v: [s for r in runs for s in steps_of(r) if s[3] is not None]
              for v, runs in group.items()}  # fmt: skip
@@ -200,7 +211,7 @@ def features(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     rows: Cells = [["variant", "steps", "spearman", "p", "O3O4_less_O1O2_m", "p"]]
     for variant, found in steps.items():
         plot.dots([(s[3] or 0.0, s[1]) for s in found], paint[variant], 2.2)
-        claim = _claim(found, group[variant])
+        claim = _test_claim(found, group[variant])
         plot.name(f"{variant}: \N{GREEK SMALL LETTER RHO} {claim[0]:.2f}", paint[variant])
         rows.append([variant, len(found), *claim])
     caption = (
@@ -211,7 +222,7 @@ def features(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     return Figure(f"F5b-{scene}", caption, plot.svg(), rows)
 
 
-def _claim(
+def _test_claim(
     found: list[tuple[float, float, float | None, float | None]], runs: list[Record]
 ) -> tuple[float, float, float, float]:
     """Return Spearman's rho and its p, and how much longer O3-O4 is than O1-O2 [m], and its p."""
@@ -221,10 +232,10 @@ def _claim(
     long = [steps_of(run) for run in runs if run.views >= 4]
     third, first = [rows[2][1] for rows in long], [rows[0][1] for rows in long]
     longer = float(np.mean(np.subtract(third, first))) if long else math.nan
-    return float(rho), float(p), longer, paired_difference(third, first)
+    return float(rho), float(p), longer, wilcoxon_p(third, first)
 
 
-def success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
+def draw_success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     """F6: success over the assumed translation error, where runs differ in it."""
     curves: dict[tuple[str, str, str], dict[float, list[Record]]] = {}
     for record in (r for runs in group.values() for r in runs):
@@ -238,11 +249,11 @@ def success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> Figure
         [v for by in curves.values() for v in by],
         log=True,
     )
-    plot = Plot(f"{scene}: success and the error the planner assumes", x, shares("success"))
+    plot = Plot(f"{scene}: success and the error the planner assumes", x, share_axis("success"))
     rows: Cells = [["planner", "preset", "scope", "lambda", "success", "low", "high", "runs"]]
-    tints = colours(" ".join(key) for key in sorted(curves))
+    tints = assign_colours(" ".join(key) for key in sorted(curves))
     for key in sorted(curves):
-        curve = [(at, rate(sum(r.success for r in runs), len(runs)))
+        curve = [(at, estimate_rate(sum(r.success for r in runs), len(runs)))
                  for at, runs in sorted(curves[key].items())]  # fmt: skip
         plot.name(" ".join(key), tints[" ".join(key)])
         plot.band(curve, tints[" ".join(key)])
@@ -251,15 +262,15 @@ def success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> Figure
     return Figure(f"F6-{scene}", caption, plot.svg(), rows)
 
 
-def bars(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
+def draw_success_bars(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
     """F7: success of all variants side by side."""
     if len(group) < 2:
         return None
     x = Axis("", 0.0, float(len(group)))
-    plot = Plot(f"{scene}: success of the variants", x, shares("every error within epsilon"))
+    plot = Plot(f"{scene}: success of the variants", x, share_axis("every error within epsilon"))
     rows: Cells = [["variant", "success", "low", "high", "runs"]]
     for k, (variant, runs) in enumerate(group.items()):
-        estimate = rate(sum(r.success for r in runs), len(runs))
+        estimate = estimate_rate(sum(r.success for r in runs), len(runs))
         plot.name(f"{variant} ({len(runs)})", paint[variant])
         plot.bar(k + 0.5, 0.35, estimate, paint[variant])
         rows.append([variant, *_cells(estimate)])

@@ -12,16 +12,16 @@ from itertools import groupby
 from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.reporting.compare import Comparison, Regret
 from scan3d_twin.bench.reporting.figures import Cells, Figure
-from scan3d_twin.bench.reporting.summary import MEASURES, Row, table, words
+from scan3d_twin.bench.reporting.measures import MEASURES, SummaryRow, format_estimate, format_table
 
-MOST_PICTURES = 12
+MAX_PICTURES = 12
 """Top views on the page; each may have 2 MB. The others stay in their folder."""
 
 
-def page(
+def render_page(
     title: str,
     records: Sequence[Record],
-    rows: Sequence[Row],
+    rows: Sequence[SummaryRow],
     comparisons: Sequence[Comparison],
     regrets: Sequence[Regret],
     figures: Sequence[Figure],
@@ -42,7 +42,7 @@ def page(
         f"<h1>{escape(title)}</h1>",
         *_facts(records),
         "<h2>Figures of all runs</h2>",
-        _table(table(rows)),
+        _table(format_table(rows)),
         "<p class=facts>In brackets: 95 % intervals, Wilson's for shares of runs and bootstrap for "
         "medians.</p>",
         _meanings(),
@@ -64,7 +64,7 @@ def _head(title: str) -> str:
     )
 
 
-def comparison_rows(comparisons: Iterable[Comparison]) -> Cells:
+def comparison_cells(comparisons: Iterable[Comparison]) -> Cells:
     """Return the comparisons as numbers, with a heading."""
     names = [field.name for field in fields(Comparison)]
     rows: Cells = [[*names, "views_low", "views_high", "time_low", "time_high"]]
@@ -127,9 +127,9 @@ def _comparisons(comparisons: Sequence[Comparison]) -> list[str]:
                 str(c.pairs),
                 f"{100 * c.success:+.0f} points",
                 f"{c.success_p:.2g}",
-                "\N{MULTIPLICATION SIGN} " + words(c.views, "{:.2f}"),
+                "\N{MULTIPLICATION SIGN} " + format_estimate(c.views, "{:.2f}"),
                 f"{c.views_p:.2g}",
-                "\N{MULTIPLICATION SIGN} " + words(c.time, "{:.2f}"),
+                "\N{MULTIPLICATION SIGN} " + format_estimate(c.time, "{:.2f}"),
                 f"{c.time_p:.2g}",
             ]
             for c in found
@@ -149,7 +149,8 @@ def _regrets(regrets: Sequence[Regret]) -> list[str]:
     if not regrets:
         return []
     cells = [["scene", "variant", "oracle", "views over the oracle's", "pairs"]] + [
-        [r.scene, r.variant, r.oracle, words(r.regret, "{:.2f}"), str(r.regret.n)] for r in regrets
+        [r.scene, r.variant, r.oracle, format_estimate(r.regret, "{:.2f}"), str(r.regret.n)]
+        for r in regrets
     ]
     return [
         "<h2>Against the oracle</h2>",
@@ -162,7 +163,7 @@ def _regrets(regrets: Sequence[Regret]) -> list[str]:
 def _pictures(pictures: Mapping[str, bytes]) -> list[str]:
     if not pictures:
         return []
-    shown = list(pictures.items())[:MOST_PICTURES]
+    shown = list(pictures.items())[:MAX_PICTURES]
     parts = ["<h2>F1: top views</h2><div class=figures>"]
     for caption, svg in shown:
         data = base64.b64encode(svg).decode("ascii")

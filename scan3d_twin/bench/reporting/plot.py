@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from xml.sax.saxutils import escape
 
 from scan3d_twin.bench.reporting.statistics import Estimate
-from scan3d_twin.recording.colours import COLOURS
+from scan3d_twin.recording.colours import VIEW_COLOURS
 
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 34.0, 46.0
 """Room round the plot, in the picture's own units."""
@@ -69,7 +69,7 @@ def axis_over(label: str, values: Iterable[float], *, log: bool = False) -> Axis
     return Axis(label, low, high + 0.05 * (high - low))
 
 
-def shares(label: str) -> Axis:
+def share_axis(label: str) -> Axis:
     """Return an axis from 0 to 100 %."""
     return Axis(label, 0.0, 1.0, form="{:.0%}")
 
@@ -219,9 +219,9 @@ class Plot:
         return parts
 
 
-def colours(names: Iterable[str]) -> dict[str, str]:
+def assign_colours(names: Iterable[str]) -> dict[str, str]:
     """Return a colour for each name, the same in all plots of a report."""
-    return {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}
+    return {name: VIEW_COLOURS[k % len(VIEW_COLOURS)] for k, name in enumerate(names)}
 
 
 def _round_step(length: float) -> float:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.piece import Piece
 
 _POINT = np.dtype(
@@ -22,7 +22,7 @@ def encode(piece: Piece) -> bytes:
     for axis, name in enumerate("xyz"):
         points[name] = model.points[:, axis]
         points["normal_" + name] = model.normals[:, axis]
-    red, green, blue = rgb(model.view).astype(np.uint32).T
+    red, green, blue = view_colours_rgb(model.view).astype(np.uint32).T
     points["rgb"] = red << 16 | green << 8 | blue
     points["label"] = model.view
     turn = f"{math.cos(pose.yaw / 2):.9g} 0 0 {math.sin(pose.yaw / 2):.9g}"

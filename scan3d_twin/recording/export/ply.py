@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.piece import Piece
 
 _VERTEX = np.dtype(
@@ -24,7 +24,7 @@ def encode(piece: Piece) -> bytes:
         vertices["n" + name] = np.nan_to_num(model.normals[:, axis])
     vertices["view"] = model.view
     for channel, name in enumerate(("red", "green", "blue")):
-        vertices[name] = rgb(model.view)[:, channel]
+        vertices[name] = view_colours_rgb(model.view)[:, channel]
     names = _VERTEX.names or ()
     header = [
         "ply",

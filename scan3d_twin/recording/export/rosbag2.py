@@ -18,7 +18,7 @@ from rosbags.rosbag2.errors import WriterError
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.mcap import ros_messages as ros
-from scan3d_twin.recording.mcap.reader import Delivered, contents
+from scan3d_twin.recording.mcap.reader import RawMessage, read_contents
 
 _FOREVER = QosTime(2**31 - 1, 999_999_999)
 LATCHED = Qos(
@@ -61,8 +61,8 @@ def write(session_file: Path, path: Path) -> int:
 def _copy(session_file: Path, folder: Path) -> int:
     store, topics, count = ros.typestore(), {}, 0
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for each in contents(session_file):
-            if not isinstance(each, Delivered):
+        for each in read_contents(session_file):
+            if not isinstance(each, RawMessage):
                 continue
             if each.topic not in topics:
                 topics[each.topic] = writer.add_connection(

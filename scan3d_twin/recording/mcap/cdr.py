@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from scan3d_twin.core.types import LidarSpec, Odometry, Pose2, ScanLine
-from scan3d_twin.recording.mcap.ros_messages import Message, heading, split
+from scan3d_twin.recording.mcap.ros_messages import Message, split_stamp, yaw_quaternion
 
 _CDR = b"\x00\x01\x00\x00"
 _POSE = "2d 24x 2d"
@@ -39,17 +39,17 @@ def _text(text: str) -> bytes:
 _WORLD, _ODOM, _BASE, _LASER = map(_text, ("world", "odom", "base", "laser"))
 
 
-def odometry(sample: Odometry, before: Odometry | None) -> Message:
+def encode_odometry(sample: Odometry, before: Odometry | None) -> Message:
     """Return a sample of the odometry, with the velocity since the one ``before``."""
     pose = sample.T_odom_base
     data = _ODOMETRY.pack(
         _CDR,
-        *split(sample.stamp),
+        *split_stamp(sample.stamp),
         _ODOM,
         _BASE,
         pose.x,
         pose.y,
-        *heading(pose.yaw),
+        *yaw_quaternion(pose.yaw),
         *sample.covariance.ravel().tolist(),
         *_velocity(sample, before),
     )
@@ -65,15 +65,15 @@ def _velocity(sample: Odometry, before: Odometry | None) -> tuple[float, float]:
     return move.x / period, move.yaw / period
 
 
-def command(stamp: float, linear: float, angular: float) -> Message:
+def encode_command(stamp: float, linear: float, angular: float) -> Message:
     """Return a velocity [m/s], [rad/s] that was sent to the base."""
-    data = _COMMAND.pack(_CDR, *split(stamp), _BASE, linear, angular)
+    data = _COMMAND.pack(_CDR, *split_stamp(stamp), _BASE, linear, angular)
     return Message("geometry_msgs/msg/TwistStamped", data)
 
 
-def frames(stamp: float, T_world_odom: Pose2, T_odom_base: Pose2) -> Message:
+def encode_frames(stamp: float, T_world_odom: Pose2, T_odom_base: Pose2) -> Message:
     """Return where the odometry's frame lies in the world, and the base in that."""
-    time, (outer, inner) = split(stamp), (T_world_odom, T_odom_base)
+    time, (outer, inner) = split_stamp(stamp), (T_world_odom, T_odom_base)
     data = _FRAMES.pack(
         _CDR,
         2,
@@ -82,24 +82,24 @@ def frames(stamp: float, T_world_odom: Pose2, T_odom_base: Pose2) -> Message:
         _ODOM,
         outer.x,
         outer.y,
-        *heading(outer.yaw),
+        *yaw_quaternion(outer.yaw),
         *time,
         _ODOM,
         _BASE,
         inner.x,
         inner.y,
-        *heading(inner.yaw),
+        *yaw_quaternion(inner.yaw),
     )
     return Message("tf2_msgs/msg/TFMessage", data)
 
 
-def scan(line: ScanLine, spec: LidarSpec) -> Message:
+def encode_scan(line: ScanLine, spec: LidarSpec) -> Message:
     """Return a scan line; its intensities are the sensor's error codes, -1 where measured."""
     steps = max(1, spec.n_beams - 1)
     first, last = float(spec.elevations[0]), float(spec.elevations[-1])
     head = _SCAN.pack(
         _CDR,
-        *split(line.stamp),
+        *split_stamp(line.stamp),
         _LASER,
         first,
         last,
@@ -114,7 +114,7 @@ def scan(line: ScanLine, spec: LidarSpec) -> Message:
     return Message("sensor_msgs/msg/LaserScan", b"".join((head, count, ranges, count, codes)))
 
 
-def serial_bytes(stamp: float, direction: Literal["<", ">"], data: bytes) -> Message:
+def encode_serial_bytes(stamp: float, direction: Literal["<", ">"], data: bytes) -> Message:
     """Return ``data`` that came from (<) or went to (>) a device."""
-    head = _SERIAL.pack(_CDR, *split(stamp), _text(direction))
+    head = _SERIAL.pack(_CDR, *split_stamp(stamp), _text(direction))
     return Message("scan3d_twin_msgs/msg/SerialBytes", head + _COUNT.pack(len(data)) + data)

@@ -22,12 +22,12 @@ from zstandard import ZstdError
 from scan3d_twin.core.errors import FileError
 
 _MAGIC = b"\x89MCAP0\r\n"
-_BROKEN = (McapError, CRCValidationError, ZstdError, struct.error, ValueError, KeyError)
+_READ_ERRORS = (McapError, CRCValidationError, ZstdError, struct.error, ValueError, KeyError)
 """What a reader runs into where a disk has lost a part of the file."""
 
 
 @dataclass(frozen=True, slots=True)
-class Delivered:
+class RawMessage:
     """A message as it lies in a file.
 
     Attributes:
@@ -74,7 +74,7 @@ def is_sound(path: Path) -> bool:
                 pass
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except _BROKEN:
+    except _READ_ERRORS:
         return False
     return True
 
@@ -91,7 +91,7 @@ def is_written(path: Path) -> bool:
     return False
 
 
-def contents(path: Path, *topics: str) -> Iterator[Delivered | Metadata]:
+def read_contents(path: Path, *topics: str) -> Iterator[RawMessage | Metadata]:
     """Yield metadata and messages, of ``topics`` or of all, in the order they were written in.
 
     An unfinished file is read up to its last good byte.
@@ -105,20 +105,20 @@ def contents(path: Path, *topics: str) -> Iterator[Delivered | Metadata]:
             if finished and topics:
                 yield from _indexed(stream, topics)
                 return
-            yield from (each for each in _scanned(stream) if _wanted(each, topics))
+            yield from (each for each in _scanned(stream) if _is_wanted(each, topics))
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except _BROKEN as error:
+    except _READ_ERRORS as error:
         raise FileError(
             f"{path} is damaged ({error}); save what is left: twin session recover {path.parent}"
         ) from None
 
 
-def _wanted(each: Delivered | Metadata, topics: tuple[str, ...]) -> bool:
+def _is_wanted(each: RawMessage | Metadata, topics: tuple[str, ...]) -> bool:
     return not topics or isinstance(each, Metadata) or each.topic in topics
 
 
-def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[Delivered | Metadata]:
+def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[RawMessage | Metadata]:
     """Yield by the index of a finished file."""
     reader = make_reader(stream, validate_crcs=True)
     yield from reader.iter_metadata()
@@ -127,7 +127,7 @@ def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[Delivered |
         yield _delivered(schema, channel, message)
 
 
-def _scanned(stream: IO[bytes]) -> Iterator[Delivered | Metadata]:
+def _scanned(stream: IO[bytes]) -> Iterator[RawMessage | Metadata]:
     """Yield from the start up to where the file is no longer sound."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -143,9 +143,9 @@ def _scanned(stream: IO[bytes]) -> Iterator[Delivered | Metadata]:
             yield _delivered(schemas[channel.schema_id], channel, record)
 
 
-def _delivered(schema: Schema, channel: Channel, message: Message) -> Delivered:
+def _delivered(schema: Schema, channel: Channel, message: Message) -> RawMessage:
     latched = "offered_qos_profiles" in channel.metadata
-    return Delivered(channel.topic, schema.name, latched, message.log_time, message.data)
+    return RawMessage(channel.topic, schema.name, latched, message.log_time, message.data)
 
 
 def _sound_records(stream: IO[bytes]) -> Iterator[McapRecord]:
@@ -162,7 +162,7 @@ def _sound_records(stream: IO[bytes]) -> Iterator[McapRecord]:
             continue
         try:
             records = _parsed(opcode, stream.read(length))
-        except _BROKEN:
+        except _READ_ERRORS:
             return
         yield from records
 

@@ -13,7 +13,7 @@ from mcap.records import Metadata
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
-from scan3d_twin.recording.mcap.reader import Delivered, contents, is_written
+from scan3d_twin.recording.mcap.reader import RawMessage, is_written, read_contents
 from scan3d_twin.recording.names import PART, RECORDS, SESSION_FILE
 from scan3d_twin.recording.session_log import MARK
 
@@ -58,11 +58,11 @@ def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reo
     copy.unlink(missing_ok=True)
     file = McapFile(copy, wall)
     try:
-        for each in contents(path) if whole else up_to_last_mark(path):
-            write_again(each, file)
+        for each in read_contents(path) if whole else read_to_last_mark(path):
+            copy_record(each, file)
         file.flush(0.0)
         file.sink.sync()
-        backup = keep_beside(path)
+        backup = back_up(path)
     except BaseException:
         file.sink.close()
         copy.unlink(missing_ok=True)
@@ -73,22 +73,22 @@ def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reo
     return Reopened(file, path, backup)
 
 
-def up_to_last_mark(path: Path, *topics: str) -> Iterator[Delivered | Metadata]:
+def read_to_last_mark(path: Path, *topics: str) -> Iterator[RawMessage | Metadata]:
     """Yield what belongs to a finished view or plan; not the way that led to no other one.
 
     Args:
         path: Of the session file.
         topics: Which messages besides the records; all if none is named.
     """
-    pending: list[Delivered | Metadata] = []
-    for each in contents(path, *(topics and (*topics, RECORDS))):
+    pending: list[RawMessage | Metadata] = []
+    for each in read_contents(path, *(topics and (*topics, RECORDS))):
         pending.append(each)
         if is_mark(each):
             yield from pending
             pending.clear()
 
 
-def is_mark(each: Delivered | Metadata) -> bool:
+def is_mark(each: RawMessage | Metadata) -> bool:
     """Tell whether all that was recorded before ``each`` belongs together."""
     if isinstance(each, Metadata) or each.topic != RECORDS:
         return False
@@ -96,7 +96,7 @@ def is_mark(each: Delivered | Metadata) -> bool:
     return kind == MARK
 
 
-def write_again(each: Delivered | Metadata, file: McapFile) -> None:
+def copy_record(each: RawMessage | Metadata, file: McapFile) -> None:
     """Write what was read from one file to another."""
     if isinstance(each, Metadata):
         file.metadata(each.name, each.metadata)
@@ -104,7 +104,7 @@ def write_again(each: Delivered | Metadata, file: McapFile) -> None:
         file.write_bytes(each.topic, each.name, each.nanoseconds, each.data, latched=each.latched)
 
 
-def keep_beside(path: Path) -> Path:
+def back_up(path: Path) -> Path:
     """Give the file at ``path`` a second name, ``session.1.mcap`` or the next free one; return it.
 
     Raises:
@@ -124,7 +124,7 @@ def keep_beside(path: Path) -> Path:
     return backup
 
 
-def latest_backup(folder: Path) -> Path:
+def find_latest_backup(folder: Path) -> Path:
     """Return the file that the session in ``folder`` was made from last.
 
     Raises:

@@ -11,15 +11,15 @@ from scan3d_twin.core.navigation.wheel_kinematics import ACCELERATION, wheel_spe
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.sim.base.odometers import Sample, make_odometer
 from scan3d_twin.sim.base.profiles import CREATE2
-from scan3d_twin.sim.base.safety_sensors import Feelers
+from scan3d_twin.sim.base.safety_sensors import SafetySensors
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.world import PREFIX, World
 
-__all__ = ["CREATE2", "HISTORY", "SimBase"]
+__all__ = ["CREATE2", "MIN_HISTORY", "SimBase"]
 
-HISTORY = 20_000
+MIN_HISTORY = 20_000
 """Odometry samples that are kept at least: 5 minutes."""
-SURPLUS = 2_000
+FORGET_BATCH = 2_000
 """So many older ones are forgotten at a time."""
 
 
@@ -40,7 +40,7 @@ class SimBase:
         self._drives = [int(model.actuator(name + "_drive").id) for name in names]
         self._wheels = [int(model.joint(name + "_wheel").qposadr[0]) for name in names]
         self._ramp = ACCELERATION * spec.sample_period / (spec.wheel_diameter / 2)
-        self._feelers = Feelers(world, spec.sample_period, errors.battery_life)
+        self._feelers = SafetySensors(world, spec.sample_period, errors.battery_life)
         self._target = (0.0, 0.0)
         self._driven = (0.0, 0.0)
         self._samples = 0
@@ -97,7 +97,7 @@ class SimBase:
         right = qpos.item(self._wheels[1]) - self._zero[1]
         sent = (self._driven[0] * radius, self._driven[1] * radius)
         self._pending.append(Sample(time, (left, right), sent))
-        if len(self._pending) >= SURPLUS:
+        if len(self._pending) >= FORGET_BATCH:
             self._reckon()
         before, self._hazards = self._hazards, self._feelers.hazards(self._driven)
         names = _blocking(before, self._hazards, self._target)
@@ -111,7 +111,7 @@ class SimBase:
         update = self._odometer.update
         self._history += [update(sample) for sample in self._pending]
         self._pending.clear()
-        del self._history[: max(0, len(self._history) - HISTORY) // SURPLUS * SURPLUS]
+        del self._history[: max(0, len(self._history) - MIN_HISTORY) // FORGET_BATCH * FORGET_BATCH]
 
     def _accelerate(self) -> None:
         radius, step = self.spec.wheel_diameter / 2, self._ramp

@@ -16,7 +16,7 @@ from scan3d_twin.core.navigation.odometry import arc
 from scan3d_twin.core.types import FloatArray, Pose2, wrap
 from scan3d_twin.sim.world import RobotErrors
 
-CREEP = 0.0022
+TURN_CREEP = 0.0022
 """What rubber creeps in a turn on the spot, by the wheels' way, at a friction of 1; it grows with
 the reciprocal. As the next two by ``benchmarks/motion_error.py`` (30 robots, 120 moves)."""
 SLIP_XY, SLIP_YAW = 0.0009, 0.0011
@@ -26,10 +26,10 @@ SLIP_XY, SLIP_YAW = 0.0009, 0.0011
 def turn_scale(errors: RobotErrors) -> float:
     """Return how far a robot turns on the spot for each radian that its odometry tells."""
     scale = float((1 + np.mean(errors.wheel_radius)) / (1 + errors.wheel_base))
-    return scale - CREEP / errors.friction
+    return scale - TURN_CREEP / errors.friction
 
 
-def true_move(
+def apply_motion_errors(
     start: Pose2, path: FloatArray, yaw: float, spec: BaseSpec, errors: RobotErrors
 ) -> Pose2:
     """Return the true pose, from where it started, of a robot that followed ``path``.

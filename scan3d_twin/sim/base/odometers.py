@@ -11,7 +11,7 @@ from scan3d_twin.core.navigation.wheel_kinematics import correction
 from scan3d_twin.core.types import Odometry
 from scan3d_twin.sim.config import RobotErrorConfig
 
-AT_REST = 0.3
+REST_TIME = 0.3
 """Standstill after which a Create 1's packets are read [s]; the driver reads between motions."""
 
 
@@ -40,10 +40,10 @@ class Odometer(Protocol):
 def make_odometer(spec: BaseSpec, errors: RobotErrorConfig) -> Odometer:
     """Return the odometer of a base."""
     by_command = spec.name == "create1" and errors.reckoning == "driver"
-    return Commanded(spec, errors) if by_command else Encoders(spec)
+    return CommandOdometer(spec, errors) if by_command else EncoderOdometer(spec)
 
 
-class Encoders:
+class EncoderOdometer:
     """What the wheels turned: packets 43 and 44 of a Create 2, whole millimetres of a Create 1."""
 
     def __init__(self, spec: BaseSpec) -> None:
@@ -59,7 +59,7 @@ class Encoders:
         )
 
 
-class Commanded:
+class CommandOdometer:
     """A Create 1 has packets 19 and 20 only: whole mm and degrees since they were read last.
 
     Each read drops the fraction (libcreate issue 22), so that a turn of 5 deg/s read every 15 ms
@@ -84,7 +84,7 @@ class Commanded:
         self._count(sample.turned)
         if any(sample.sent):
             self._moved = stamp
-        elif any(self._told) and stamp - self._moved >= AT_REST:
+        elif any(self._told) and stamp - self._moved >= REST_TIME:
             way, turn = self._correction()
         return self._reckoning.advance(stamp, way, turn)
 

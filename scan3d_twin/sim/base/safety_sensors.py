@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, Hazards
-from scan3d_twin.sim.embree import visible
+from scan3d_twin.sim.embree import is_visible
 from scan3d_twin.sim.world import PREFIX, World
 
 BUMP_FORCE = 0.5
@@ -23,12 +23,12 @@ CLIFF_DISTANCE = 0.05
 """Distance below a cliff sensor that counts as a cliff [m]; assumption, the floor is at 22 mm."""
 WALL_DISTANCE = 0.10
 """Distance beside the wall sensor that counts as a wall [m]; assumption."""
-STALL = 0.1
+STALL_SHARE = 0.1
 """Share of the commanded speed below which a wheel stands; assumption."""
 STALL_TIME = 0.3
 """Time a wheel must stand although it is driven, before its overcurrent shows [s]; assumption."""
 
-CAPACITY = 2700
+BATTERY_CAPACITY = 2700
 """Of the battery [mAh]; NiMH pack of the Create 2."""
 
 _FLAGS = tuple(field.name for field in fields(Hazards) if field.name != "battery")
@@ -37,7 +37,7 @@ _CLIFFS = ("cliff_left", "cliff_front_left", "cliff_front_right", "cliff_right")
 _DOWN, _GEOM = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
 
 
-class Feelers:
+class SafetySensors:
     """The sensors of one base in its world."""
 
     def __init__(self, world: World, period: float, battery_life: float) -> None:
@@ -53,7 +53,7 @@ class Feelers:
         self._wall = data.site(PREFIX + "wall")
         self._place = data.body(PREFIX + "base").xpos
         self._body = model.body(PREFIX + "base").id
-        self._plane = _even_floor(model)
+        self._plane = _even_floor_reach(model)
         self._pressed_at: list[FloatArray | None] = [None, None]
         self._stalled = [0.0, 0.0]
         self._calm = Hazards()
@@ -77,7 +77,7 @@ class Feelers:
     def battery(self) -> float:
         """State of charge, 0..1, in whole mAh as packet 25 states it."""
         left = 1.0 - self._world.time / self._battery_life
-        return max(0.0, math.ceil(left * CAPACITY) / CAPACITY)
+        return max(0.0, math.ceil(left * BATTERY_CAPACITY) / BATTERY_CAPACITY)
 
     def wall(self) -> bool:
         """Return whether the wall sensor, which looks right, sees a wall."""
@@ -94,7 +94,9 @@ class Feelers:
 
     def _stalls(self, side: int, driven: float) -> bool:
         """Return whether a wheel has stood still although it is driven."""
-        if driven and abs(self._world.data.qvel.item(self._wheels[side])) < STALL * abs(driven):
+        if driven and abs(self._world.data.qvel.item(self._wheels[side])) < STALL_SHARE * abs(
+            driven
+        ):
             self._stalled[side] += self._period
         else:
             self._stalled[side] = 0.0
@@ -116,7 +118,7 @@ class Feelers:
         return float(mujoco.mj_ray(model, data, point, direction, None, 1, self._body, _GEOM, None))
 
 
-def _even_floor(model: Any) -> float:
+def _even_floor_reach(model: Any) -> float:
     """Return how far about the origin a plane at z = 0 reaches [m]; 0 where there is none.
 
     Above it a cliff sensor that is low enough needs no ray.
@@ -125,7 +127,7 @@ def _even_floor(model: Any) -> float:
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
         level = model.geom_bodyid[geom] == 0 and model.geom_pos[geom, 2] == 0
         centred = not model.geom_pos[geom, :2].any() and model.geom_quat[geom, 0] == 1
-        if level and centred and visible(model, int(geom)):
+        if level and centred and is_visible(model, int(geom)):
             sides = model.geom_size[geom, :2]
             reach = max(reach, float(np.where(sides > 0, sides, np.inf).min()))
     return reach

@@ -14,15 +14,15 @@ from scipy.ndimage import gaussian_filter
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.config import RobotErrorConfig
 
-REACH = 6.0
+HALF_SIDE = 6.0
 """Half the side of the uneven square about the scene's origin [m]; beyond it the floor is even."""
 CELLS_PER_LENGTH = 4
 """Cells of the grid per ``uneven_length``; a coarser grid would have kinks."""
 
 
-def uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArray:
+def draw_uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArray:
     """Return heights (n, n) [m] of zero mean that change over ``uneven_length``."""
-    n = round(2 * REACH / config.uneven_length * CELLS_PER_LENGTH)
+    n = round(2 * HALF_SIDE / config.uneven_length * CELLS_PER_LENGTH)
     smooth = gaussian_filter(rng.standard_normal((n, n)), CELLS_PER_LENGTH / 2, mode="nearest")
     heights: FloatArray = (smooth - smooth.mean()) / smooth.std() * config.uneven
     return heights
@@ -38,7 +38,7 @@ def lay_floor(spec: Any, heights: FloatArray) -> None:
     low, high = float(heights.min()), float(heights.max())
     field = spec.add_hfield(
         name="uneven_floor",
-        size=[REACH, REACH, high - low, 0.1],
+        size=[HALF_SIDE, HALF_SIDE, high - low, 0.1],
         nrow=heights.shape[0],
         ncol=heights.shape[1],
     )

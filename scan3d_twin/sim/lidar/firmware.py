@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.sim.lidar.config import LidarModelConfig
-from scan3d_twin.sim.lidar.noise import Draws, cyclic_bias, repeated, spread
+from scan3d_twin.sim.lidar.noise import Draws, cyclic_bias, range_sigma, repeat_readings
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +44,12 @@ def read(
 ) -> tuple[FloatArray, IntArray]:
     """Return ranges [m], NaN where there is none, and codes, both (m, n_beams)."""
     power = light.power
-    seen = _detected(power, draws.seen, config)
+    seen = _is_detected(power, draws.seen, config)
     distances = np.where(seen, light.distances, 0.0)
-    sigma = spread(distances, power, light.cosines, config)
+    sigma = range_sigma(distances, power, light.cosines, config)
     readings = cyclic_bias(distances, config)
     readings += distances + light.bias + drift[:, None] + sigma * draws.noise
-    readings = repeated(readings, sigma, draws.chance, config)
+    readings = repeat_readings(readings, sigma, draws.chance, config)
     millimetres = np.rint(readings * 1000)
     valid = seen & (millimetres >= urg04lx.MIN_RANGE_MM) & (millimetres <= urg04lx.MAX_RANGE_MM)
     codes = np.where(valid, VALID, urg04lx.NO_RETURN)
@@ -63,11 +63,11 @@ def read(
     if power.max() > config.saturation:
         codes[power > config.saturation] = urg04lx.TOO_STRONG
     valid = codes == VALID
-    codes[_lonely(valid)] = urg04lx.NEIGHBOURS_INVALID
+    codes[_is_isolated(valid)] = urg04lx.NEIGHBOURS_INVALID
     return np.where(codes == VALID, millimetres / 1000, np.nan), codes
 
 
-def _detected(
+def _is_detected(
     power: FloatArray, normals: npt.NDArray[np.floating[Any]], config: LidarModelConfig
 ) -> BoolArray:
     """Return which returns of ``power`` are detected, given standard normal draws."""
@@ -77,7 +77,7 @@ def _detected(
     return result
 
 
-def _lonely(valid: BoolArray) -> BoolArray:
+def _is_isolated(valid: BoolArray) -> BoolArray:
     """Return where a valid reading has neighbours in its line and none is valid."""
     lonely = np.zeros_like(valid)
     lonely[:, 1:-1] = valid[:, 1:-1] & ~valid[:, :-2] & ~valid[:, 2:]

@@ -23,7 +23,7 @@ from scan3d_twin.sim.lidar.config import LidarModelConfig
 SPEED_OF_LIGHT = 299_792_458.0
 WAVE_NUMBERS = tuple(4 * math.pi * f / SPEED_OF_LIGHT for f in urg04lx.MODULATIONS)
 """Phase per distance of the two modulations [rad/m]."""
-EDGE = 0.02
+MIN_EDGE_DEPTH = 0.02
 """Spread of distances over a footprint beyond which it straddles a depth edge [m]; below it phasors
 and the mean weighted by power agree within 1e-5 m."""
 
@@ -70,7 +70,7 @@ def mix(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> M
         return Mixed(distances[0], power[0], none, none)
     near, far = distances.min(axis=0), distances.max(axis=0)
     total = power.sum(axis=0)
-    edge = np.flatnonzero((far > near + EDGE) & (total > 0))
+    edge = np.flatnonzero((far > near + MIN_EDGE_DEPTH) & (total > 0))
     safe = distances if np.isfinite(far).all() else np.where(power > 0, distances, 0.0)
     mean = (power * safe).sum(axis=0)
     mean /= np.maximum(total, 1e-300)

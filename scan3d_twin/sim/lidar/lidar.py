@@ -11,13 +11,13 @@ import numpy as np
 from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
 from scan3d_twin.core.types import FloatArray, LidarSpec, ScanLine, read_only
 from scan3d_twin.sim.clock import SimClock
-from scan3d_twin.sim.lidar.noise import Draws, warm_up
+from scan3d_twin.sim.lidar.noise import Draws, warm_up_error
 from scan3d_twin.sim.lidar.scanner import CHUNK, Evidence, Readings, Scanner
-from scan3d_twin.sim.world import RECENT, TIMESTEP, World
+from scan3d_twin.sim.world import HISTORY_STEPS, TIMESTEP, World
 
-UNREAD_LINES = 16
+MAX_UNREAD_LINES = 16
 """Unread lines that are kept; assumption, the host's serial buffer of some 32 kB."""
-LONGEST_SWEEP = 0.9 * RECENT * TIMESTEP
+MAX_SWEEP_DURATION = 0.9 * HISTORY_STEPS * TIMESTEP
 """Of a sweep that is computed at once [s]; the lidar's poses are kept no longer."""
 
 # Streams of the lidar's seed.
@@ -58,7 +58,7 @@ class SimLidar:
         self._pace = 1 + scanner.config.revolution * float(rng.standard_normal())
         self._jitter, self._drawn = np.empty(0), 0
         self._next = 0
-        self._unread: deque[Revolution] = deque(maxlen=UNREAD_LINES)
+        self._unread: deque[Revolution] = deque(maxlen=MAX_UNREAD_LINES)
         self._last: Revolution | None = None
         self.next_step = self._arrival(0)
 
@@ -97,8 +97,8 @@ class SimLidar:
             ConfigError: So many lines take longer than the lidar's poses are kept.
             HazardError: As for ``Clock.sleep``.
         """
-        if not (count >= 1 and count * self.spec.line_period <= LONGEST_SWEEP):
-            longest = int(LONGEST_SWEEP / self.spec.line_period)
+        if not (count >= 1 and count * self.spec.line_period <= MAX_SWEEP_DURATION):
+            longest = int(MAX_SWEEP_DURATION / self.spec.line_period)
             raise ConfigError(f"a sweep read at once has 1 to {longest} lines, got {count}")
         turns: list[Revolution] = []
         while len(turns) < count:
@@ -147,7 +147,7 @@ class SimLidar:
             positions.reshape(len(turns), n, 3),
             rotations.reshape(len(turns), n, 3, 3),
             Draws.of(rngs, n, config),
-            np.array([warm_up(turn.start, config) for turn in turns]),
+            np.array([warm_up_error(turn.start, config) for turn in turns]),
             evidence=evidence,
         )
 

@@ -17,7 +17,7 @@ from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.lidar.config import LidarModelConfig
 from scan3d_twin.sim.lidar.footprint import WAVE_NUMBERS
 
-FAR, FAR_WIDTH = 2.0, 0.2
+FAR_DISTANCE, FAR_WIDTH = 2.0, 0.2
 """Where the range noise steps up, and over what distance [m]; see ``sigma_far``."""
 REPEAT_WITHIN = 2.0
 """Neighbours this many standard deviations apart lie within their noise; assumption."""
@@ -47,10 +47,10 @@ class Draws:
             rng.standard_normal(out=seen[k], dtype=np.float32)
             rng.standard_normal(out=noise[k])
             rng.random(out=chance[k])
-        return Draws(seen, _correlated(noise, config), chance)
+        return Draws(seen, _correlate(noise, config), chance)
 
 
-def _correlated(white: FloatArray, config: LidarModelConfig) -> FloatArray:
+def _correlate(white: FloatArray, config: LidarModelConfig) -> FloatArray:
     """Return ``white`` (m, n + 1) as (m, n) with correlation ``neighbours`` between neighbours."""
     rho = config.neighbours
     if rho == 0:
@@ -62,11 +62,11 @@ def _correlated(white: FloatArray, config: LidarModelConfig) -> FloatArray:
     return mixed
 
 
-def spread(
+def range_sigma(
     distances: FloatArray, power: FloatArray, cosines: FloatArray, config: LidarModelConfig
 ) -> FloatArray:
     """Return the standard deviation of readings [m], shaped as ``distances`` [m]."""
-    far = np.minimum(np.maximum((distances - FAR) / FAR_WIDTH, 0.0), 1.0)
+    far = np.minimum(np.maximum((distances - FAR_DISTANCE) / FAR_WIDTH, 0.0), 1.0)
     sigma = config.sigma + config.sigma_per_metre * distances + config.sigma_far * far
     sigma *= 1 + config.sigma_incidence - config.sigma_incidence * (cosines * cosines)
     weak = config.sigma_weak**2 * config.threshold
@@ -80,12 +80,12 @@ def cyclic_bias(distances: FloatArray, config: LidarModelConfig) -> FloatArray:
     return result
 
 
-def warm_up(time: float, config: LidarModelConfig) -> float:
+def warm_up_error(time: float, config: LidarModelConfig) -> float:
     """Return the error of a sensor switched on ``time`` [s] ago [m]."""
     return config.warm_up * math.exp(-time / config.warm_up_time)
 
 
-def repeated(
+def repeat_readings(
     readings: FloatArray, sigma: FloatArray, chance: FloatArray, config: LidarModelConfig
 ) -> FloatArray:
     """Return ``readings`` (m, n) [m], some of which repeat the one before, as the firmware's do."""

@@ -24,7 +24,7 @@ SPAWN_DISTANCE = 1.5
 """From the robot's start to the mesh [m]; as in the built-in scenes."""
 SIZE_LIMITS = (0.02, 20.0)
 """Least and largest extent of a mesh that can be meant [m]; else its unit is wrong."""
-GRID = 24
+GRID_CELLS = 24
 """Cells of the collision grid along the longer side of the footprint."""
 
 
@@ -111,7 +111,7 @@ def _collision_boxes(vertices: FloatArray, faces: IntArray) -> list[tuple[FloatA
     Only cells that hold some surface are covered, so hollow things stay hollow.
     """
     extent = np.ptp(vertices[:, :2], axis=0)
-    cell = max(float(extent.max()) / GRID, SIZE_LIMITS[0])
+    cell = max(float(extent.max()) / GRID_CELLS, SIZE_LIMITS[0])
     points, _ = sample_triangles(vertices[faces], cell / 2)
     points = np.concatenate([points, vertices[np.unique(faces)]])
     points = points[points[:, 2] < ROBOT_HEIGHT]

@@ -14,20 +14,20 @@ from scan3d_twin.core.png import Picture, png_bytes
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
 from scan3d_twin.sim.scenes.offscreen import open_context
 from scan3d_twin.sim.scenes.scene import Scene
-from scan3d_twin.sim.scenes.surface_samples import corners
+from scan3d_twin.sim.scenes.surface_samples import bounding_points
 from scan3d_twin.sim.world import PREFIX, RobotErrors, build_model
 
 WIDTH, HEIGHT = 1280, 720
 HIDDEN_GROUP = 3
 """From this group on geoms and sites are helpers that no picture shows."""
-CLOSE = 0.7
+CUT_AWAY_SHARE = 0.7
 """What hides a place and is nearer to the camera than this share of the way is cut away."""
 SUPERSAMPLES = 4
-SHADOWS = 2048
+SHADOW_MAP_SIZE = 2048
 """Side of the shadow map [pixels]; MuJoCo's default of 4096 takes ten times as long."""
 
 
-def render(scene: Scene, robot: RobotName = "create2") -> Picture:
+def render_scene(scene: Scene, robot: RobotName = "create2") -> Picture:
     """Return a picture (height, width, 3) of ``scene`` with the robot at its start.
 
     Raises:
@@ -35,7 +35,7 @@ def render(scene: Scene, robot: RobotName = "create2") -> Picture:
     """
     errors = RobotErrors.draw(RobotErrorConfig(), np.random.default_rng(0))
     spec = scene.spec.copy()
-    spec.visual.quality.shadowsize = SHADOWS
+    spec.visual.quality.shadowsize = SHADOW_MAP_SIZE
     spec.visual.quality.offsamples = SUPERSAMPLES
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.5] * 3
     spec.visual.global_.offwidth, spec.visual.global_.offheight = WIDTH, HEIGHT
@@ -92,7 +92,7 @@ def _cut_away(model: Any, data: Any, camera: Any) -> None:
         ray = (place - eye) / np.linalg.norm(place - eye)
         for _ in range(model.ngeom):
             reach = mujoco.mj_ray(model, data, eye, ray, None, 1, -1, geom, None)
-            if not 0 <= reach < CLOSE * float(np.linalg.norm(place - eye)):
+            if not 0 <= reach < CUT_AWAY_SHARE * float(np.linalg.norm(place - eye)):
                 break
             model.geom_matid[geom[0]] = -1
             model.geom_rgba[geom[0]] = 0
@@ -105,7 +105,7 @@ def _camera(scene: Scene) -> Any:
     points = []
     for name in scene.target_geoms:
         geom = data.geom(name)
-        points.append(corners(scene.model, geom.id) @ geom.xmat.reshape(3, 3).T + geom.xpos)
+        points.append(bounding_points(scene.model, geom.id) @ geom.xmat.reshape(3, 3).T + geom.xpos)
     seen = np.concatenate(points)
     centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
     robot = np.array([scene.spawn.x, scene.spawn.y, 0.2])

@@ -18,21 +18,27 @@ import numpy as np
 from scan3d_twin.core.config import MotionConfig, Tour
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.sim.scenes.random_shapes import Shape, Solid, build_shape, draw, shape_names
+from scan3d_twin.sim.scenes.random_shapes import (
+    Shape,
+    Solid,
+    build_shape,
+    draw_uniform,
+    shape_names,
+)
 from scan3d_twin.sim.scenes.scene import Scene, scene_from_spec
 
-PREFIX = "random:"
+NAME_PREFIX = "random:"
 """Before the seed in a scene's name."""
 _STREAM = 7
 """Keeps scene k's draws apart from those of a run with seed k."""
 Interval = tuple[float, float]
-SLACK = 0.20
+TURNING_ROOM = 0.20
 """Room beyond what the robot needs to stand at the standoff and to turn [m]; assumption."""
-START_CLEAR = 1.5
+MIN_START_DISTANCE = 1.5
 """Nothing but the target stands so near to the robot's start that it would stand out more [m]."""
-BEHIND = 0.8
+MIN_WALL_DISTANCE = 0.8
 """From a front's target to the wall behind it [m]; nearer, strays join the two in a look around."""
-WALL_HEIGHT, WALL = 1.25, 0.05
+WALL_HALF_HEIGHT, WALL_HALF_THICKNESS = 1.25, 0.05
 """Half height and half thickness of walls [m]; as in the built-in scenes."""
 
 
@@ -141,23 +147,23 @@ def _check_interval(name: str, value: tuple[float, float]) -> None:
     )
 
 
-def random_scene(
+def draw_scene(
     rng: np.random.Generator, ranges: SceneRanges | None = None, name: str = "random"
 ) -> Scene:
     """Return a scene drawn from ``ranges``; None are the default ones."""
     ranges = SceneRanges() if ranges is None else ranges
     shape = ranges.shapes[int(rng.integers(len(ranges.shapes)))]
     tour = ranges.tours[int(rng.integers(len(ranges.tours)))]
-    turn = draw(rng, ranges.turn if tour == "front" else (-math.pi, math.pi))
+    turn = draw_uniform(rng, ranges.turn if tour == "front" else (-math.pi, math.pi))
     solids = [solid.moved(Pose2(0.0, 0.0, turn)) for solid in build_shape(shape, rng, ranges)]
-    standoff, start = draw(rng, ranges.standoff), draw(rng, ranges.start)
+    standoff, start = draw_uniform(rng, ranges.standoff), draw_uniform(rng, ranges.start)
     spec = mujoco.MjSpec()
     spec.modelname = name
     _add_target(spec, solids, rng, ranges)
     corners = np.concatenate([solid.corners() for solid in solids])
     R = float(np.linalg.norm(corners, axis=1).max())
-    spawn = Pose2(-R - start, 0.0, draw(rng, ranges.heading))
-    way = R + max(standoff, start) + 2 * MotionConfig().robot_radius + SLACK
+    spawn = Pose2(-R - start, 0.0, draw_uniform(rng, ranges.heading))
+    way = R + max(standoff, start) + 2 * MotionConfig().robot_radius + TURNING_ROOM
     limits = _add_room(spec, R, way, tour, rng, ranges)
     _add_clutter(spec, spawn, way, limits, rng, ranges)
     _add_site(spec, "spawn", spawn)
@@ -166,7 +172,7 @@ def random_scene(
         place = float((corners @ outward).max()) * outward
         heading = math.atan2(outward[1], outward[0])
         _add_site(spec, "front", Pose2(float(place[0]), float(place[1]), heading))
-    _add_customs(spec, shape, tour, standoff, draw(rng, ranges.friction))
+    _add_customs(spec, shape, tour, standoff, draw_uniform(rng, ranges.friction))
     return scene_from_spec(name, spec, name)
 
 
@@ -176,11 +182,11 @@ def scene_of_seed(name: str) -> Scene:
     Raises:
         ConfigError: SEED is no whole number >= 0.
     """
-    text = name.removeprefix(PREFIX)
+    text = name.removeprefix(NAME_PREFIX)
     if not (text.isascii() and text.isdigit()):
         raise ConfigError(f"a random scene is random:SEED, SEED a whole number >= 0, got {name!r}")
     rng = np.random.default_rng([int(text), _STREAM])
-    return random_scene(rng, name=f"random_{int(text)}")
+    return draw_scene(rng, name=f"random_{int(text)}")
 
 
 def _add_target(
@@ -210,8 +216,8 @@ def _add_target(
 def _add_material(spec: Any, name: str, rng: np.random.Generator, ranges: SceneRanges) -> str:
     """Add a random material and return its name."""
     kind, material = float(rng.random()), spec.add_material(name=name)
-    grey, roughness = draw(rng, ranges.albedo), draw(rng, ranges.gloss)
-    dark, chrome = draw(rng, ranges.dark_albedo), draw(rng, ranges.chrome)
+    grey, roughness = draw_uniform(rng, ranges.albedo), draw_uniform(rng, ranges.gloss)
+    dark, chrome = draw_uniform(rng, ranges.dark_albedo), draw_uniform(rng, ranges.chrome)
     if ranges.matte <= kind < ranges.matte + ranges.dark:
         grey = dark
     elif ranges.matte + ranges.dark <= kind < ranges.matte + ranges.dark + ranges.glossy:
@@ -236,7 +242,7 @@ def _add_room(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(8, 8, 0.1), rgba=(0.55, 0.55, 0.55, 1)
     )
     limits = way + rng.uniform(*ranges.spare, 4)
-    behind = R + BEHIND + draw(rng, ranges.spare)
+    behind = R + MIN_WALL_DISTANCE + draw_uniform(rng, ranges.spare)
     if tour == "front":
         limits[1] = behind  # nobody has to pass behind the target
     if rng.random() >= ranges.walls:
@@ -245,16 +251,26 @@ def _add_room(
     middle = ((limits[1] - limits[0]) / 2, (limits[3] - limits[2]) / 2)
     half = ((limits[0] + limits[1]) / 2, (limits[2] + limits[3]) / 2)
     for name, x, y, long in (
-        ("back", -limits[0] - WALL, middle[1], (WALL, half[1] + 2 * WALL)),
-        ("front", limits[1] + WALL, middle[1], (WALL, half[1] + 2 * WALL)),
-        ("right", middle[0], -limits[2] - WALL, (half[0], WALL)),
-        ("left", middle[0], limits[3] + WALL, (half[0], WALL)),
+        (
+            "back",
+            -limits[0] - WALL_HALF_THICKNESS,
+            middle[1],
+            (WALL_HALF_THICKNESS, half[1] + 2 * WALL_HALF_THICKNESS),
+        ),
+        (
+            "front",
+            limits[1] + WALL_HALF_THICKNESS,
+            middle[1],
+            (WALL_HALF_THICKNESS, half[1] + 2 * WALL_HALF_THICKNESS),
+        ),
+        ("right", middle[0], -limits[2] - WALL_HALF_THICKNESS, (half[0], WALL_HALF_THICKNESS)),
+        ("left", middle[0], limits[3] + WALL_HALF_THICKNESS, (half[0], WALL_HALF_THICKNESS)),
     ):
         spec.worldbody.add_geom(
             name=f"wall_{name}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=(x, y, WALL_HEIGHT),
-            size=(*long, WALL_HEIGHT),
+            pos=(x, y, WALL_HALF_HEIGHT),
+            size=(*long, WALL_HALF_HEIGHT),
             material=material,
         )
     return limits
@@ -272,7 +288,7 @@ def _add_clutter(
     wanted = int(rng.integers(ranges.clutter[0], ranges.clutter[1] + 1))
     placed: list[tuple[float, float, float]] = []
     for _ in range(10 * wanted):
-        radius = draw(rng, ranges.clutter_radius)
+        radius = draw_uniform(rng, ranges.clutter_radius)
         x = float(rng.uniform(-limits[0], limits[1]))
         y = float(rng.uniform(-limits[2], limits[3]))
         inside = (
@@ -280,7 +296,7 @@ def _add_clutter(
             and -limits[2] + radius < y < limits[3] - radius
         )
         apart = all(math.dist((x, y), (u, v)) > radius + r for u, v, r in placed)
-        off = spawn.distance(Pose2(x, y)) > START_CLEAR + radius
+        off = spawn.distance(Pose2(x, y)) > MIN_START_DISTANCE + radius
         if inside and apart and off and math.hypot(x, y) > way + radius and len(placed) < wanted:
             _add_thing(spec, f"thing_{len(placed)}", (x, y, radius), rng, ranges)
             placed.append((x, y, radius))
@@ -295,13 +311,13 @@ def _add_thing(
 ) -> None:
     """Add a box, a cylinder or a ball of radius ``where[2]`` [m]."""
     x, y, radius = where
-    half = draw(rng, (0.05, 0.30))
+    half = draw_uniform(rng, (0.05, 0.30))
     kind = int(rng.integers(3))
     geom = spec.worldbody.add_geom(name=name, material=_add_material(spec, name, rng, ranges))
     geom.pos = (x, y, radius if kind == 2 else half)
     if kind == 0:
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_BOX, (0.7 * radius, 0.7 * radius, half)
-        geom.quat = _quaternion(draw(rng, (-math.pi, math.pi)))
+        geom.quat = _quaternion(draw_uniform(rng, (-math.pi, math.pi)))
     elif kind == 1:
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_CYLINDER, (radius, half, 0.0)
     else:

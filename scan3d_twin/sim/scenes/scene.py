@@ -22,7 +22,7 @@ import numpy as np
 from scan3d_twin.core.config import Tour
 from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
 from scan3d_twin.core.types import Pose2
-from scan3d_twin.sim.resources import resource_dir
+from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.scenes.meshes import MESH_SUFFIXES, mesh_spec
 from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
 
@@ -63,7 +63,7 @@ class Scene:
 
 def scene_names() -> tuple[str, ...]:
     """Return the names of the scenes that come with the package, sorted."""
-    return tuple(sorted(path.stem for path in resource_dir("scenes").glob("*.xml")))
+    return tuple(sorted(path.stem for path in find_resource_dir("scenes").glob("*.xml")))
 
 
 def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
@@ -95,7 +95,7 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
     if name_or_path not in scene_names():
         raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))
     return scene_from_spec(
-        name_or_path, _read_mjcf(resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path
+        name_or_path, _read_mjcf(find_resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path
     )
 
 

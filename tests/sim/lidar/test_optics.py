@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from scan3d_twin.sim.config import LidarModelConfig
-from scan3d_twin.sim.lidar.firmware import _detected as detected
-from scan3d_twin.sim.lidar.noise import spread
+from scan3d_twin.sim.lidar.firmware import _is_detected as detected
+from scan3d_twin.sim.lidar.noise import range_sigma
 from scan3d_twin.sim.lidar.optics import Materials
 
 CONFIG = LidarModelConfig()
@@ -53,7 +53,7 @@ def sigma_mm(distance, cosine=1.0, material=None):
     wall = surface(0.6, 0.04, 0.36) if material is None else material
     at = np.array([distance])
     strength = np.array([power(wall, cosine, distance)])
-    return 1000 * float(spread(at, strength, np.array([cosine]), CONFIG)[0])
+    return 1000 * float(range_sigma(at, strength, np.array([cosine]), CONFIG)[0])
 
 
 @pytest.mark.parametrize("distance", [0.5, 1.0, 1.5, 1.95])

@@ -6,24 +6,24 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from scan3d_twin.bench.engine import Engine, run
-from scan3d_twin.bench.journal import PATTERN, Journal, read_journals
+from scan3d_twin.bench.engine import Engine, run_on_workers
+from scan3d_twin.bench.journal import JOURNAL_PATTERN, Journal, read_journals
 from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.task import Task
 from scan3d_twin.run.folder import write_file
 
-PICTURES = "top_views"
+PICTURES_FOLDER = "top_views"
 """Folder of the top views of each variant's first seed."""
 
 
-def left_to_do(tasks: Sequence[Task], folder: Path) -> list[Task]:
+def find_open_tasks(tasks: Sequence[Task], folder: Path) -> list[Task]:
     """Return those of ``tasks`` that no journal in ``folder`` has; lost ones are tried again."""
-    known = read_journals(sorted(folder.glob(PATTERN)))
+    known = read_journals(sorted(folder.glob(JOURNAL_PATTERN)))
     done = {key for key, record in known.items() if record.status != "lost"}
     return [task for task in tasks if task.key not in done]
 
 
-def conduct(
+def execute_tasks(
     tasks: Sequence[Task],
     engine: Engine,
     journal: Journal,
@@ -43,7 +43,7 @@ def conduct(
         FileError: The disk is full.
         LinkError: The cluster is gone.
     """
-    for done in run(tasks, engine):
+    for done in run_on_workers(tasks, engine):
         if done.picture is not None:
             write_file(picture_path(folder, done.record), done.picture)
         journal.append(done.record)
@@ -53,4 +53,4 @@ def conduct(
 def picture_path(folder: Path, record: Record) -> Path:
     """Return where the top view of ``record`` is kept."""
     name = f"{record.scene}-{record.variant}-{record.seed}"
-    return folder / PICTURES / (re.sub(r"[^\w.-]", "_", name) + ".svg")
+    return folder / PICTURES_FOLDER / (re.sub(r"[^\w.-]", "_", name) + ".svg")

@@ -7,7 +7,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, read_only
-from scan3d_twin.run.findings import findings
+from scan3d_twin.run.run_warnings import find_warnings
 
 
 def of_pairs(*pairs):
@@ -27,12 +27,12 @@ def planned(session, **changes):
 
 
 def told(session, *words, evaluation=None):
-    return [line for line in findings(session, evaluation) if all(w in line for w in words)]
+    return [line for line in find_warnings(session, evaluation) if all(w in line for w in words)]
 
 
 def test_a_good_run_has_nothing_to_tell(session):
     good = with_registration(planned(session), converged=True, predicted_rmse=0.004)
-    assert findings(good, of_pairs(PairError(1, 0.009, 0.02, 0.03))) == []
+    assert find_warnings(good, of_pairs(PairError(1, 0.009, 0.02, 0.03))) == []
 
 
 def test_a_default_overlap_is_told_with_the_view_it_led_to(session):
@@ -78,7 +78,7 @@ def test_a_blind_sweep_is_told(session):
 
 def test_no_view_at_all_is_told():
     empty = Session(Config(), 0, np.zeros((1, 2)), np.array([-1.0, 0.0]))
-    assert findings(empty) == ["Nothing was scanned: there is no view."]
+    assert find_warnings(empty) == ["Nothing was scanned: there is no view."]
 
 
 def test_a_view_that_does_not_fit_is_told(session):
