@@ -1,4 +1,4 @@
-"""``--resume DIR``: what a run goes on with."""
+"""``--resume DIR``: continue a recorded run with the same robot, settings and session."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from scan3d_twin.run.report import Journey
 from scan3d_twin.run.settings import REAL_SCENE, Options, Settings, build_settings, settings_toml
 
 Notify = Callable[[str], None]
+"""Shows a message to the user."""
 
 
 @dataclass(frozen=True)
 class ResumedRun:
-    """A recorded run that goes on.
+    """A recorded run that is continued.
 
     Attributes:
-        recorded: As far as it got.
-        settings: The effective ones, those stated now over the recorded ones.
-        place: Returns a robot that was just opened as it is to be used; tells what is worth it.
+        recorded: The run up to its last finished view or plan.
+        settings: The effective settings: given options over the recorded ones.
+        place: Takes a robot that was just opened to where the run was, and returns it.
     """
 
     recorded: RecordedRun
@@ -42,17 +43,17 @@ class ResumedRun:
 
     @property
     def earlier(self) -> EarlierRun:
-        """What the loop goes on from."""
+        """The finished part of the run, for the loop."""
         mark = self.recorded.mark
         return EarlierRun(self.recorded.session, Journey(mark.path, mark.turn, mark.stamp))
 
 
 def resume_sim(folder: Path, out: Path | None, given: Options) -> ResumedRun:
-    """Return how the run of the twin in ``folder`` goes on, with what else is ``given``.
+    """Return the run of the twin in ``folder``, to be continued with the ``given`` options.
 
     Raises:
-        ConfigError: Something is given that would make it another run.
-        FileError: There is no such run, or nothing was finished in it.
+        ConfigError: A given option would make it another run.
+        FileError: There is no such run, or no view was finished in it.
     """
     recorded = _load(folder, out)
     if recorded.settings.run.scene == REAL_SCENE:
@@ -61,17 +62,17 @@ def resume_sim(folder: Path, out: Path | None, given: Options) -> ResumedRun:
     check_planner(effective.config.planner, truth_known=True)
     sent = list(read_commands(recorded.path))
 
-    def place(robot: Robot, tell: Notify) -> Robot:
-        tell(f"driving through the first {recorded.mark.stamp:.0f} s again")
+    def place(robot: Robot, notify: Notify) -> Robot:
+        notify(f"driving through the first {recorded.mark.stamp:.0f} s again")
         if not reenact(robot, sent, recorded.mark):
-            tell("not quite where it was: this computer rounds otherwise than the one before")
+            notify("not quite where it was: this computer rounds otherwise than the one before")
         return robot
 
     return ResumedRun(recorded, effective, place)
 
 
 def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
-    """Return how the run of the real robot in ``folder`` goes on; errors as ``resume_sim``."""
+    """Return the run of the real robot in ``folder``; arguments and errors as ``resume_sim``."""
     recorded = _load(folder, out)
     if recorded.settings.run.scene != REAL_SCENE:
         raise ConfigError(f"{folder} was scanned by the twin: twin sim --resume {folder}")
@@ -79,8 +80,8 @@ def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
     check_planner(effective.config.planner, truth_known=False)
     stamp, T_odom_here = read_last_odometry(recorded.path)
 
-    def place(robot: Robot, tell: Notify) -> Robot:
-        tell("going on from where the robot was; it must not have been moved since")
+    def place(robot: Robot, notify: Notify) -> Robot:
+        notify("going on from where the robot was; it must not have been moved since")
         return continue_odometry(robot, T_odom_here, stamp)
 
     return ResumedRun(recorded, effective, place)
@@ -93,7 +94,7 @@ def _load(folder: Path, out: Path | None) -> RecordedRun:
 
 
 def _settings(recorded: RecordedRun, given: Options) -> Settings:
-    """Return the recorded settings under what is ``given``."""
+    """Return the recorded settings, overridden by the ``given`` options."""
     before = recorded.settings
     effective = build_settings([tomllib.loads(settings_toml(before)), given])
     if (effective.run, effective.twin) != (before.run, before.twin):
@@ -105,13 +106,13 @@ def _settings(recorded: RecordedRun, given: Options) -> Settings:
 
 
 class MovedCheck(Unobserved):
-    """Says so if the first view that is taken after going on does not lie where it should."""
+    """Warns if the first view after resuming shows that the robot was moved."""
 
-    def __init__(self, known: int, tell: Notify) -> None:
+    def __init__(self, known: int, notify: Notify) -> None:
         self._known = known
-        self._tell = tell
+        self._notify = notify
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
         if len(session.views) == self._known + 1 and (words := moved_warning(session)):
-            self._tell(words)
+            self._notify(words)

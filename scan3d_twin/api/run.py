@@ -1,4 +1,4 @@
-"""A run of a robot from the settings to the saved files, whatever ends it."""
+"""A run of a robot from its settings to its files, saved also when an error ends it."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from scan3d_twin.sim.config import RobotName
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What came of a run.
+    """The result of a run.
 
     Attributes:
-        folder: Where it is saved.
-        report: What it was worth.
-        session: As far as it got.
-        ended: What ended it before its time or makes it a failure; None if nothing did.
+        folder: The folder with its files.
+        report: The content of ``report.json``.
+        session: All views and plans up to the end.
+        ended: The error that ended it early or makes it a failure; None for a success.
     """
 
     folder: Path
@@ -60,21 +60,21 @@ def run_in_folder(
     """Digitise with the robot of ``opening`` and save the results in ``folder``.
 
     Args:
-        settings: The effective ones.
-        name: Name of the scene, for people.
-        opening: Closed, with the wheels stopped, before anything is computed or saved.
-        folder: Claimed for the results; released on every way out.
-        observer: Sees every step, beside the recorder.
-        taps: On the serial lines of a real robot, to be recorded too.
-        resume: The run to go on with, in its own folder.
-        watch: Whether a live view is wanted, and how the scene looks.
-        begun: The robot's time from which its path and duration count [s].
+        settings: The effective settings.
+        name: Name of the scene in reports.
+        opening: Opens the robot; closed, with the wheels stopped, before anything is saved.
+        folder: Claimed for the results; removed if it stays empty.
+        observer: Sees every step, as the recorder does.
+        taps: Taps on the serial lines of a real robot, to be recorded too.
+        resume: The run to continue in its own folder; None for a new one.
+        watch: Whether to serve a live view, and the picture of the scene.
+        begun: Start of path and duration on the robot's clock [s].
 
     Returns:
-        The saved outcome; an error that ended the run after its first view stands in ``ended``.
+        The saved result; an error that ended the run after its first view stands in ``ended``.
 
     Raises:
-        BaseException: Whatever ended it before there was anything to save.
+        BaseException: Whatever ended the run before its first view.
     """
     try:
         with (
@@ -91,7 +91,7 @@ def run_in_folder(
 
 
 def raise_if_failed(outcome: RunOutcome) -> None:
-    """Raise what ended the run before its time or makes it a failure, if anything did."""
+    """Raise the error that ended the run early or makes it a failure, if there is one."""
     if isinstance(outcome.ended, KeyboardInterrupt):
         views = outcome.report["views"]
         raise KeyboardInterrupt(f"interrupted; finished views: {views}, saved in {outcome.folder}")
@@ -105,7 +105,8 @@ def open_recorder(
 ) -> Iterator[Recorder]:
     """Open the session file of the run in ``folder``.
 
-    Of a run that ends without a view it is kept only for what it tells of a robot that failed.
+    If the run ends without a view, the file is removed, unless the robot failed: then it is kept
+    for diagnosis.
     """
     started = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     origin = {**collect_versions(), "command": shlex.join(sys.argv), "started": started}
@@ -130,7 +131,7 @@ def _digitize_and_save(
     onlooker: RunWatcher,
     begun: float,
 ) -> RunOutcome:
-    """Digitise, save and judge."""
+    """Digitise, save the files and return the result."""
     started, folder = time.perf_counter(), recorder.path.parent
     with opening as (robot, truth):
         name_of_base = cast(RobotName, robot.base.spec.name)
@@ -158,7 +159,7 @@ def _digitize_and_save(
 
 
 def _finish(recorder: Recorder, loop: LoopOutcome) -> None:
-    """End the session file; a full disk that has ended the run has no room for an end either."""
+    """End the session file; leave it unfinished where a full disk has ended the run."""
     try:
         recorder.finish(loop.session)
     except FileError:
@@ -173,9 +174,9 @@ def _scan_error(session: Session) -> ScanError | None:
 
 
 def _peak_memory() -> float:
-    """Return the most memory this process held [bytes].
+    """Return the largest memory of this process [bytes].
 
-    ``getrusage`` would count what the parent held before it became this program.
+    ``getrusage`` would also count the parent's memory from before ``exec``.
     """
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     (peak,) = (line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))

@@ -1,4 +1,4 @@
-"""All files of a finished or broken-off run."""
+"""All files of a finished or interrupted run."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def save_run(
 ) -> Report:
     """Write the files of ``session`` to ``folder`` and return the report.
 
-    The views are written once more, because the last alignment may have moved them.
-    The truth is asked only about the target it knows. ``scene_picture`` is a PNG of the scene, or
-    why there is none; empty where nobody can have one.
+    The views are written once more, because the final alignment may have moved them. The model is
+    evaluated only if it shows the target of the ground truth. ``scene_picture`` is a PNG of the
+    scene, or a sentence why there is none; empty for a real robot.
     """
     seen = sightings(session)
     model = joined([each.cleaned for each in seen])
@@ -82,7 +82,7 @@ def save_run(
 
 
 def _remove_views_from(count: int, folder: Path) -> None:
-    """Remove the files of views that were left out at last."""
+    """Remove the files of views that the final alignment has dropped."""
     while (path := view_path(folder, count)).exists():
         path.unlink()
         count += 1

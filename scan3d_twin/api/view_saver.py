@@ -12,7 +12,7 @@ from scan3d_twin.run.settings import Settings, settings_toml
 
 
 class ViewSaver(Unobserved):
-    """Saves each finished view, the settings with the first, and saves memory if wanted."""
+    """Writes the settings and each finished view; compresses the session if memory is short."""
 
     def __init__(self, folder: Path, settings: Settings) -> None:
         self._folder = folder

@@ -1,4 +1,4 @@
-"""Watching a run: the live view on a web page, if one is wanted, and a picture of the scene."""
+"""The optional live view of a run on a web page, and the picture of its scene."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class RunWatcher:
     """The live view of one run, if there is one.
 
     Attributes:
-        view: The live view; None where none is wanted.
-        picture: Returns a picture of the scene as PNG, or why there is none.
+        view: The live view; None without one.
+        picture: Returns a picture of the scene as PNG, or a sentence why there is none.
     """
 
     view: LiveView | None
@@ -33,11 +33,11 @@ class RunWatcher:
         return self.view.attach(robot), Observers(observer, self.view)
 
     def end(self, reason: str, report: Callable[[str], None]) -> None:
-        """Show on the page why the run ended, and stay while somebody reads it."""
+        """Show on the page why the run ended, and serve it until nobody reads it."""
         if self.view is None:
             return
         self.view.finish(reason)
-        if self.view.is_read():
+        if self.view.has_readers():
             report("the live view stays until its page is closed, or Ctrl-C")
             self.view.wait_for_readers()
 
@@ -48,7 +48,7 @@ class WatchOptions:
 
     Attributes:
         address: Host and TCP port at which the live view is served; None for no live view.
-        speed: Speed of the twin while it is watched, such as ``10x``; None for a real robot.
+        speed: Speed limit of the twin while it is watched, such as ``10x``; None for a real robot.
         picture: See ``RunWatcher``.
     """
 
@@ -58,10 +58,10 @@ class WatchOptions:
 
     @contextmanager
     def onlooker(self, name: str, report: Callable[[str], None]) -> Iterator[RunWatcher]:
-        """Serve the live view of the run called ``name`` if one is wanted.
+        """Serve the live view of the run called ``name`` if there is an address.
 
         Raises:
-            LinkError: It cannot be served there.
+            LinkError: The view cannot be served there.
         """
         if self.address is None:
             yield RunWatcher(None, self.picture)
@@ -74,3 +74,4 @@ class WatchOptions:
 
 
 UNWATCHED = WatchOptions()
+"""No live view and no picture of the scene."""

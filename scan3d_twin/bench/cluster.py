@@ -1,7 +1,7 @@
-"""Workers of a Dask cluster that somebody else started.
+"""Workers of a Dask cluster that is already running.
 
 A task that hangs is ended by restarting its worker, which needs the worker's nanny (the default).
-Dask sends Python objects and trusts whoever it talks to: private networks, or TLS.
+Dask sends pickled Python objects without authentication: use a private network, or TLS.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from scan3d_twin.bench.work import TaskResult, code_hash, run_task
 from scan3d_twin.core.errors import ConfigError, LinkError
 
 CONNECT_TIMEOUT = 15.0
-"""For the scheduler to answer [s]; a loopback takes 2."""
+"""Time for the scheduler to answer [s]; over loopback it takes 2."""
 WORKER_TIMEOUT = 60.0
-"""For a worker to come [s]; one begins in 5 on a quiet computer."""
+"""Time for a worker to register [s]; on an idle computer it takes 5."""
 POLL_PERIOD = 0.5
-"""Time between two looks at the clock of the tasks [s]."""
+"""Time between two checks for overdue tasks [s]."""
 
 
 @contextmanager
@@ -31,7 +31,7 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
 
     Raises:
         ConfigError: Dask is not installed here, or the workers run other sources.
-        LinkError: Nobody answers, or no worker comes.
+        LinkError: The scheduler does not answer, or has no workers.
     """
     try:
         from distributed import Client
@@ -51,7 +51,7 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
 
 
 def _check(client: Any, address: str, here: str) -> None:
-    """Raise if there are no workers, or some whose sources have another hash than ``here``."""
+    """Raise if there are no workers, or the sources of one differ from the hash ``here``."""
     try:
         client.wait_for_workers(1, timeout=WORKER_TIMEOUT)
     except TimeoutError as error:
@@ -84,7 +84,7 @@ class ClusterEngine:
 
     @property
     def slots(self) -> int:
-        """See ``Engine``: one task a thread, so that what is under way is running."""
+        """See ``Engine``: one task per thread, so that every submitted task is running."""
         threads: dict[str, int] = self._ask(self._client.nthreads)
         return max(1, sum(threads.values()))
 
@@ -115,7 +115,7 @@ class ClusterEngine:
             self._ask(self._client.nthreads)
 
     def _settle(self, outer: Future[TaskResult]) -> None:
-        """Give ``outer`` the outcome of its task, in the engine's words."""
+        """Set the result or the error of ``outer`` from its Dask task."""
         inner = self._inner.pop(outer)
         del self._begun[outer]
         if outer.done():
@@ -131,7 +131,7 @@ class ClusterEngine:
             outer.set_exception(error)
 
     def _end_overdue(self, futures: Collection[Future[TaskResult]]) -> None:
-        """Give up tasks whose time is over, and restart the workers that hang on them."""
+        """Give up overdue tasks, and restart the workers that hang on them."""
         now = time.monotonic()
         overdue = [f for f in futures if now - self._begun[f] > self._timeout]
         if not overdue:
@@ -145,7 +145,7 @@ class ClusterEngine:
             self._client.restart_workers(workers, timeout=WORKER_TIMEOUT, raise_for_error=False)
 
     def _ask(self, question: Callable[[], Any]) -> Any:
-        """Return the scheduler's answer."""
+        """Return the scheduler's answer, with Dask's errors as ``LinkError``."""
         try:
             return question()
         except (OSError, RuntimeError, CancelledError) as error:

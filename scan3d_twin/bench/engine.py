@@ -1,4 +1,4 @@
-"""Tasks on workers: kept busy, lost ones begun again; whose workers these are is the engine's."""
+"""Runs tasks on the workers of an engine: keeps them busy, retries tasks of lost workers."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from scan3d_twin.bench.task import Task
 from scan3d_twin.bench.work import TaskResult
 
 MAX_RETRIES = 2
-"""A task whose worker is lost is begun so many times more: one loss may be an accident."""
+"""Retries of a task whose worker was lost: a single loss may be an accident."""
 
 
 class WorkerLostError(Exception):
-    """The worker died, or had to be killed because its time was over; the message says which."""
+    """A worker died, or was killed because of its time limit; the message says which."""
 
 
 class Engine(Protocol):
-    """Somebody's workers."""
+    """A pool of workers: processes on this computer, or a cluster."""
 
     @property
     def slots(self) -> int:
-        """How many tasks may be under way at once, so that no worker waits."""
+        """Number of tasks to submit at once so that no worker is idle."""
         ...
 
     def submit(self, task: Task) -> Future[TaskResult]:
-        """Begin ``task`` when a worker is free; ``WorkerLostError`` when the worker is lost."""
+        """Submit ``task``; the future raises ``WorkerLostError`` when the worker is lost."""
         ...
 
     def wait(self, futures: Collection[Future[TaskResult]]) -> Collection[Future[TaskResult]]:
@@ -39,7 +39,7 @@ class Engine(Protocol):
 def run_on_workers(
     tasks: Iterable[Task], engine: Engine, retries: int = MAX_RETRIES
 ) -> Iterator[TaskResult]:
-    """Yield what came of each of ``tasks``, as it comes."""
+    """Run ``tasks`` on ``engine`` and yield each result as it is done."""
     waiting = deque((task, 1) for task in tasks)
     running: dict[Future[TaskResult], tuple[Task, int]] = {}
     while waiting or running:
@@ -56,7 +56,7 @@ def run_on_workers(
 
 
 def _outcome(future: Future[Any], task: Task, attempt: int) -> TaskResult:
-    """Return the result of ``future``; that of a lost worker or of a bug is a lost task."""
+    """Return the result of ``future``; after a lost worker or a bug the record of a lost task."""
     error = future.exception()
     if error is None:
         done: TaskResult = future.result()
@@ -66,5 +66,5 @@ def _outcome(future: Future[Any], task: Task, attempt: int) -> TaskResult:
 
 
 def _is_worth_a_retry(future: Future[Any]) -> bool:
-    """Tell whether it may end otherwise next time: a bug will not."""
+    """Return whether a retry can succeed: after a lost worker, not after a bug."""
     return isinstance(future.exception(), WorkerLostError)

@@ -1,4 +1,4 @@
-"""The course of an experiment: what is left to do, done and written down, run by run."""
+"""Runs the open tasks of an experiment and writes each record to the journal."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from scan3d_twin.bench.task import Task
 from scan3d_twin.run.folder import write_file
 
 PICTURES_FOLDER = "top_views"
-"""Folder of the top views of each variant's first seed."""
+"""Folder with the top view of each variant's first seed."""
 
 
 def find_open_tasks(tasks: Sequence[Task], folder: Path) -> list[Task]:
-    """Return those of ``tasks`` that no journal in ``folder`` has; lost ones are tried again."""
+    """Return the ``tasks`` that the journals in ``folder`` lack; lost ones are open again."""
     known = read_journals(sorted(folder.glob(JOURNAL_PATTERN)))
     done = {key for key, record in known.items() if record.status != "lost"}
     return [task for task in tasks if task.key not in done]
@@ -30,18 +30,18 @@ def execute_tasks(
     folder: Path,
     on_done: Callable[[Record], None],
 ) -> None:
-    """Run ``tasks`` on ``engine`` and write down each as it is done.
+    """Run ``tasks`` on ``engine`` and write each record as it is done.
 
     Args:
-        tasks: What is to be run.
-        engine: Whose workers.
-        journal: Open.
-        folder: For the top views.
-        on_done: Told about each record once it is written.
+        tasks: The tasks to run.
+        engine: Its workers run them.
+        journal: The open journal.
+        folder: Folder for the top views.
+        on_done: Called with each record after it is written.
 
     Raises:
         FileError: The disk is full.
-        LinkError: The cluster is gone.
+        LinkError: The connection to the cluster is lost.
     """
     for done in run_on_workers(tasks, engine):
         if done.picture is not None:
@@ -51,6 +51,6 @@ def execute_tasks(
 
 
 def picture_path(folder: Path, record: Record) -> Path:
-    """Return where the top view of ``record`` is kept."""
+    """Return the path of the top view of ``record``."""
     name = f"{record.scene}-{record.variant}-{record.seed}"
     return folder / PICTURES_FOLDER / (re.sub(r"[^\w.-]", "_", name) + ".svg")

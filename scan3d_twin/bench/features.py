@@ -1,4 +1,4 @@
-"""How much feature the surface had that a planner had to overlap with (the claim of Fig. 11)."""
+"""Feature score of the surface that the next view had to overlap (the claim of Fig. 11)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from scan3d_twin.core.planning.surface_patches import eye_height, patches_of
 from scan3d_twin.core.session import Session
 
 SCORED_SHARE = 0.5
-"""The score is that of this share of the latest view, on the travel side: half way between the
-smallest and the largest overlaps of the paper."""
+"""Share of the latest view, on the travel side, that is scored: half way between the smallest and
+the largest overlaps of the paper."""
 
 
 def feature_score_before(session: Session, k: int) -> float | None:
-    """Return the feature score that the planner met after view ``k``; None where there was no step.
+    """Return the feature score at the planning step after view ``k``; None where there was no step.
 
-    The spread of the normals (curvature.py), whatever the planner looked at itself.
+    The score is the spread of the normals (curvature.py), whichever planner ran.
     """
     if k + 1 >= len(session.views):
         return None

@@ -1,4 +1,4 @@
-"""Workers on this computer: processes of which one can be lost alone."""
+"""Workers on this computer: a pool of processes that survives the loss of one."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from scan3d_twin.bench.work import TaskResult, run_task
 from scan3d_twin.core.errors import ConfigError
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""One thread per worker: the arrays are small, and more only get into each other's way."""
+"""Variables that limit a worker to one thread: the arrays are small, more threads slow it down."""
 
 
 @contextmanager
 def local_engine(jobs: int, timeout: float) -> Iterator[LocalEngine]:
-    """Open ``jobs`` workers that may spend ``timeout`` [s] on a task; they end with the block.
+    """Open ``jobs`` workers with a time limit of ``timeout`` [s] per task; they end with the block.
 
     Raises:
         ConfigError: The process pool is not installed.
@@ -44,7 +44,7 @@ class LocalEngine:
 
     @property
     def slots(self) -> int:
-        """See ``Engine``: as many again wait at the pool's door."""
+        """See ``Engine``: one running and one queued task per worker."""
         return 2 * self._jobs
 
     def submit(self, task: Task) -> Future[TaskResult]:
@@ -82,7 +82,7 @@ class LocalEngine:
 
 
 def _pass_on(inner: Future[TaskResult], outer: Future[TaskResult], timeout: float) -> None:
-    """Give ``outer`` the outcome of ``inner``, in the engine's words."""
+    """Set the result or the error of ``outer`` from the pool's ``inner`` future."""
     from pebble import ProcessExpired
 
     if inner.cancelled():
@@ -103,7 +103,7 @@ def _pass_on(inner: Future[TaskResult], outer: Future[TaskResult], timeout: floa
 
 @contextmanager
 def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Set variables for the processes that are begun in the block."""
+    """Set environment variables for processes that are started in the block."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

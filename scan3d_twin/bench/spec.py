@@ -1,4 +1,4 @@
-"""What an experiment is: variants of the options, and grids of scenes, variants and seeds.
+"""Experiments: variants of the options, and grids of scenes, variants and seeds.
 
 As a TOML file::
 
@@ -18,8 +18,8 @@ As a TOML file::
     seeds = 30
     first_seed = 0                    # default
 
-All variants meet the same seeds, which are the same robots and the same noise: their differences
-are paired.
+All variants run with the same seeds, which give the same robots and the same noise, so that their
+differences are paired.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ SUITES = files("scan3d_twin.bench") / "suites"
 
 @dataclass(frozen=True)
 class Grid:
-    """Scenes x variants x seeds.
+    """The product of scenes, variants and seeds.
 
     Attributes:
-        scenes: Names, or files.
+        scenes: Names or files of scenes.
         variants: Names of variants.
-        seeds: Consecutive ones.
+        seeds: Consecutive seeds.
     """
 
     scenes: tuple[str, ...]
@@ -57,13 +57,13 @@ class Grid:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What ``twin bench`` runs.
+    """An experiment of ``twin bench``.
 
     Attributes:
-        name: For people and for the default folder.
+        name: Name, also of the default folder.
         description: One line.
-        variants: Options by name.
-        grids: What meets what.
+        variants: Options by the name of the variant.
+        grids: The runs.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Experiment:
     grids: tuple[Grid, ...]
 
     def with_seeds(self, count: int | None, first: int | None) -> Experiment:
-        """Return the experiment with another number or start of seeds; None leaves them."""
+        """Return the experiment with another number or first of seeds; None keeps it."""
         grids = []
         for grid in self.grids:
             start = grid.seeds.start if first is None else first
@@ -82,13 +82,13 @@ class Experiment:
         return replace(self, grids=tuple(grids))
 
     def with_options(self, options: Options) -> Experiment:
-        """Return the experiment with ``options`` stated for every variant."""
+        """Return the experiment with ``options`` over those of every variant."""
         variants = {name: merge_options([own, options]) for name, own in self.variants.items()}
         return replace(self, variants=variants)
 
 
 def list_tasks(experiment: Experiment) -> list[Task]:
-    """Return the tasks of ``experiment``, seed by seed, so that what there is stays paired.
+    """Return the tasks of ``experiment``, seed by seed, so that a partial run is paired.
 
     Raises:
         ConfigError, SceneError: A scene, variant or option is wrong.
@@ -104,7 +104,7 @@ def list_tasks(experiment: Experiment) -> list[Task]:
 
 
 def select_shard(whole: Sequence[Task], number: int, count: int) -> list[Task]:
-    """Return every ``count``-th of the ``whole``, from ``number`` - 1 on."""
+    """Return shard ``number`` (from 1) of ``count``: every ``count``-th task of the ``whole``."""
     return list(whole[number - 1 :: count])
 
 
@@ -131,10 +131,10 @@ def suite_names() -> tuple[str, ...]:
 
 
 def load_suite(name: str) -> Experiment:
-    """Return the experiment ``name`` of the package.
+    """Return the experiment ``name`` that comes with the package.
 
     Raises:
-        UnknownNameError: There is none.
+        UnknownNameError: There is no such experiment.
     """
     if name not in suite_names():
         raise UnknownNameError("suite", name, suite_names())
@@ -145,7 +145,7 @@ def read_experiment(path: Path) -> Experiment:
     """Return the experiment in the TOML file ``path``.
 
     Raises:
-        FileError: It cannot be read.
+        FileError: The file cannot be read.
         ConfigError: A key or value is wrong.
     """
     document = read_settings(path)
@@ -170,7 +170,7 @@ def read_experiment(path: Path) -> Experiment:
 def make_experiment(
     scenes: Sequence[str], planners: Sequence[str], presets: Sequence[str]
 ) -> Experiment:
-    """Return planners x presets on ``scenes``; without planners each preset's own."""
+    """Return an experiment of planners x presets on ``scenes``; by default the preset's planner."""
     variants: dict[str, Options] = {}
     for preset, planner in product(presets, planners or [""]):
         options: dict[str, Any] = {"run": {"preset": preset}}

@@ -1,4 +1,4 @@
-"""All records of a folder as one Parquet file, and back."""
+"""Collects the records of a folder into one Parquet file, and reads them back."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ RESULTS_FILE = "results.parquet"
 
 
 def collect_records(folder: Path) -> list[Record]:
-    """Return the records of all journals in ``folder``: of each run the last one, in order.
+    """Return the last record of each run in the journals of ``folder``, sorted.
 
-    A run is a scene, a variant and a seed: what was run anew with other options under the same
-    name counts once.
+    A run is a scene, a variant and a seed: a variant that was run again with other options counts
+    once.
     """
     records = read_journals(sorted(folder.glob(JOURNAL_PATTERN))).values()
     runs = {(record.scene, record.variant, record.seed): record for record in records}
@@ -27,7 +27,7 @@ def collect_records(folder: Path) -> list[Record]:
 
 
 def write_parquet(records: Iterable[Record], path: Path) -> None:
-    """Write ``records`` to ``path`` so that it is there as a whole or not at all.
+    """Write ``records`` to ``path`` atomically: the whole file or nothing.
 
     Raises:
         ConfigError: DuckDB is not installed.
@@ -54,7 +54,7 @@ def read_results(path: Path) -> list[Record]:
 
     Raises:
         ConfigError: DuckDB is not installed.
-        FileError: There are none.
+        FileError: There are no results.
     """
     if path.is_dir():
         records = (

@@ -1,4 +1,4 @@
-"""What a worker does: one task, from the settings to the record."""
+"""Runs one task in a worker: from the settings to the record."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from scan3d_twin.sim.scenes.scene import load_scene
 from scan3d_twin.viz.top_view import draw_top_view
 
 COMPLETE_REASONS = ("front complete", "contour complete")
-"""Reasons to stop that mean that nothing is left to scan start so."""
+"""Beginnings of the stop reasons of a complete scan."""
 
 
 @dataclass(frozen=True)
 class TaskResult:
-    """What came of a task.
+    """The result of a task.
 
     Attributes:
-        record: Its row.
-        picture: The top view as SVG, where it was wanted and there is one.
+        record: The record.
+        picture: The top view as SVG; None where it was not wanted or nothing was seen.
     """
 
     record: Record
@@ -42,10 +42,10 @@ class TaskResult:
 
 
 def run_task(task: Task) -> TaskResult:
-    """Run ``task``; a scan that cannot go on is a result too.
+    """Run ``task`` and return its result; a failed scan is a result too.
 
     Raises:
-        Exception: A bug, and nothing that a robot or a scene can do.
+        Exception: A bug; errors of a robot or a scene are in the record.
     """
     wall, cpu = time.perf_counter(), time.process_time()
     run = task.settings.run
@@ -71,7 +71,7 @@ def run_task(task: Task) -> TaskResult:
 def _fill_record(
     blank: Record, loop: LoopOutcome, model: Model, evaluation: Evaluation | None
 ) -> Record:
-    """Return the record of ``loop``; without ``evaluation`` nothing of the target was seen."""
+    """Return the record of ``loop``; without ``evaluation`` no view showed the target."""
     errors = [pair.error for pair in evaluation.pairs] if evaluation else []
     record = replace(
         blank,
@@ -122,7 +122,7 @@ def _step(loop: LoopOutcome, k: int, evaluation: Evaluation | None) -> Step:
 
 
 def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict[str, Any]:
-    """Return what was planned for view ``k`` and what came of it."""
+    """Return the plan of view ``k`` and the errors of its registration, as fields of a step."""
     plan, result = session.plans[k - 1], session.views[k].registration
     planned = {
         "overlap": plan.overlap,
@@ -156,7 +156,7 @@ def _draw_picture(task: Task, record: Record, session: Session, model: Model) ->
 
 
 def _add_provenance(record: Record, wall: float, cpu: float) -> Record:
-    """Return ``record`` with what it took and by which software."""
+    """Return ``record`` with its computing time and the version of the software."""
     return replace(
         record,
         wall=time.perf_counter() - wall,
@@ -168,7 +168,7 @@ def _add_provenance(record: Record, wall: float, cpu: float) -> Record:
 
 @cache
 def code_hash() -> str:
-    """Return a hash of the package's sources: figures of different ones are not to be mixed."""
+    """Return a hash of the package's sources: results of different sources must not be mixed."""
     digest = hashlib.sha256()
     root = Path(scan3d_twin.__file__).parent
     for path in sorted(root.rglob("*.py")):

@@ -11,7 +11,7 @@ VIEW_COLOURS = (
     "#2f7ed8", "#e8710a", "#1f9d55", "#d6336c", "#8250df",
     "#b08800", "#0c8599", "#c2410c", "#5f7d1f", "#a61e9b",
 )  # fmt: skip
-"""By view, in turn; mid lightness, so that each reads on white and on black."""
+"""Colours of views 0 to 9, then repeated; of medium lightness, legible on white and on black."""
 
 
 def view_colour(view: int) -> str:

@@ -1,4 +1,4 @@
-"""Changes to a recorded session; what it was before is kept beside it and can be taken back."""
+"""Changes to a recorded session; a backup beside it lets ``undo_last_change`` restore it."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from scan3d_twin.recording.session_log import SessionLog
 
 
 def recover_session(folder: Path, wall: Callable[[], float]) -> Path | None:
-    """Make a whole session file of one that was cut off or damaged; it is kept beside the new one.
+    """Write a complete session file from one that was cut off or damaged, and keep the old one.
 
     Args:
-        folder: Of the run.
-        wall: Returns the time here [s]; only differences count.
+        folder: Folder of the run.
+        wall: Returns the computer's time [s]; only differences count.
 
     Returns:
-        Where the old file is now; None if it is whole, and nothing was to be done.
+        The path of the backup; None if the file was complete already.
 
     Raises:
         FileError: There is no session, or a run is writing to it.
@@ -43,12 +43,12 @@ def recover_session(folder: Path, wall: Callable[[], float]) -> Path | None:
 
 
 def remove_view(session: Session, index: int) -> Session:
-    """Return ``session`` without the view ``index``, the others placed again.
+    """Return ``session`` without the view ``index``, the other views placed again.
 
-    All at once if the run aligned its views so, else one on the other, as they were taken.
+    They are aligned all at once if the run did so, else registered one after the other.
 
     Raises:
-        ConfigError: There is no such view, or no other.
+        ConfigError: There is no such view, or it is the only one.
     """
     if not 0 <= index < len(session.views):
         raise ConfigError(
@@ -68,16 +68,16 @@ def remove_view(session: Session, index: int) -> Session:
 
 
 def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> RecordedRun:
-    """Drop the view ``index`` from the session in ``folder`` and return the session as it is then.
+    """Drop the view ``index`` from the session in ``folder`` and return the new session.
 
     Args:
-        folder: Of the run.
-        index: Of the view, counted from 0.
-        wall: Returns the time here [s]; only differences count.
+        folder: Folder of the run.
+        index: Index of the view, counted from 0.
+        wall: Returns the computer's time [s]; only differences count.
 
     Raises:
         ConfigError: As for ``remove_view``.
-        FileError: There is no session, a run is writing to it, or there is no room.
+        FileError: There is no session, a run is writing to it, or the disk is full.
     """
     recorded = load_session(folder)
     session, mark = remove_view(recorded.session, index), recorded.mark
@@ -92,10 +92,10 @@ def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> RecordedRu
 
 
 def undo_last_change(folder: Path) -> RecordedRun:
-    """Take the last change of the session in ``folder`` back; doing it twice does it again.
+    """Undo the last change of the session in ``folder``; a second call redoes it.
 
     Raises:
-        FileError: There is nothing to take back, or a run is writing to the session.
+        FileError: There is no change to undo, or a run is writing to the session.
     """
     path, backup = find_session_file(folder), find_latest_backup(folder)
     if is_written(path):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scan3d_twin.core.types import Observation, RangeImage
 
 COMPRESSION_LEVEL = 1
-"""Level of compression."""
+"""Level of zlib: half the time of NumPy's own level for 4 % more bytes."""
 
 
 def image_bytes(observation: Observation) -> bytes:
@@ -27,10 +27,7 @@ def image_bytes(observation: Observation) -> bytes:
 
 
 def npz_bytes(**arrays: npt.NDArray[Any]) -> bytes:
-    """Return ``arrays`` as a compressed .npz; equal arrays give equal bytes.
-
-    Compressed fast: half the time of NumPy's own level for 4 % more bytes.
-    """
+    """Return ``arrays`` as a compressed .npz; equal arrays give equal bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(
         buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=COMPRESSION_LEVEL
@@ -42,7 +39,7 @@ def npz_bytes(**arrays: npt.NDArray[Any]) -> bytes:
 
 
 def image_arrays(image: RangeImage) -> dict[str, npt.NDArray[Any]]:
-    """Return what a file keeps of a range image, by the names of its fields."""
+    """Return the arrays of a range image that a file stores, by the names of its fields."""
     return {
         "stamps": image.stamps,
         "yaws": image.yaws,

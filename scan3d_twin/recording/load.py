@@ -1,4 +1,4 @@
-"""Session files back as sessions, finished or not."""
+"""Reads session files, finished or not, back into sessions."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from scan3d_twin.run.settings import Settings, build_settings
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """What a session file holds.
+    """The content of a session file.
 
     Attributes:
         path: The file.
-        finished: Whether the run ended by itself; else it was killed, or goes on.
-        running: Whether a run is writing to the file right now.
-        name: Of what was scanned.
-        settings: The effective ones.
-        session: As it was when the last view or plan was done; ``stop_reason`` is empty for a
-            killed run.
-        before_end: As it was before it ended, when no view had been left out or moved at last.
-        mark: Where the robot was in its run by then.
-        provenance: What made the file: versions, command, date.
+        finished: Whether the run ended by itself; otherwise it was killed, or still runs.
+        running: Whether a run is writing to the file now.
+        name: Name of the scene.
+        settings: The effective settings.
+        session: State after the last finished view or plan; ``stop_reason`` is empty for a killed
+            run.
+        before_end: State before the final alignment, which may drop and move views.
+        mark: Time, path and pose of the robot in that state.
+        provenance: Versions, command and date of the program that wrote the file.
     """
 
     path: Path
@@ -51,12 +51,12 @@ class RecordedRun:
 
 
 def find_session_file(place: Path) -> Path:
-    """Return the session file of the run in the folder ``place``; a file is itself.
+    """Return the session file of the run in the folder ``place``, or ``place`` if it is a file.
 
-    A run in progress comes before a finished one it goes on from.
+    An unfinished file takes precedence over the finished one that it continues.
 
     Raises:
-        FileError: There is none.
+        FileError: There is no session file.
     """
     if place.is_file():
         return place
@@ -69,10 +69,10 @@ def find_session_file(place: Path) -> Path:
 def load_session(place: Path) -> RecordedRun:
     """Return the session recorded in the folder ``place``, or in the file ``place`` itself.
 
-    An unfinished file is read as far as it goes and stays as it is.
+    An unfinished file is read up to its last complete record, and not changed.
 
     Raises:
-        FileError: There is none, no view was finished in it, or it is damaged.
+        FileError: There is no session file, no view was finished in it, or it is damaged.
     """
     path = find_session_file(place)
     texts, state = {}, SessionState()
@@ -100,9 +100,9 @@ def load_session(place: Path) -> RecordedRun:
 
 
 def read_commands(path: Path) -> Iterator[tuple[float, float, float]]:
-    """Yield stamp [s], speed [m/s] and turn rate [rad/s] of what was sent to the base.
+    """Yield stamp [s], speed [m/s] and turn rate [rad/s] of the commands sent to the base.
 
-    In the order in which it was sent, up to the last mark.
+    In the order of sending, up to the last mark.
     """
     for each in read_to_last_mark(path, COMMANDS):
         if isinstance(each, RawMessage) and each.topic == COMMANDS:
@@ -111,10 +111,10 @@ def read_commands(path: Path) -> Iterator[tuple[float, float, float]]:
 
 
 def read_last_odometry(path: Path) -> tuple[float, Pose2]:
-    """Return the stamp [s] and place ``T_odom_base`` of the last sample, also after the last mark.
+    """Return stamp [s] and pose ``T_odom_base`` of the last sample, also after the last mark.
 
     Raises:
-        FileError: There is none.
+        FileError: The file holds no odometry.
     """
     last = None
     for each in read_contents(path, ODOMETRY):
@@ -128,9 +128,10 @@ def read_last_odometry(path: Path) -> tuple[float, Pose2]:
 
 
 def read_lines(path: Path) -> Iterator[ScanLine]:
-    """Yield all scan lines, also those of looks around and unfinished sweeps.
+    """Yield all scan lines, also those of panoramas and unfinished sweeps.
 
-    As ROS has them: to the nanosecond, distances to 7 digits. Sweeps in views are exact.
+    With the precision of the ROS messages: nanoseconds, distances to 7 digits. The sweeps of
+    views are stored exactly elsewhere in the file.
     """
     for each in read_contents(path, SCANS):
         if isinstance(each, RawMessage):

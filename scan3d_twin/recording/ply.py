@@ -10,7 +10,7 @@ _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("view", "<i4")])
 
 
 def ply_bytes(points: FloatArray, view: IntArray) -> bytes:
-    """Return ``points`` (n, 3) [m] with the index of the ``view`` (n,) each came from as PLY."""
+    """Return ``points`` (n, 3) [m], each with the index of its ``view`` (n,), as a PLY file."""
     vertices = np.empty(len(points), dtype=_VERTEX)
     for axis, name in enumerate("xyz"):
         vertices[name] = points[:, axis]

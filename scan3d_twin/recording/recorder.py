@@ -1,4 +1,4 @@
-"""The observer that writes the session file as the run goes."""
+"""The observer that writes the session file during the run."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from scan3d_twin.run.settings import Settings, settings_toml
 
 
 class SerialTaps:
-    """Passes the bytes on the robot's serial lines on to whoever listens, if anybody."""
+    """Passes the bytes on the robot's serial lines to a ``listener``, if there is one."""
 
     def __init__(self) -> None:
         self.listener: Callable[[str, float, Literal["<", ">"], bytes], None] | None = None
 
     def base(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
-        """Tell of bytes from or to the base; a ``Tap``."""
+        """Pass on bytes from or to the base; a ``Tap``."""
         if self.listener:
             self.listener("/serial/base", stamp, direction, data)
 
     def lidar(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
-        """Tell of bytes from or to the lidar; a ``Tap``."""
+        """Pass on bytes from or to the lidar; a ``Tap``."""
         if self.listener:
             self.listener("/serial/lidar", stamp, direction, data)
 
 
 class _TappedBase:
-    """A ``DriveBase`` that tells which velocities it is given."""
+    """A ``DriveBase`` that reports its velocity commands."""
 
-    def __init__(self, base: DriveBase, told: Callable[[float, float], None]) -> None:
+    def __init__(self, base: DriveBase, on_command: Callable[[float, float], None]) -> None:
         self._base = base
-        self._told = told
+        self._on_command = on_command
 
     @property
     def spec(self) -> BaseSpec:
@@ -56,7 +56,7 @@ class _TappedBase:
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
         """See ``DriveBase.set_velocity``; the base comes first, the record second."""
         sent = self._base.set_velocity(linear, angular)
-        self._told(linear, angular)
+        self._on_command(linear, angular)
         return sent
 
     def odometry(self) -> Odometry:
@@ -73,10 +73,10 @@ class _TappedBase:
 
 
 class Recorder:
-    """Writes everything a run measures, decides and says to ``session.mcap.part``.
+    """Writes all measurements, decisions and events of a run to ``session.mcap.part``.
 
-    What a killed run loses is what came in within the last half second, of the robot's clock or of
-    ours, whichever is shorter. ``finish`` gives the file its name.
+    A killed run loses at most the last half second, on the robot's clock or on the computer's,
+    whichever is shorter. ``finish`` gives the file its final name.
     """
 
     def __init__(
@@ -90,12 +90,12 @@ class Recorder:
 
         Args:
             folder: Holds no session file, or that of ``earlier``.
-            wall: Returns the time here [s]; only differences count.
-            provenance: What made the file: versions, command, date.
-            earlier: The run that goes on.
+            wall: Returns the computer's time [s]; only differences count.
+            provenance: Versions, command and date of the program.
+            earlier: The run to continue; None for a new one.
 
         Raises:
-            FileError: It cannot be written.
+            FileError: The file cannot be written.
         """
         self.path = folder / SESSION_FILE
         self.mark = Mark() if earlier is None else earlier.mark
@@ -110,11 +110,11 @@ class Recorder:
         self._file.metadata("provenance", provenance)
 
     def describe(self, name: str, settings: Settings) -> None:
-        """Write what is scanned, by its ``name``, and with which ``settings``."""
+        """Write the ``name`` of the scene and the effective ``settings``."""
         self._file.metadata("settings", {"name": name, "toml": settings_toml(settings)})
 
     def attach(self, robot: Robot) -> Robot:
-        """Return ``robot`` as it is to be used, so that its way and commands are recorded."""
+        """Return ``robot`` wrapped so that its odometry and commands are recorded."""
         self._robot = robot
         if self._reopened:
             self._last = robot.base.odometry()
@@ -128,7 +128,7 @@ class Recorder:
     def on_bytes(self, topic: str, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
         """Record bytes on a serial line; the ``listener`` of ``SerialTaps``.
 
-        Never raises, for they may be the command to stop: the next line or move will.
+        Never raises, because the bytes may be the stop command: the next line or move raises.
         """
         if self._file.sink.closed or self._failure is not None:
             return
@@ -167,11 +167,11 @@ class Recorder:
         self._keep(session)
 
     def command(self) -> Command:
-        """See ``Observer``: nobody stops a run here."""
+        """See ``Observer``: the recorder never stops a run."""
         return "go"
 
     def finish(self, session: Session) -> None:
-        """Write how the run ended and give the file its name.
+        """Write the final session and give the file its name.
 
         Raises:
             FileError: The disk is full or gone; what was recorded before is kept.
@@ -181,9 +181,9 @@ class Recorder:
         finish_file(self._file, self.path)
 
     def abandon(self, *, keep: bool = False) -> None:
-        """Close the file; leave it behind if a view is in it, or to ``keep`` what it tells else.
+        """Close the file; keep it if it holds a view or ``keep`` is set, else delete it.
 
-        A run that could not go on leaves the file it wanted to go on from.
+        A resumed run without a new view restores the file that it continued.
         """
         self.close()
         if self._kept:
@@ -194,7 +194,7 @@ class Recorder:
             self._file.sink.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Leave the file as it is: unfinished, to be recovered; closing twice does nothing."""
+        """Close the file unfinished, to be recovered later; closing twice does nothing."""
         if self._file.sink.closed:
             return
         with suppress(TwinError):
@@ -202,7 +202,7 @@ class Recorder:
         self._file.sink.close()
 
     def _keep(self, session: Session) -> None:
-        """Write what is new in ``session``, and see to it that the disk has it."""
+        """Write the changes in ``session`` and a mark, and sync them to the disk."""
         now = self._now()
         here = self._attached().base.odometry().T_odom_base
         self.mark = replace(self.mark, stamp=now, T_odom_base=here)
@@ -213,7 +213,7 @@ class Recorder:
         self._kept = True
 
     def _follow(self) -> None:
-        """Write the way since the last call."""
+        """Write the odometry since the last call."""
         if self._failure is not None:
             raise self._failure
         robot = self._attached()
@@ -246,7 +246,7 @@ class Recorder:
 
 
 def finish_file(file: McapFile, path: Path) -> None:
-    """Make ``file`` whole and name it ``path``, in place of what was there.
+    """Complete ``file`` and rename it to ``path``, replacing a file of that name.
 
     Raises:
         FileError: The disk is full or gone.

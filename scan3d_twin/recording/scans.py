@@ -1,4 +1,4 @@
-"""Range images back from the folders that ``twin scan``, ``twin sim`` and ``twin real`` wrote."""
+"""Reads range images from the folders that ``twin scan``, ``twin sim`` and ``twin real`` wrote."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from scan3d_twin.core.types import LidarSpec, RangeImage, read_only
 from scan3d_twin.devices.urg import model as urg04lx
 
 SCAN_FILE, BACK_SCAN_FILE = "scan.npz", "scan_back.npz"
-"""What ``twin scan`` writes: a sweep, and with --back the sweep to the other side."""
+"""Files of ``twin scan``: a sweep, and with --back the sweep in the other direction."""
 
 
 def read_image(path: Path) -> RangeImage:
     """Return the range image in ``path``, written by ``image_bytes`` or ``view_bytes``.
 
     Raises:
-        FileError: It is missing or holds something else.
+        FileError: The file is missing or holds no range image.
     """
     try:
         with np.load(path, allow_pickle=False) as arrays:
@@ -44,9 +44,9 @@ def read_image(path: Path) -> RangeImage:
 
 
 def read_places(folder: Path) -> list[list[RangeImage]]:
-    """Return all sweeps in ``folder`` and the folders in it, grouped by the place of the robot.
+    """Return all sweeps in ``folder`` and its subfolders, grouped by the place of the robot.
 
-    A sweep and the one back were taken from one place; of all others nothing is known.
+    A sweep and the one back come from one place; all others count as different places.
 
     Raises:
         FileError: There is no sweep, or one cannot be read.

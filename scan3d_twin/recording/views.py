@@ -1,4 +1,4 @@
-"""One view as ``views/NNN.npz``: everything the robot measured there and where it was placed."""
+"""One view as ``views/NNN.npz``: the robot's measurements and the pose of the view."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scan3d_twin.recording.image import image_arrays, npz_bytes
 
 
 def view_path(folder: Path, index: int) -> Path:
-    """Return where view ``index`` of the run in ``folder`` lies."""
+    """Return the path of view ``index`` of the run in ``folder``."""
     return folder / "views" / f"{index:03d}.npz"
 
 

@@ -25,7 +25,7 @@ Timer = Callable[[], float]
 
 
 class Truth(evaluation.Truth, Protocol):
-    """What the twin knows besides."""
+    """The ground truth of the twin, which also knows its targets by name."""
 
     def locate(self, name: str) -> tuple[float, float]:
         """Return the place (x, y) in ``odom`` [m] of the target ``name``."""
@@ -33,19 +33,19 @@ class Truth(evaluation.Truth, Protocol):
 
 
 RobotContext = AbstractContextManager[tuple[Robot, Truth | None]]
-"""Opens a robot, and the truth if anybody knows it."""
+"""Opens a robot, with the ground truth where there is one."""
 
 
 @dataclass(frozen=True)
 class LoopOutcome:
-    """What came of a closed loop.
+    """The result of a closed loop.
 
     Attributes:
-        session: As far as it got.
-        journey: What the robot did in all.
-        journeys: What it had done by the end of each view.
-        plan_times: What the planner took for each view, by the timer [s].
-        ended: What ended it before its time; None when the planner did.
+        session: All views and plans up to the end.
+        journey: Path, turns and duration of the whole run.
+        journeys: The same by the end of each view.
+        plan_times: Time the planner took after each view, by the timer [s].
+        ended: The error that ended the loop early; None when the planner ended it.
     """
 
     session: Session
@@ -57,11 +57,11 @@ class LoopOutcome:
 
 @dataclass(frozen=True)
 class EarlierRun:
-    """The part of a run that is done when another one goes on from there.
+    """The finished part of a run that is resumed.
 
     Attributes:
         session: Its views and plans.
-        journey: What the robot has done.
+        journey: Path, turns and duration up to here.
     """
 
     session: Session
@@ -77,19 +77,19 @@ def close_loop(
     earlier: EarlierRun | None = None,
     begun: float = 0.0,
 ) -> LoopOutcome:
-    """Digitise with an open robot, whatever ends it.
+    """Digitise with an open robot and return the result, also of a loop that an error ended.
 
     Args:
         robot: Open and at rest.
-        truth: Finds a target by name; None if nobody knows it.
-        settings: The effective ones.
+        truth: Finds a target by name; None where there is no ground truth.
+        settings: The effective settings.
         observer: Sees every step.
         timer: Times the planner.
-        earlier: What to go on from.
-        begun: The robot's time from which its way counts, unless there is an earlier one [s].
+        earlier: The run to resume; None for a new one.
+        begun: Start of a new run on the robot's clock [s].
 
     Raises:
-        BaseException: Whatever ended the loop before there was a view.
+        BaseException: Whatever ended the loop before its first view.
     """
     planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
     log = _ProgressLog(robot, earlier, begun)
@@ -113,7 +113,7 @@ def close_loop(
 
 
 class TimedPlanner:
-    """A planner that knows how long it thought about each view [s]."""
+    """A planner that measures how long it computes after each view [s]."""
 
     def __init__(self, planner: Planner, timer: Timer) -> None:
         self.seconds: list[float] = []
@@ -121,7 +121,7 @@ class TimedPlanner:
         self._timer = timer
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
-        """See ``Planner.plan``; asked twice about a view, the times add up."""
+        """See ``Planner.plan``; the times of two calls for one view add up."""
         started = self._timer()
         self.seconds += [0.0] * (len(session.views) - len(self.seconds))
         try:
@@ -131,9 +131,9 @@ class TimedPlanner:
 
 
 class JourneyMeter:
-    """The way of a base; to be read before the base forgets its odometry.
+    """Adds up path and turns of a base; read it before the base discards its odometry.
 
-    Counts from when the base was opened, or goes on from an ``earlier`` journey.
+    Counts from the moment the base was opened, or continues an ``earlier`` journey.
     """
 
     def __init__(self, base: DriveBase, earlier: Journey | None = None) -> None:
@@ -143,7 +143,7 @@ class JourneyMeter:
         self._stamp = earlier.duration
 
     def read(self) -> None:
-        """Add the way since the last reading to ``path`` [m] and ``turn`` [rad]."""
+        """Add the motion since the last call to ``path`` [m] and ``turn`` [rad]."""
         samples = self._base.odometry_since(self._stamp)
         if not samples:
             return
@@ -153,7 +153,7 @@ class JourneyMeter:
 
 
 class _ProgressLog(Unobserved):
-    """Keeps the last session at hand and notes the way by the end of each view."""
+    """Keeps the latest session, and the journey by the end of each view."""
 
     def __init__(self, robot: Robot, earlier: EarlierRun | None, begun: float) -> None:
         self.session = None if earlier is None else earlier.session
@@ -164,7 +164,7 @@ class _ProgressLog(Unobserved):
         self._clock = robot.clock
 
     def journey(self) -> Journey:
-        """Return what the robot did so far."""
+        """Return the journey up to now."""
         self._odometer.read()
         duration = self._clock.now() - self._begun
         return Journey(self._odometer.path, self._odometer.turn, duration)
@@ -180,7 +180,7 @@ class _ProgressLog(Unobserved):
 
 
 def _find_target(text: str, truth: Truth | None) -> tuple[float, float] | None:
-    """Return the place in ``odom`` [m] that ``text`` states as x,y or by name; None if empty."""
+    """Return the target's place in ``odom`` [m], given as x,y or by name; None if empty."""
     if not text:
         return None
     if "," not in text and truth is not None:
@@ -189,7 +189,7 @@ def _find_target(text: str, truth: Truth | None) -> tuple[float, float] | None:
 
 
 def _describe_error(error: BaseException) -> str:
-    """Return ``error`` as the reason why a run ended."""
+    """Return ``error`` as the stop reason of a run."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"
     return f"{type(error).__name__}: {error}"

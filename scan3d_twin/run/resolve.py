@@ -1,4 +1,4 @@
-"""The effective settings of a run in the twin: defaults < world, scene, preset < what is stated."""
+"""The effective settings of a run in the twin: defaults < scene, world, preset < given options."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scan3d_twin.sim.scenes.scene import Scene, load_scene
 
 
 def resolve_sim(given: Options) -> tuple[Settings, Scene]:
-    """Return the effective settings for what is ``given``, and the scene they name.
+    """Return the effective settings for the ``given`` options, and the scene they name.
 
     Raises:
         ConfigError: A key, name or value is wrong.
@@ -31,12 +31,12 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
 
 
 def settings_for_scene(scene: Scene, given: Options) -> Settings:
-    """Return the effective settings in ``scene`` for what is ``given``."""
+    """Return the effective settings in ``scene`` for the ``given`` options."""
     return build_settings([_scene_options(scene), *_named_options(given), given])
 
 
 def _check_target(text: str, scene: Scene) -> None:
-    """Refuse a target that is neither a place nor one of ``scene``; empty is what stands out."""
+    """Refuse a target that is neither a place nor a target of ``scene``; empty is accepted."""
     if "," in text:
         parse_place(text, NAME_OR_PLACE)
     elif text and text not in scene.targets:
@@ -44,12 +44,12 @@ def _check_target(text: str, scene: Scene) -> None:
 
 
 def _named_options(given: Options) -> list[Options]:
-    """Return what the world and the preset stand for."""
+    """Return the options behind the names of the world and the preset."""
     run = build_settings([given]).run
     return [world_options(run.world), preset(run.preset)]
 
 
 def _scene_options(scene: Scene) -> Options:
-    """Return what ``scene`` says about how it is to be scanned."""
+    """Return the options that ``scene`` states about its scanning."""
     standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
     return {"tour": scene.tour, "planning": standoff}

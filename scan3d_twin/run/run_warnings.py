@@ -1,4 +1,4 @@
-"""What people should know about a run before they trust its model, in words."""
+"""The warnings of a report: what a reader must know before trusting the model."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from scan3d_twin.core.model.evaluation import Evaluation
 from scan3d_twin.core.session import Session, View
 
 MIN_RETURN_SHARE = 0.3
-"""Beams within the window that came back; fewer are dark, shiny or far surfaces (assumption)."""
+"""Share of readings with a return below which surfaces are dark, shiny or far (assumption)."""
 MIN_TARGET_POINTS = 500
-"""A view with fewer target points shows little: 2 % of what a sweep of 60 deg can (assumption)."""
+"""Fewest target points of a useful view: 2 % of what a sweep of 60 deg can show (assumption)."""
 MIN_AMBIGUITY_GAP = 0.1
-"""Two basins whose scores differ by less are hard to tell apart (assumption)."""
+"""Least difference of score between two basins for a unique registration (assumption)."""
 
 
 def find_warnings(session: Session, evaluation: Evaluation | None = None) -> list[str]:
-    """Return one sentence for each thing that is not as it should be; none for a good run."""
+    """Return one sentence for each problem of a run; an empty list for a good run."""
     if not session.views:
         return ["Nothing was scanned: there is no view."]
     found = [*_check_returns(session), *_check_fallbacks(session), *_check_registrations(session)]

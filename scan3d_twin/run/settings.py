@@ -1,4 +1,4 @@
-"""Everything a run was told, merged from its sources and written so that it can be run again.
+"""All options of a run: merged from their sources, checked, and written to run it again.
 
 Sources are nested mappings in the shape of the TOML file: the fields of ``Config`` and
 ``TwinConfig`` by name, sections as tables, and the table ``run`` with the fields of ``RunConfig``.
@@ -25,13 +25,13 @@ from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
 
 Options = Mapping[str, Any]
 REAL_SCENE = "real"
-"""Stands for a scene's name where the real robot was; no scene is called so."""
+"""The scene's name in a run of the real robot; no scene has this name."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class RunConfig:
-    """What is scanned, and by which draw."""
+    """What is scanned, and with which seed and named sets of options."""
 
     scene: str = "three_boxes"
     """Name of a built-in scene, or path of an .xml or mesh file."""
@@ -42,11 +42,11 @@ class RunConfig:
     world: str = DEFAULT_WORLD
     """Named set of the twin's errors: ideal, typical or harsh."""
     target: str = ""
-    """Name of a body of the scene, or x,y [m] in the odometry frame; empty: what stands out."""
+    """Name of a body of the scene, or x,y [m] in the odometry frame; empty: the most salient."""
     mesh_scale: float = number(1.0, most=1e6)
     """Metres per unit of a mesh file."""
     version: str = __version__
-    """Version of the software; what another version wrote is read as it is."""
+    """Version of the software that wrote the options."""
 
     def __post_init__(self) -> None:
         check_options(self, "run")
@@ -80,7 +80,7 @@ def merge_options(sources: Iterable[Options]) -> dict[str, Any]:
 
 
 def build_settings(sources: Iterable[Options]) -> Settings:
-    """Return the settings that ``sources`` state, later ones first, and defaults for the rest.
+    """Return the settings that ``sources`` state; later ones win, the rest are defaults.
 
     Raises:
         ConfigError: A key is unknown, or a value is of the wrong type or out of range.
@@ -97,13 +97,13 @@ def build_settings(sources: Iterable[Options]) -> Settings:
 
 
 def world_options(name: str) -> Options:
-    """Return the options that the twin's named world stands for."""
+    """Return the options of the twin's world called ``name``."""
     lidar, errors = WORLDS[name]
     return {"lidar": _to_plain(lidar), "errors": _to_plain(errors)}
 
 
 def read_settings(path: Path) -> Options:
-    """Return the options in the TOML file ``path``, not yet checked.
+    """Return the options in the TOML file ``path``, unchecked.
 
     Raises:
         FileError: It is missing, unreadable or not TOML.
@@ -146,7 +146,7 @@ def _check_known(name: str, known: list[str], where: str = "") -> None:
 
 
 def _build(cls: type[T], values: Any, where: str) -> T:
-    """Return ``cls`` with ``values`` by key, checked; ``where`` leads to them, for messages."""
+    """Return ``cls`` with ``values`` by key, checked; ``where`` is their prefix in messages."""
     if not isinstance(values, Mapping):
         raise ConfigError(f"{where.rstrip('.')} must be a table, got {values!r}")
     names = {option_key(f.name): f.name for f in fields(cls)}  # type: ignore[arg-type]
@@ -166,7 +166,7 @@ def _build(cls: type[T], values: Any, where: str) -> T:
 
 
 def _is_whole(value: Any, hint: Any) -> bool:
-    """Return whether ``value`` is a whole number where any number will do."""
+    """Return whether ``value`` is a whole number where the hint asks for a float."""
     return hint is float and isinstance(value, int) and not isinstance(value, bool)
 
 
@@ -177,14 +177,14 @@ def _to_plain(value: Any) -> Any:
 
 
 NAME_OR_PLACE = "a name or x,y in metres"
-"""What a target of the twin can be stated as."""
+"""The forms in which a target of the twin can be stated."""
 
 
 def parse_place(text: str, choice: str) -> tuple[float, float]:
-    """Return the place of a target stated as x,y [m].
+    """Return the place (x, y) [m] that ``text`` states as x,y.
 
     Raises:
-        ConfigError: ``text`` is no place; ``choice`` says what it could have been.
+        ConfigError: ``text`` is no place; the message names the ``choice`` of forms.
     """
     try:
         x, y = (float(part) for part in text.split(","))

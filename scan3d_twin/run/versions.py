@@ -1,4 +1,4 @@
-"""What a bug report must name: the versions of everything that computes, without importing it."""
+"""The versions that a bug report must name, found without importing the libraries."""
 
 from __future__ import annotations
 

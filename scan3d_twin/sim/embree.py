@@ -22,14 +22,14 @@ def is_available() -> bool:
 
 
 def can_triangulate(model: Any) -> bool:
-    """Return whether nothing in ``model`` moves and triangles can stand for all of it."""
+    """Return whether ``model`` is static and all its geoms can be tessellated."""
     return model.nq == 0 and set(model.geom_type.tolist()) <= {
         int(kind) for kind in TRIANGULATED_TYPES
     }
 
 
 def is_visible(model: Any, geom: int) -> bool:
-    """Return whether rays see a geom: MuJoCo's pass through what is wholly transparent."""
+    """Return whether rays hit a geom: MuJoCo's rays pass fully transparent geoms."""
     material = model.geom_matid[geom]
     alpha = model.geom_rgba[geom, 3]
     return bool(alpha > 0 and (material < 0 or model.mat_rgba[material, 3] > 0))
@@ -72,7 +72,7 @@ class TriangleScene:
     ) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return distances (n,), inf for a miss, normals (n, 3) and geom ids (n,).
 
-        Where a triangle stands for a curved surface, distance and normal are those of the surface.
+        Hits on a tessellated curved surface are refined to its exact distance and normal.
         """
         found = self._scene.run(
             origins.astype(np.float32), directions.astype(np.float32), query="INTERSECT", output=1
@@ -112,7 +112,7 @@ class TriangleScene:
 
 
 def _shapes(model: Any, geom: int, triangles: FloatArray) -> IntArray:
-    """Return what a geom's ``triangles`` (m, 3, 3) are parts of: 0 flat, 1 side, 2 and 3 ends."""
+    """Return the surface of each of a geom's ``triangles`` (m, 3, 3): 0 flat, 1 side, 2, 3 ends."""
     kind, half = int(model.geom_type[geom]), model.geom_size[geom, 1]
     height = triangles[:, :, 2].mean(axis=1)
     if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):

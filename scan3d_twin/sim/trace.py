@@ -1,4 +1,4 @@
-"""The whole way of the base, for evaluation: the world itself remembers half a minute."""
+"""The true poses of the base over the whole run, for evaluation; the world keeps half a minute."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.world import HISTORY_STEPS, World, interpolate
 
 POSE_COLUMNS = 7
-"""Of the base's pose: place and quaternion."""
+"""Columns of a pose: position and quaternion."""
 
 
 class PoseTrace:
-    """The true poses of the base from the beginning on; a ``Device`` of the clock.
+    """The true poses of the base since the start; a ``Device`` of the clock.
 
     Attributes:
-        next_step: See ``Device``: long before the world forgets what is not yet kept.
+        next_step: See ``Device``: due well before the world discards poses.
     """
 
     def __init__(self, world: World) -> None:
@@ -25,7 +25,7 @@ class PoseTrace:
         self._kept = 0
 
     def service(self) -> None:
-        """Keep the poses of the steps since the last call."""
+        """Copy the poses of the steps since the last call."""
         steps = self._world.steps
         if steps >= len(self._rows):
             grown = np.empty((2 * (steps + 1), POSE_COLUMNS))
@@ -41,7 +41,7 @@ class PoseTrace:
         return self._world.scene_qpos()
 
     def base_pose(self, time: float) -> Pose2:
-        """Return ``T_map_base`` at ``time`` [s], interpolated; clamped to what was recorded."""
+        """Return ``T_map_base`` at ``time`` [s], interpolated, clamped to the recorded times."""
         self.service()
         place = np.array([time]) / self._world.timestep
         rows = interpolate(self._rows.__getitem__, place, 0, self._kept + 1)

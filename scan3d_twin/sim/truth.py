@@ -1,4 +1,4 @@
-"""What only a simulator knows, for evaluation; no planner sees it."""
+"""The ground truth of the twin, for evaluation only; no planner sees it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.scenes.surface_samples import bounding_points, sample_geom
 
 MIN_FACE_HEIGHT = 0.002
-"""Faces that look down from less than this above the floor lie on it [m]."""
+"""Height below which a face that points down lies on the floor [m]."""
 
 
 class PoseHistory(Protocol):
-    """Where things were; ``Trace`` with physics, ``KinematicWorld`` without."""
+    """The true poses over time: ``PoseTrace`` with physics, ``KinematicWorld`` without."""
 
     def base_pose(self, time: float) -> Pose2:
         """Return ``T_map_base`` at ``time`` [s]."""
@@ -49,7 +49,7 @@ class Truth:
 
     @property
     def spawn(self) -> Pose2:
-        """Where the scene puts the robot, ``T_map_base``."""
+        """The robot's start in the scene, ``T_map_base``."""
         return self._scene.spawn
 
     @property
@@ -64,7 +64,7 @@ class Truth:
     def surface(self, spacing: float) -> tuple[FloatArray, FloatArray]:
         """Return points (n, 3) on the target about ``spacing`` apart [m], and normals (n, 3).
 
-        All faces, seen or not, except those that lie on the floor.
+        All faces, visible or not, except those on the floor.
         """
         data = self._scene_data()
         points, normals = [], []
@@ -79,7 +79,7 @@ class Truth:
         return p[keep], n[keep]
 
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
-        """Return noise-free distances (n,) [m] along rays, the robot away; inf for a miss.
+        """Return noise-free distances (n,) [m] along rays, without the robot; inf for a miss.
 
         Args:
             origins: (n, 3) [m].
@@ -88,7 +88,7 @@ class Truth:
         return self._caster.cast(self._world.scene_qpos(), origins, directions).distances
 
     def evidence(self) -> Evidence | None:
-        """Return what lay behind the scan line read last; None before the first."""
+        """Return the ground truth of the last scan line read; None before the first."""
         return self._evidence()
 
     def locate(self, name: str) -> tuple[float, float]:
@@ -111,7 +111,7 @@ class Truth:
         return odom.x, odom.y
 
     def _scene_data(self) -> mujoco.MjData:
-        """Return the scene as it is now, without the robot."""
+        """Return the present state of the scene, without the robot."""
         data = mujoco.MjData(self._scene.model)
         data.qpos[:] = self._world.scene_qpos()
         mujoco.mj_forward(self._scene.model, data)

@@ -1,4 +1,4 @@
-"""The physics: a scene with the robot in it, stepped at 2 ms, and the traces it leaves."""
+"""The physics: a scene with the robot, stepped at 2 ms, with a history of their poses."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ PREFIX = "robot/"
 TIMESTEP = 0.002
 """Physics step [s]; 1 to 4 ms agree within .5 %, 2 ms keeps the tilt under .5 deg."""
 SETTLE_TIME = 1.0
-"""Physics time before time 0, in which the suspension comes to rest [s]."""
+"""Physics time before time 0, for the suspension to settle [s]."""
 HISTORY_STEPS = 16_384
-"""Steps of which the poses are kept: 32 s, a sweep of 300 lines."""
+"""Number of latest steps whose poses are kept: 32 s, a sweep of 300 lines."""
 TRACE_SENSORS = slice(-6, None)
-"""The sensors of the trace: the lidar's place and three axes; the base's place and quaternion."""
+"""Sensors with a history: the lidar's position and axes; the base's position and quaternion."""
 
 
 @dataclass(frozen=True)
 class RobotErrors:
-    """The errors one robot was born with.
+    """The errors of one robot, drawn once.
 
     Attributes:
         wheel_radius: Relative error of the left and right wheel's radius (2,).
@@ -38,8 +38,8 @@ class RobotErrors:
         friction: Sliding friction of the tyres, where the scene states none.
         cogging: Amplitude of the cogging torque [N m].
         cogging_phase: Phase of the left and right wheel's cogging (2,) [rad].
-        floor: Heights of an uneven floor on a square grid (n, n) [m]; None is an even one.
-        mount: Of the lidar: to the left [m], roll and pitch [rad] (3,).
+        floor: Heights of an uneven floor on a square grid (n, n) [m]; None for an even floor.
+        mount: Extrinsic error of the lidar: to the left [m], roll and pitch [rad] (3,).
     """
 
     wheel_radius: FloatArray
@@ -52,7 +52,7 @@ class RobotErrors:
 
     @staticmethod
     def draw(config: RobotErrorConfig, rng: np.random.Generator) -> RobotErrors:
-        """Draw one robot."""
+        """Return the errors of a random robot."""
         return RobotErrors(
             wheel_radius=read_only(config.wheel_radius * rng.standard_normal(2)),
             wheel_base=config.wheel_base * float(rng.standard_normal()),
@@ -64,14 +64,14 @@ class RobotErrors:
         )
 
     def on(self, scene: Scene) -> RobotErrors:
-        """Return the robot on the floor of ``scene``."""
+        """Return the errors with the friction of ``scene``, if it states one."""
         return self if scene.friction is None else replace(self, friction=scene.friction)
 
 
 def robot_spec(robot: RobotName) -> Any:
-    """Return the robot's own ``MjSpec``, as on its data sheet.
+    """Return the ``MjSpec`` of a robot by its data sheet.
 
-    The two generations differ in their wheels; the file has those of the Create 2.
+    The generations differ in their wheels; the file describes the Create 2.
     """
     spec = mujoco.MjSpec.from_file(str(find_resource_dir("assets") / "mjcf" / "create2.xml"))
     profile = PROFILES[robot]
@@ -87,11 +87,12 @@ def robot_spec(robot: RobotName) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Solver:
-    """How finely the physics is solved.
+    """Settings of the physics solver.
 
     Attributes:
-        timestep: [s]; 1 to 4 ms agree within .5 %, 2 ms keeps the tilt under .5 deg.
-        impratio: Stiffness of friction against that of contact; 1 turns .1 deg worse in 90 than 10.
+        timestep: Step [s]; 1 to 4 ms agree within .5 %, 2 ms keeps the tilt under .5 deg.
+        impratio: Ratio of frictional to normal impedance; with 1 a turn of 90 deg is .1 deg worse
+            than with 10.
     """
 
     timestep: float = TIMESTEP
@@ -104,7 +105,7 @@ def build_model(
     """Return the compiled model of ``scene`` with a robot of these ``errors`` at its spawn.
 
     Raises:
-        SceneError: They do not go together, as with a keyframe that lacks the robot's joints.
+        SceneError: They do not compile together, as with a keyframe without the robot's joints.
     """
     spec = scene.spec.copy()
     half = scene.spawn.yaw / 2
@@ -118,7 +119,7 @@ def build_model(
     if errors.floor is not None:
         lay_floor(spec, errors.floor)
     _set_options(spec.option, Solver() if solver is None else solver)
-    if scene.model.nv == 0:  # the robot is the only island: to look for others costs 7 % of a step
+    if scene.model.nv == 0:  # the robot is the only island; finding islands costs 7 % of a step
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     try:
         return spec.compile()
@@ -148,19 +149,19 @@ def _apply_errors(spec: Any, errors: RobotErrors) -> None:
 
 
 def _set_options(option: Any, solver: Solver) -> None:
-    """Set the solver as the robot was tuned; on attach the scene's own options would win."""
+    """Set the solver options that the robot was tuned with, over the scene's own."""
     option.timestep = solver.timestep
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = solver.impratio
-    option.iterations = max(int(option.iterations), 20)  # 3 are silently wrong
+    option.iterations = max(int(option.iterations), 20)  # 3 give wrong results without a warning
     option.gravity = [0, 0, -9.81]
 
 
 class World:
     """A running physics simulation.
 
-    Time is ``steps * timestep`` since the robot came to rest. The poses of a step are known one
+    Time is ``steps * timestep`` since the robot has settled. The poses of a step are known one
     step later: after ``mj_step`` MuJoCo's derived fields still describe the state before it.
     """
 
@@ -196,9 +197,9 @@ class World:
         self.steps += steps
 
     def base_rows(self, steps: IntArray) -> FloatArray:
-        """Return the base's place and quaternion (n, 7) at recent ``steps`` (n,).
+        """Return the base's position and quaternion (n, 7) at recent ``steps`` (n,).
 
-        The pose of the step that comes next is known already.
+        The present step is included.
         """
         rows = _columns(self._base, self._slots(steps))
         rows[steps == self.steps] = self._base_qpos
@@ -211,19 +212,19 @@ class World:
         return rows[:, :3], rows[:, 3:].reshape(-1, 3, 3).transpose(0, 2, 1)
 
     def _lidar_rows(self, steps: IntArray) -> FloatArray:
-        """Return the lidar's place and axes (n, 12) at recent ``steps`` (n,)."""
+        """Return the lidar's position and axes (n, 12) at recent ``steps`` (n,)."""
         return _columns(self._lidar, self._slots(steps))
 
     def _slots(self, steps: IntArray) -> IntArray:
-        """Return where in the history the values of ``steps`` since time 0 lie."""
+        """Return the slots of ``steps`` since time 0 in the ring of the history."""
         return (steps + self._settled) % HISTORY_STEPS
 
 
 def _history(model: Any, data: Any, sensor: int, settled: int) -> FloatArray:
-    """Return MuJoCo's own record of the last values of ``sensor``, a view (RECENT, dim).
+    """Return MuJoCo's history of ``sensor`` as a view (HISTORY_STEPS, dim).
 
-    It is a ring that begins at slot 0 of the first step of all: two numbers of its own, the times
-    and the values (``mjData.history``).
+    The history is a ring whose slot 0 belongs to the very first step; ``mjData.history`` holds two
+    numbers of its state, then the times, then the values.
     """
     dim = int(model.sensor_dim[sensor])
     times = int(model.sensor_historyadr[sensor]) + 2
@@ -245,10 +246,10 @@ def _columns(histories: list[FloatArray], rows: IntArray) -> FloatArray:
 def interpolate(
     rows: Callable[[IntArray], FloatArray], times: FloatArray, first: int, end: int
 ) -> FloatArray:
-    """Return the trace (n, k) at ``times`` (n,) [steps], where ``rows`` gives it at steps (m,).
+    """Return values (n, k) at ``times`` (n,) [steps], linear between those of ``rows`` at steps.
 
-    Steps ``first`` to ``end`` - 1 are known; 2 ms apart, a line between them errs by less than
-    1e-7 of a rotation.
+    Steps ``first`` to ``end`` - 1 are known; 2 ms apart, the error of a linear rotation is less
+    than 1e-7.
     """
     place = np.minimum(np.maximum(times, first), end - 1)
     lower = np.minimum(place.astype(np.int64), max(first, end - 2))

@@ -1,4 +1,4 @@
-"""A model as a few bytes for a page, and as a still picture for pages that cannot draw."""
+"""A model as packed points for WebGL, and as a still picture for browsers without it."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from scan3d_twin.core.types import FloatArray, IntArray, Pose2
 from scan3d_twin.recording.colours import view_colours_rgb
 
 MAX_TARGET_POINTS = 300_000
-"""Points of the target in a page: 8 bytes each, 3.2 MB as text."""
+"""Most points of the target in a page: 8 bytes each, 3.2 MB as text."""
 MAX_SURROUNDING_POINTS = 60_000
 SURROUNDINGS_VOXEL = 0.03
-"""Side of the voxels in which the surroundings are thinned [m]."""
+"""Side of the voxels to which the surroundings are thinned [m]."""
 GREY = "#8b949e"
 FIELD_OF_VIEW = math.radians(35.0)
-"""Vertical, of the camera."""
+"""Vertical field of view of the camera [rad]."""
 POINT_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("z", "<u2"), ("shade", "u1"), ("", "u1")])
 STILL_WIDTH, STILL_HEIGHT = 1200, 720
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """Where a picture is taken from: round a middle, z up.
+    """A camera that looks at a middle, z up.
 
     Attributes:
-        middle: Of what is shown (3,) [m].
-        distance: From it [m].
+        middle: Middle of the shown points (3,) [m].
+        distance: Distance of the camera from the middle [m].
         azimuth: Direction from the middle to the camera [rad].
-        elevation: Of the camera above the middle [rad].
+        elevation: Elevation of the camera above the middle [rad].
     """
 
     middle: FloatArray
@@ -51,7 +51,7 @@ class PackedCloud:
     Attributes:
         data: The records, view by view, then the surroundings.
         ranges: First record and number of records of each view, and of the surroundings.
-        low: Where all coordinates are 0 (3,) [m].
+        low: Origin of the coordinates (3,) [m].
         extent: Length of 65535 units [m].
     """
 
@@ -82,7 +82,7 @@ def choose_camera(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
 
 
 def surrounding_points(session: Session) -> FloatArray:
-    """Return what the views saw besides the target, thinned (n, 3) in ``world`` [m]."""
+    """Return the points of all views off the target, thinned (n, 3) in ``world`` [m]."""
     clouds = [_points_off_target(session, k) for k in range(len(session.views))]
     if not clouds:
         return np.zeros((0, 3))
@@ -91,7 +91,7 @@ def surrounding_points(session: Session) -> FloatArray:
 
 
 def _points_off_target(session: Session, k: int) -> FloatArray:
-    """Return the points of view ``k`` that are not of its target, in ``world`` (n, 3) [m]."""
+    """Return the points of view ``k`` off the target, in ``world`` (n, 3) [m]."""
     view = session.views[k]
     beams = view.image.spec.n_beams
     ours = np.isin(
@@ -101,7 +101,7 @@ def _points_off_target(session: Session, k: int) -> FloatArray:
 
 
 def shade_normals(normals: FloatArray, camera: Camera) -> FloatArray:
-    """Return how bright surfaces with ``normals`` (n, 3) are, 0..1; unknown ones are medium.
+    """Return the brightness (n,) of surfaces with ``normals`` (n, 3), 0..1; 0.7 without a normal.
 
     The light comes from above, to the left of ``camera``.
     """
@@ -112,9 +112,13 @@ def shade_normals(normals: FloatArray, camera: Camera) -> FloatArray:
 
 
 def pack_points(model: Model, views: int, around: FloatArray, camera: Camera) -> PackedCloud:
-    """Return ``model``, of so many ``views``, and the surroundings ``around`` (n, 3), for a page.
+    """Return ``model`` and its surroundings packed for a page, thinned, and lit for ``camera``.
 
-    They are thinned to what a page can hold, and lit for ``camera``.
+    Args:
+        model: The points of the target.
+        views: Number of views of the model.
+        around: Points of the surroundings (n, 3) [m].
+        camera: Determines the light.
     """
     chosen = model.select(np.argsort(model.view, kind="stable"))
     chosen = chosen.select(
@@ -139,7 +143,7 @@ def render_still(model: Model, camera: Camera) -> bytes:
     size = (STILL_HEIGHT, STILL_WIDTH)
     x, y, depth = _project(model.points, camera)
     front = depth > 0.05
-    order = np.flatnonzero(front)[np.argsort(-depth[front])]  # far ones first: near ones win
+    order = np.flatnonzero(front)[np.argsort(-depth[front])]  # near points overwrite far ones
     picture = np.zeros((*size, 4), np.uint8)
     colours = _colours(model.view, shade_normals(model.normals, camera))[order]
     column, row = np.round(x[order]).astype(np.int64), np.round(y[order]).astype(np.int64)
@@ -152,7 +156,7 @@ def render_still(model: Model, camera: Camera) -> bytes:
 
 
 def _project(points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return column and row in the still picture and the distance ahead of ``points`` (n,)."""
+    """Return column, row and depth (n,) of ``points`` (n, 3) in the still picture."""
     a, e = camera.azimuth, camera.elevation
     back = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     right = np.array([-math.sin(a), math.cos(a), 0.0])
@@ -169,6 +173,6 @@ def _project(points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray
 
 
 def _colours(view: IntArray, light: FloatArray) -> npt.NDArray[np.uint8]:
-    """Return the opaque colours (n, 4) of points by view, darker where ``light`` (n,) is less."""
+    """Return the opaque colours (n, 4) of points by view, scaled with the ``light`` (n,)."""
     lit = view_colours_rgb(view) * (0.55 + 0.6 * light[:, None])
     return np.column_stack([np.minimum(lit, 255), np.full(len(view), 255)]).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The live view of a run: a web page that watches it and can pause and stop it."""
+"""The live view of a run: a web page that shows it and can pause and stop it."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from scan3d_twin.viz.server import open_server
 from scan3d_twin.viz.stage import Stage, add_look_controls
 
 REFRESH_PERIOD = 0.1
-"""Time between two pictures of the moving robot [s]: the lidar's own period."""
+"""Time between two updates of the moving robot [s]: the lidar's line period."""
 PAUSE_PERIOD = 0.05
-"""Time given away at each look at the buttons while paused [s]."""
+"""Time between two checks of the buttons while paused [s]."""
 SPEEDS = {"real time": 1.0, "2x": 2.0, "5x": 5.0, "10x": 10.0, "30x": 30.0, "unlimited": 0.0}
 """Speeds of the twin by name; 0 for no limit."""
 RELOAD_TIME = 3.0
-"""A page that reloads is back within this time [s]."""
+"""Longest time that a page takes to reload [s]."""
 
 
 class LiveView:
-    """An ``Observer`` that shows a run on a page and hands on what its buttons say.
+    """An ``Observer`` that shows a run on a page and obeys the page's buttons.
 
-    All its methods are called by the run; the buttons only set flags.
+    The run calls all its methods; the buttons only set flags.
     """
 
     def __init__(self, server: viser.ViserServer, name: str, speed: str | None) -> None:
@@ -87,12 +87,12 @@ class LiveView:
         self._pace = _Pace(SPEEDS[name])
 
     def attach(self, robot: Robot) -> Robot:
-        """Return ``robot`` so that it is watched, and stopped, while it drives."""
+        """Return ``robot`` wrapped so that the page follows it and can stop it."""
         self._robot = robot
         return attended(robot, self.attend)
 
     def attend(self) -> None:
-        """Show where the robot is; stop it if it is to be stopped.
+        """Show where the robot is; stop it if the stop button was pressed.
 
         Raises:
             KeyboardInterrupt: The stop button was pressed.
@@ -162,37 +162,37 @@ class LiveView:
         return "go"
 
     def finish(self, text: str) -> None:
-        """Tell that the run is over; the buttons are gone."""
+        """Show ``text`` as the end of the run, and hide the buttons."""
         self._status.content = f"**{text}**"
         self.stage.hide_line()
         for button in (self._pause_button, self._continue_button, self._stop_button):
             button.visible = False
 
-    def is_read(self) -> bool:
-        """Tell whether a page is open."""
+    def has_readers(self) -> bool:
+        """Return whether a page is open."""
         return bool(self._server.get_clients())
 
     def wait_for_readers(self) -> None:
-        """Stay until the last page is closed, or Ctrl-C."""
+        """Wait until the last page is closed, or Ctrl-C."""
         last = time.monotonic()
         try:
             while time.monotonic() - last < RELOAD_TIME:
                 time.sleep(REFRESH_PERIOD)
-                if self.is_read():
+                if self.has_readers():
                     last = time.monotonic()
         except KeyboardInterrupt:
             return
 
 
 class _Pace:
-    """Keeps a twin from running faster than people can watch."""
+    """Slows a twin down to a chosen speed."""
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
         self._began: tuple[float, float] | None = None
 
     def wait(self, now: float) -> None:
-        """Wait until the time ``now`` [s] of the twin has come."""
+        """Wait until the twin's time ``now`` [s] is due."""
         if not self._speed:
             return
         if self._began is None:
@@ -200,7 +200,7 @@ class _Pace:
         ahead = (now - self._began[1]) / self._speed - (time.monotonic() - self._began[0])
         if ahead > 0:
             time.sleep(min(ahead, 1.0))
-        elif ahead < -1.0:  # planning took its time; do not race to make up for it
+        elif ahead < -1.0:  # after long planning, do not catch up
             self._began = (time.monotonic(), now)
 
 
@@ -221,13 +221,13 @@ def format_plan(session: Session) -> str:
 
 @contextmanager
 def open_live_view(
-    host: str, port: int, name: str, speed: str | None, tell: Callable[[str], None]
+    host: str, port: int, name: str, speed: str | None, notify: Callable[[str], None]
 ) -> Iterator[LiveView]:
-    """Serve the live view of the run called ``name``; ``tell`` is told its address.
+    """Serve the live view of the run called ``name``, and ``notify`` the user of its address.
 
     Raises:
-        LinkError: It cannot be served there.
+        LinkError: The view cannot be served there.
     """
     with open_server(host, port, f"{name} - scan3d_twin") as (server, address):
-        tell(f"live view: {address}")
+        notify(f"live view: {address}")
         yield LiveView(server, name, speed)

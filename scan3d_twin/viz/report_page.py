@@ -1,8 +1,7 @@
-"""``report.html``: a run on one page that needs nothing else, to be mailed, printed, kept.
+"""``report.html``: a run on one self-contained page.
 
-The page fetches nothing and holds all it shows; its model turns in any browser with WebGL, others
-show a still picture. Neither this module nor the page needs more than numpy: the robot's own small
-computer writes it too.
+The page fetches nothing; its model turns in any browser with WebGL, others show a still picture.
+This module needs only NumPy, so that the robot's own small computer can write the page.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from scan3d_twin.run.report import Report
 from scan3d_twin.viz import cloud, sections
 
 ROBOT_HEIGHT = 0.30
-"""Height at which a viewpoint is drawn: that of the lidar [m]."""
+"""Height of the lidar, at which a viewpoint is drawn [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """What the page shows besides the model.
+    """Pictures of the page besides the model.
 
     Attributes:
-        top_view: An SVG document.
-        scene: A rendered picture of the scene as PNG, or in words why there is none.
+        top_view: The top view as an SVG document.
+        scene: A picture of the scene as PNG, or a sentence why there is none.
     """
 
     top_view: str
@@ -50,12 +49,12 @@ def render_report_page(
     """Return the page as one HTML document.
 
     Args:
-        report: The numbers, as in ``report.json``.
+        report: The content of ``report.json``.
         settings_toml: The effective options.
         session: The run.
-        model: Its target, as ``build_model`` gives it without voxels.
-        pictures: Drawn before.
-        evaluation: Against the truth; None if nobody knows it.
+        model: The target, as ``build_model`` returns it without voxels.
+        pictures: The top view, and the picture of the scene.
+        evaluation: Evaluation against the truth; None for a real robot.
     """
     title = f"{report['scene']}: {report['views']} views"
     parts = [
@@ -78,7 +77,7 @@ def render_report_page(
 
 
 def _render_model(session: Session, model: Model) -> str:
-    """Return the section with the interactive model; the still picture until that is drawn."""
+    """Return the section with the interactive model over its still picture."""
     if len(model) == 0:
         return "<h2>Model</h2><p>No view shows anything of the target: there is no model.</p>"
     viewpoints = [view.T_world_scan for view in session.views]
@@ -103,7 +102,7 @@ double-click to return. Every view has its colour; the lines show where it was t
 
 
 def _render_controls(session: Session) -> str:
-    """Return the buttons below the model, hidden until it is drawn."""
+    """Return the controls below the model, hidden until it is drawn."""
     last = len(session.views) - 1
     views = "".join(
         f'<label><input type="checkbox" data-view="{k}" checked>'
@@ -112,7 +111,7 @@ def _render_controls(session: Session) -> str:
     )
     return f"""<div class="controls" id="controls">
 <label>Views <input type="range" id="upto" min="0" max="{last}" value="{last}" step="1">
-<span id="told"></span></label>
+<span id="shown"></span></label>
 {views}
 <label><input type="checkbox" id="around">surroundings</label>
 <label>Colour <select id="colouring"><option value="view">by view</option>
@@ -122,7 +121,7 @@ def _render_controls(session: Session) -> str:
 
 
 def _meta(session: Session, model: Model, packed: cloud.PackedCloud, camera: cloud.Camera) -> str:
-    """Return what the script needs besides the points, as JSON."""
+    """Return the data of the script besides the points, as JSON."""
     heights = model.points[:, 2]
     meta: dict[str, Any] = {
         "ranges": packed.ranges,
@@ -145,7 +144,10 @@ def _meta(session: Session, model: Model, packed: cloud.PackedCloud, camera: clo
 
 
 def _viewpoint_lines(session: Session) -> list[float]:
-    """Return ends of lines, each x, y, z, r, g, b, view: a mast and an arrow at each viewpoint."""
+    """Return the ends of lines that draw a mast and an arrow at each viewpoint.
+
+    Seven numbers an end: x, y, z [m], r, g, b, view.
+    """
     numbers: list[float] = []
     for k, view in enumerate(session.views):
         pose = view.T_world_scan

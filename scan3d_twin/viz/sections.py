@@ -1,4 +1,4 @@
-"""The sections of ``report.html``, each a function from a run to a piece of HTML."""
+"""The sections of ``report.html``; each function renders one as HTML."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from scan3d_twin.run.report import Report
 from scan3d_twin.viz.charts import Chart, Dot, render_chart, round_up
 
 MAX_CHART_ERROR = 5.0
-"""Charts of errors end at this many times epsilon; what is above is an arrow at the edge."""
+"""Largest error of a chart, in units of epsilon; larger ones are arrows at the edge."""
 
 
 def render_head(report: Report) -> str:
-    """Return the title, the end of the run in words and its key figures."""
+    """Return the title, the stop reason and the key figures."""
     figures = [
         ("Views", f"{report['views']}", ""),
         *_quality(report),
@@ -46,7 +46,7 @@ def render_head(report: Report) -> str:
 
 
 def _quality(report: Report) -> list[tuple[str, str, str]]:
-    """Return the figures that only the twin knows."""
+    """Return the figures that need the ground truth."""
     if report["coverage_20mm"] is None:
         return []
     figures = [
@@ -60,7 +60,7 @@ def _quality(report: Report) -> list[tuple[str, str, str]]:
 
 
 def render_warnings(found: Sequence[str]) -> str:
-    """Return what people should know before they trust the model."""
+    """Return the warnings of the report."""
     if not found:
         return '<p class="fine">Nothing to warn of: all views are registered as wanted.</p>'
     items = "".join(f"<li>{escape(each)}</li>" for each in found)
@@ -70,7 +70,7 @@ def render_warnings(found: Sequence[str]) -> str:
 
 
 def render_top_view(document: str) -> str:
-    """Return the top view; its style sheet is kept to itself by being a picture of its own."""
+    """Return the top view, as an image so that its style sheet does not affect the page."""
     data = base64.b64encode(document.encode()).decode()
     return (
         "<h2>Top view</h2><figure>"
@@ -82,7 +82,7 @@ def render_top_view(document: str) -> str:
 
 
 def render_views(report: Report, session: Session) -> str:
-    """Return the table of views: what was planned, what came of it."""
+    """Return the table of views: planned overlap, predicted and realised errors."""
     if not session.views:
         return ""
     known = report["coverage_20mm"] is not None
@@ -237,7 +237,7 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
 
 
 def render_scene(picture: bytes | str) -> str:
-    """Return the rendered picture of the scene, or why there is none; nothing for no words."""
+    """Return the picture of the scene, or why there is none; nothing for an empty string."""
     if not picture:
         return ""
     if isinstance(picture, str):
@@ -251,7 +251,7 @@ def render_scene(picture: bytes | str) -> str:
 
 
 def render_options(settings_toml: str) -> str:
-    """Return the effective options, folded away on a screen."""
+    """Return the effective options, collapsed on a screen."""
     return (
         "<h2>Options</h2><details><summary>All effective options, to run it again</summary>"
         f"<pre>{escape(settings_toml)}</pre></details>"
@@ -259,7 +259,7 @@ def render_options(settings_toml: str) -> str:
 
 
 def render_foot(report: Report) -> str:
-    """Return what made the page."""
+    """Return the footer: version and units."""
     return (
         f"<footer>scan3d_twin {escape(report['version'])}; all lengths in metres unless said "
         "otherwise; the numbers are in report.json, the cloud in model.ply.</footer>"

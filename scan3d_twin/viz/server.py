@@ -1,4 +1,4 @@
-"""The web server of the views: on this machine only, unless told otherwise."""
+"""The web server of the live and recorded views; by default for this machine only."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserS
     """Serve a page at ``host`` and ``port``; yield the server and the page's address.
 
     Args:
-        host: ``LOOPBACK`` for this machine alone; 0.0.0.0 for all that can reach it, who then may
-            use the buttons too.
+        host: ``LOOPBACK`` for this machine alone; 0.0.0.0 for every machine that can reach it,
+            including the use of the buttons.
         port: TCP port; 0 takes a free one.
-        title: Of the page.
+        title: Title of the page.
 
     Raises:
         LinkError: The port is in use, or the host is not an address of this machine.
@@ -43,7 +43,7 @@ def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserS
 
 
 def set_theme(server: viser.ViserServer, *, dark: bool) -> None:
-    """Give the page its looks: light or dark, without what asks other machines."""
+    """Set the page's theme, light or dark, without elements that load from other machines."""
     server.gui.configure_theme(
         control_width="medium",
         dark_mode=dark,
@@ -55,7 +55,7 @@ def set_theme(server: viser.ViserServer, *, dark: bool) -> None:
 
 
 def _silence_stdout() -> contextlib.AbstractContextManager[object]:
-    """Keep viser's greetings out of what the program prints for others to read."""
+    """Keep viser's messages out of the program's standard output."""
     return contextlib.redirect_stdout(io.StringIO())
 
 

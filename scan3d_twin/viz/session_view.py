@@ -1,4 +1,4 @@
-"""A recorded run on a page: its views, plans and a timeline to scrub through them."""
+"""A recorded run on a page: its views and plans, with a slider over them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scan3d_twin.viz.stage import Stage, add_look_controls
 
 
 class SessionView:
-    """The page of a session."""
+    """The page of a recorded session."""
 
     def __init__(self, server: viser.ViserServer, name: str, session: Session) -> None:
         self._session = session
@@ -35,7 +35,7 @@ class SessionView:
         self._plan = gui.add_markdown("")
 
     def _show(self, count: int) -> None:
-        """Show the run as it was after ``count`` views and the plan that was made then."""
+        """Show the run after ``count`` views, with the plan made then."""
         whole = self._session
         count = min(count, len(whole.views))
         past = replace(whole, views=whole.views[:count], plans=whole.plans[:count])

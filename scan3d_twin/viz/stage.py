@@ -1,7 +1,7 @@
-"""A run in 3D on a viser server: views in their colours, robot, scan line, plan.
+"""The 3D content of a run on a viser server: views in their colours, robot, scan line, plan.
 
-Viser brings the page, the mouse and the network; everything here is what to show. Nothing is
-fetched from elsewhere.
+Viser provides the page, the mouse and the network; this module adds the content. The page loads
+nothing from other machines.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from scan3d_twin.viz.cloud import choose_camera
 from scan3d_twin.viz.server import set_theme
 
 EYE_HEIGHT = 0.30
-"""Height at which a viewpoint is drawn: that of the lidar [m]."""
+"""Height of the lidar, at which a viewpoint is drawn [m]."""
 MAX_VIEW_POINTS = 25_000
-"""Points shown of a view: a model of ten views stays quick on a phone."""
+"""Most points shown of a view: ten views stay fast on a phone."""
 BACKGROUND_VOXEL = 0.05
-"""Side of the voxels in which what else a view saw is thinned [m]."""
+"""Side of the voxels to which points off the target are thinned [m]."""
 POINT_SIZE = 0.011
-"""Size of a point [m]: the distance of two readings at 1.2 m."""
+"""Size of a point [m]: the distance between two readings at 1.2 m."""
 GREY, DARK, RED, CHOSEN = (150, 158, 168), (60, 66, 74), (235, 50, 50), (11, 98, 196)
 ORANGE, PALE, CELL, SECTION = (230, 120, 20), (190, 196, 204), (222, 226, 231), (196, 203, 211)
 
 
 class Stage:
-    """What is shown; ``world`` is the frame of everything.
+    """The shown objects, all in frame ``world``.
 
-    Setting something again moves or replaces it.
+    Showing an object again moves or replaces it.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -59,12 +59,12 @@ class Stage:
         return frame
 
     def robot(self, T_world_base: Pose2) -> None:
-        """Put the robot where it is."""
+        """Show the robot at its pose."""
         self._robot.position = (T_world_base.x, T_world_base.y, 0.0)
         self._robot.wxyz = _turn(T_world_base)
 
     def line(self, points: FloatArray) -> None:
-        """Show the scan line that arrived: its points (n, 3) in ``world`` [m]."""
+        """Show the latest scan line by its points (n, 3) in ``world`` [m]."""
         if len(points) == 0:
             return
         if self._line is not None:
@@ -79,12 +79,12 @@ class Stage:
         )
 
     def hide_line(self) -> None:
-        """Show no scan line: none arrives any more."""
+        """Hide the scan line at the end of the run."""
         if self._line is not None:
             self._line.visible = False
 
     def views(self, session: Session) -> None:
-        """Show all views of ``session``; those that are there already move to their places."""
+        """Show all views of ``session``; views shown before move to their new poses."""
         for index, view in enumerate(session.views):
             if index == len(self._views):
                 self._add_view(index, view)
@@ -122,7 +122,7 @@ class Stage:
         )
 
     def plan(self, session: Session) -> None:
-        """Show the last plan of ``session``: where next, and what else was looked at."""
+        """Show the last plan of ``session``: the next viewpoint, and the other candidates."""
         for handle in self._plan:
             handle.remove()
         self._plan = []
@@ -136,7 +136,7 @@ class Stage:
             self._add_next(plan, plan.viewpoint, session.config.sweep.width)
 
     def _add_candidate(self, name: str, candidate: Candidate) -> None:
-        """Add a viewpoint that was looked at, with its predicted error."""
+        """Add a candidate viewpoint with its predicted error."""
         scene, pose = self._server.scene, candidate.viewpoint
         place, above = (pose.x, pose.y, EYE_HEIGHT), (pose.x, pose.y, EYE_HEIGHT + 0.03)
         self._plan.append(scene.add_icosphere(name, 0.02, GREY, subdivisions=2, position=place))
@@ -147,7 +147,7 @@ class Stage:
             )
 
     def _add_next(self, plan: Plan, pose: Pose2, width: float) -> None:
-        """Add what shows the chosen viewpoint: a marker, its sector and its predicted error."""
+        """Add the chosen viewpoint: a marker, its scan sector and its predicted error."""
         scene = self._server.scene
         corners = np.array([[0.0, 0.0], *_sector(width)])
         ring = np.column_stack([pose.apply(corners), np.full(len(corners), 0.02)])
@@ -168,7 +168,7 @@ class Stage:
         self._show()
 
     def show_background(self, shown: bool) -> None:
-        """Show or hide what is not of the target."""
+        """Show or hide the points off the target."""
         self._with_background = shown
         self._show()
 
@@ -182,7 +182,7 @@ class Stage:
         set_theme(self._server, dark=wanted)
 
     def look_at(self, session: Session) -> None:
-        """Let pages look at the target from the robot's side."""
+        """Point the camera of all pages at the target from the robot's side."""
         hint = np.column_stack([session.hint, np.zeros(len(session.hint))])
         seen = [view.T_world_scan.apply(view.target.points) for view in session.views]
         poses = [view.T_world_scan for view in session.views]
@@ -198,7 +198,7 @@ class Stage:
 
 
 def add_look_controls(gui: Any, stage: Stage) -> None:
-    """Add to ``gui`` what changes the looks of ``stage`` alone."""
+    """Add to ``gui`` the controls of the appearance of ``stage``."""
     background = gui.add_checkbox("Background", initial_value=True)
     background.on_update(lambda _: stage.show_background(background.value))
     dark = gui.add_checkbox("Dark", initial_value=False)
@@ -206,14 +206,14 @@ def add_look_controls(gui: Any, stage: Stage) -> None:
 
 
 def _background(view: View) -> FloatArray:
-    """Return the points of a view's sweep that are not of its target (n, 3) in ``scan`` [m]."""
+    """Return the points of a view off the target (n, 3) in ``scan`` [m]."""
     beams = view.image.spec.n_beams
     ours = view.target.lines * beams + view.target.beams
     return view.sweep.points[~np.isin(view.sweep.lines * beams + view.sweep.beams, ours)]
 
 
 def _sector(width: float) -> FloatArray:
-    """Return the arc of a sweep, 0.35 m long (n, 2) in ``scan`` [m]."""
+    """Return the arc of a sweep, of radius 0.35 m (n, 2) in ``scan`` [m]."""
     angles = np.linspace(width / 2, -width / 2, 9)
     return 0.35 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 

@@ -17,11 +17,11 @@ from scan3d_twin.core.types import FloatArray, IntArray, Pose2
 from scan3d_twin.recording.colours import view_colour
 
 WIDTH, MARGIN, TITLE_HEIGHT = 900.0, 60.0, 34.0
-"""Of the picture, in its own units."""
+"""Dimensions of the picture, in its own units."""
 MIN_HEIGHT, MAX_HEIGHT = 320.0, 1200.0
 POINT_SIZE = 2.2
 MAX_POINTS = 60_000
-"""Keeps the file well under 2 MB."""
+"""Most points of the picture; keeps the file under 2 MB."""
 STYLE = """
 svg { background: #ffffff; font: 13px system-ui, "Helvetica Neue", Arial, sans-serif; }
 .paper { fill: #ffffff; } .frame { fill: none; stroke: #57606a; }
@@ -77,7 +77,7 @@ def draw_top_view(
         view: Index of the view each point came from (n,).
         viewpoints: ``T_world_scan`` of each view.
         sweep_width: Horizontal angle of a sweep [rad].
-        standoff: Distance at which the surface is expected; the sectors reach a little beyond [m].
+        standoff: Distance at which the surface is expected [m]; the sectors are a quarter longer.
         title: One line above the picture.
     """
     reach = 1.25 * standoff
@@ -101,7 +101,7 @@ def draw_top_view(
 def _frame(
     points: FloatArray, viewpoints: Sequence[Pose2], sweep_width: float, reach: float
 ) -> _Frame:
-    """Return a frame that holds all points and sectors with a border around them."""
+    """Return a frame around all points and sectors, with a border."""
     corners = [_sector_points(pose, sweep_width, reach) for pose in viewpoints]
     seen = np.concatenate([points[:, :2], *corners])
     low, high = seen.min(axis=0) - 0.15, seen.max(axis=0) + 0.15
@@ -152,7 +152,7 @@ def _sectors(frame: _Frame, viewpoints: Sequence[Pose2], width: float, reach: fl
 
 
 def _stars(frame: _Frame, viewpoints: Sequence[Pose2]) -> list[str]:
-    """Return a star at each viewpoint, its number on the side away from where it looks."""
+    """Return a star at each viewpoint, with its number behind it."""
     parts = []
     for index, pose in enumerate(viewpoints):
         x, y = frame.x(pose.x), frame.y(pose.y)

@@ -141,7 +141,7 @@ def test_its_buttons_work(open_page, url):
     assert share_of(without, view_colour(0)) < 0.3 * share_of(before, view_colour(0))
     page.locator("#upto").fill("1")
     page.wait_for_timeout(100)
-    assert page.locator("#told").inner_text() == "2 of 3"
+    assert page.locator("#shown").inner_text() == "2 of 3"
     assert share_of(model.screenshot(), view_colour(2)) < 0.001
     page.locator("#colouring").select_option("height")
     page.locator("#around").check()

@@ -17,17 +17,17 @@ from scan3d_twin.bench.reporting.statistics import (
 
 @dataclass(frozen=True)
 class Comparison:
-    """A variant against the reference of its scene and scope, run by run of one seed each.
+    """A variant against the reference of its scene and scope, paired by seed.
 
     Attributes:
-        scene, scope, variant, reference: What is compared.
-        pairs: Seeds that both have.
-        success: Share of successes less that of the reference.
-        success_p: McNemar's exact test that both are equally often successful.
-        views: Views over the reference's, median of the pairs.
-        views_p: Wilcoxon's signed-rank test that they take equally many.
-        time: Robot's time over the reference's, median of the pairs.
-        time_p: Wilcoxon's test that it is equal.
+        scene, scope, variant, reference: The compared runs.
+        pairs: Number of seeds that both have.
+        success: Success rate minus that of the reference.
+        success_p: p value of McNemar's exact test on success.
+        views: Ratio of views to the reference, median of the pairs.
+        views_p: p value of Wilcoxon's signed-rank test on views.
+        time: Ratio of the robot's time to the reference, median of the pairs.
+        time_p: p value of Wilcoxon's signed-rank test on time.
     """
 
     scene: str
@@ -48,8 +48,8 @@ class Regret:
     """A variant against the oracle of its scene, on equal seeds and at equal coverage.
 
     Attributes:
-        scene, variant, oracle: What is compared.
-        regret: Views over the oracle's, both up to the lower of the two final coverages.
+        scene, variant, oracle: The compared runs.
+        regret: Ratio of views to the oracle, both up to the lower of the two final coverages.
     """
 
     scene: str
@@ -63,11 +63,11 @@ Runs = dict[str, dict[int, Record]]
 
 
 def compare_variants(records: Iterable[Record]) -> list[Comparison]:
-    """Return each variant against the best of its scene and scope.
+    """Return each variant against the best variant of its scene and scope.
 
-    Scopes are not mixed: who registers all that is seen solves an easier task than who registers
-    the target alone. The best has the most successes, and of equals the fewest views; oracles know
-    the truth and are no reference.
+    Scopes are not mixed: to register whole sweeps is an easier task than to register the target
+    alone. The best variant has the highest success rate and, among equals, the fewest views;
+    oracles know the truth and are no reference.
     """
     found = []
     for (scene, scope), runs in _group_runs(records, lambda r: (r.scene, r.scope)).items():
@@ -95,7 +95,7 @@ def compare_with_oracle(records: Iterable[Record]) -> list[Regret]:
 
 
 def views_to(record: Record, coverage: float) -> int | None:
-    """Return after how many views ``coverage`` was reached; None if never."""
+    """Return the number of views up to ``coverage``; None if it was never reached."""
     reached = [step.view + 1 for step in record.steps if (step.coverage or 0.0) >= coverage]
     return min(reached, default=None)
 
@@ -147,7 +147,7 @@ def _compare(
 
 
 def _regret(record: Record, oracle: Record) -> float:
-    """Return the ratio of views to the lower of both final coverages; NaN if one saw nothing."""
+    """Return the ratio of views up to the lower final coverage; NaN if one covered nothing."""
     coverage = min(record.coverage, oracle.coverage)
     mine, least = views_to(record, coverage), views_to(oracle, coverage)
     if coverage <= 0 or mine is None or least is None:

@@ -20,17 +20,17 @@ from scan3d_twin.bench.reporting.statistics import (
 )
 
 CURVE_POINTS = 40
-"""Places along an axis at which curves of runs are read."""
+"""Number of points along an axis at which curves are sampled."""
 Cells = list[list[str | float | int | None]]
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture, what it shows in words and in numbers.
+    """A figure with its caption and its numbers.
 
     Attributes:
-        name: Of its files.
-        caption: Below it.
+        name: Name of its files.
+        caption: Text below it.
         svg: The picture.
         rows: Its numbers, with a heading.
     """
@@ -46,7 +46,7 @@ Group = dict[str, list[Record]]
 
 
 def draw_figures(records: Sequence[Record]) -> list[Figure]:
-    """Return figures 2 to 7 of all scenes; those without data are left out."""
+    """Return figures F2 to F7 of all scenes; figures without data are left out."""
     known = [record for record in records if record.status != "lost"]
     paint = assign_colours(sorted({record.variant for record in known}))
     found: list[Figure | None] = []
@@ -64,7 +64,7 @@ def draw_figures(records: Sequence[Record]) -> list[Figure]:
 
 
 def draw_pareto(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
-    """F2: views against the worst error, a dot a run."""
+    """F2: number of views against the worst registration error, one dot per run."""
     shown = [r for runs in group.values() for r in runs if r.max_error]
     if not shown:
         return None
@@ -84,7 +84,7 @@ def draw_pareto(scene: str, group: Group, paint: dict[str, str]) -> Figure | Non
 
 @dataclass(frozen=True)
 class CoverageAxis:
-    """What coverage is plotted over."""
+    """An axis over which coverage is plotted: its name, label and value at a step."""
 
     name: str
     label: str
@@ -101,7 +101,7 @@ COVERAGE_AXES = (
 def draw_coverage(
     scene: str, group: Group, paint: dict[str, str], along: CoverageAxis
 ) -> Figure | None:
-    """F3: coverage over views, metres or seconds: medians and their intervals."""
+    """F3: coverage over views, metres or seconds, as medians with their intervals."""
     steps = [step for runs in group.values() for run in runs for step in run.steps]
     if not steps:
         return None
@@ -125,12 +125,12 @@ def draw_coverage(
 
 
 def _covered(run: Record, along: CoverageAxis, at: float) -> float:
-    """Return what ``run`` had covered by ``at``."""
+    """Return the coverage of ``run`` at ``at`` on the axis ``along``."""
     return max((s.coverage or 0.0 for s in run.steps if along.of(s) <= at), default=0.0)
 
 
 def draw_calibration(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
-    """F4: predicted against realised error, a dot a registration."""
+    """F4: predicted against realised error, one dot per registration."""
     shown = [
         (v, r, s) for v, runs in group.items() for r in runs for s in r.steps if _has_both_errors(s)
     ]
@@ -160,9 +160,10 @@ def _has_both_errors(step: Step) -> bool:
 
 
 def steps_of(run: Record) -> list[tuple[float, float, float | None, float | None]]:
-    """Return for each step of ``run``: way from the first viewpoint [m], length [m], eta, feature.
+    """Return position [m], length [m], eta and feature score of each step of ``run``.
 
-    The way is along the viewpoints; the feature score is that of the surface before the step.
+    The position is the distance from the first viewpoint along all viewpoints; the feature score is
+    that of the surface before the step.
     """
     rows, way = [], 0.0
     for a, b in zip(run.steps, run.steps[1:], strict=False):
@@ -173,7 +174,7 @@ def steps_of(run: Record) -> list[tuple[float, float, float | None, float | None
 
 
 def draw_overlaps(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
-    """F5a: the chosen overlap along the way round the target."""
+    """F5a: the chosen overlap along the path round the target."""
     steps = {v: [s for r in runs for s in steps_of(r) if s[2] is not None]
              for v, runs in group.items()}  # fmt: skip
     steps = {v: rows for v, rows in steps.items() if len({eta for _, _, eta, _ in rows}) > 1}
@@ -198,7 +199,7 @@ def draw_overlaps(scene: str, group: Group, paint: dict[str, str]) -> Figure | N
 
 
 def draw_features(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
-    """F5b: length of the steps against the features before them (the paper's claim)."""
+    """F5b: length of a step against the feature score before it (the paper's claim)."""
     steps = {v: [s for r in runs for s in steps_of(r) if s[3] is not None]
              for v, runs in group.items()}  # fmt: skip
     steps = {v: rows for v, rows in steps.items() if rows}
@@ -225,7 +226,7 @@ def draw_features(scene: str, group: Group, paint: dict[str, str]) -> Figure | N
 def _test_claim(
     found: list[tuple[float, float, float | None, float | None]], runs: list[Record]
 ) -> tuple[float, float, float, float]:
-    """Return Spearman's rho and its p, and how much longer O3-O4 is than O1-O2 [m], and its p."""
+    """Return Spearman's rho and its p, the mean of O3-O4 minus O1-O2 [m], and its p."""
     lengths, scores = [s[1] for s in found], [s[3] or 0.0 for s in found]
     constant = len(set(lengths)) < 2 or len(set(scores)) < 2 or len(found) < 3
     rho, p = (math.nan, math.nan) if constant else spearmanr(lengths, scores)
@@ -236,7 +237,7 @@ def _test_claim(
 
 
 def draw_success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
-    """F6: success over the assumed translation error, where runs differ in it."""
+    """F6: success rate over the assumed translation error, where runs differ in it."""
     curves: dict[tuple[str, str, str], dict[float, list[Record]]] = {}
     for record in (r for runs in group.values() for r in runs):
         key = record.planner, record.preset, record.scope
@@ -263,7 +264,7 @@ def draw_success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> F
 
 
 def draw_success_bars(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
-    """F7: success of all variants side by side."""
+    """F7: success rate of all variants side by side."""
     if len(group) < 2:
         return None
     x = Axis("", 0.0, float(len(group)))
@@ -279,7 +280,7 @@ def draw_success_bars(scene: str, group: Group, paint: dict[str, str]) -> Figure
 
 
 def _running_median(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return medians of about a tenth of ``points`` each, along x."""
+    """Return the medians of up to ten consecutive parts of ``points``, along x."""
     ordered = sorted(points)
     parts = np.array_split(np.array(ordered), min(10, max(1, len(ordered) // 5)))
     return [(float(np.median(part[:, 0])), float(np.median(part[:, 1]))) for part in parts]

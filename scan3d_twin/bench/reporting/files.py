@@ -23,10 +23,10 @@ def write_report(records: Sequence[Record], title: str, pictures: Path, out: Pat
     """Write the report of ``records`` into the folder ``out`` and return the page.
 
     Args:
-        records: Of one experiment.
-        title: Its name.
-        pictures: Folder of the bench, where top views may be.
-        out: Its files of the same names are written over.
+        records: Records of one experiment.
+        title: Name of the experiment.
+        pictures: Folder of the bench, which may hold top views.
+        out: Folder of the report; files of the same names are replaced.
 
     Raises:
         FileError: The folder cannot be written.
@@ -82,7 +82,7 @@ def _summary_rows(rows: Sequence[SummaryRow]) -> Cells:
 
 
 def _step_rows(records: Sequence[Record]) -> Cells:
-    """Return a row per view of all runs."""
+    """Return one row per view of all runs, with a heading."""
     names = [field.name for field in fields(Step)]
     cells: Cells = [["scene", "variant", "seed", *names]]
     for record in records:
@@ -92,7 +92,7 @@ def _step_rows(records: Sequence[Record]) -> Cells:
 
 
 def _pictures(records: Sequence[Record], folder: Path) -> dict[str, bytes]:
-    """Return the stored top views by caption; the presets' own variants first."""
+    """Return the stored top views by caption; variants named after a preset come first."""
     found: dict[str, bytes] = {}
     ordered = sorted(records, key=lambda r: (r.variant != r.preset, r.scene, r.variant, r.seed))
     for record in ordered if (folder / PICTURES_FOLDER).is_dir() else ():

@@ -1,4 +1,4 @@
-"""Every figure of an experiment, once: what it is, its unit, and how records make it."""
+"""The measures of an experiment: name, unit, meaning, and how they follow from records."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from scan3d_twin.bench.reporting.statistics import (
 
 @dataclass(frozen=True)
 class Measure:
-    """A figure of several runs.
+    """A measure over several runs.
 
     Attributes:
-        name: With its unit, for programs.
-        title: For people.
-        form: How a value is written.
-        of: Makes it from runs of one scene and variant.
-        meaning: In a sentence.
+        name: Name with its unit, for programs.
+        title: Title for readers.
+        form: Format of a value.
+        of: Computes it from the runs of one scene and variant.
+        meaning: Its meaning in a sentence.
     """
 
     name: str
@@ -40,14 +40,14 @@ class Measure:
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """The figures of one scene and variant.
+    """The measures of one scene and variant.
 
     Attributes:
-        scene, variant, scope: Which.
-        runs: How many were begun, whatever came of them.
-        failed: Of them, ended by an error of the scan.
-        lost: Of them, without a result because their worker was lost; in no figure.
-        figures: By the name of the measure.
+        scene, variant, scope: The group of runs.
+        runs: Number of runs, including failed and lost ones.
+        failed: Number of runs that an error of the scan ended.
+        lost: Number of runs whose worker was lost; they enter no measure.
+        figures: Estimates by the name of the measure.
     """
 
     scene: str
@@ -60,7 +60,7 @@ class SummaryRow:
 
 
 def summarise(records: Iterable[Record]) -> list[SummaryRow]:
-    """Return a row per scene and variant."""
+    """Return one row per scene and variant."""
     return [_row(list(group)) for _, group in groupby(sorted(records, key=_place), key=_group)]
 
 
@@ -134,7 +134,7 @@ MEASURES: tuple[Measure, ...] = (
         "success",
         "{:.0%}",
         _share(lambda r: r.success),
-        "Runs with at least two views of which every registration error is at most epsilon.",
+        "Runs with at least two views in which every registration error is at most epsilon.",
     ),
     Measure(
         "complete",
@@ -191,11 +191,11 @@ MEASURES: tuple[Measure, ...] = (
         "Processor time of a decision: the median of a run's, and of the runs.",
     ),
 )
-"""In the order of the table."""
+"""All measures, in the order of the table."""
 
 
 def format_table(rows: Sequence[SummaryRow]) -> list[list[str]]:
-    """Return the table as cells, with its heading: values, and intervals in brackets."""
+    """Return the table as text cells with a heading: values, and intervals in brackets."""
     heading = ["scene", "variant", "runs", *(measure.title for measure in MEASURES)]
     return [heading, *([*_names(row), *(_cell(row, m) for m in MEASURES)] for row in rows)]
 
@@ -210,7 +210,7 @@ def _cell(row: SummaryRow, measure: Measure) -> str:
 
 
 def format_estimate(estimate: Estimate, form: str) -> str:
-    """Return a value and its interval as people read them."""
+    """Return a value with its interval in brackets; a dash without runs."""
     if estimate.n == 0:
         return "-"
     low, high = form.format(estimate.low), form.format(estimate.high)
@@ -218,7 +218,7 @@ def format_estimate(estimate: Estimate, form: str) -> str:
 
 
 def rows_as_dicts(rows: Sequence[SummaryRow]) -> list[dict[str, Any]]:
-    """Return the rows for programs: each figure as value, low, high and n."""
+    """Return the rows as dicts: each measure as value, low, high and n."""
     return [
         {
             "scene": row.scene,

@@ -1,4 +1,4 @@
-"""The report of an experiment as one HTML page that needs nothing else."""
+"""The report of an experiment as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scan3d_twin.bench.reporting.figures import Cells, Figure
 from scan3d_twin.bench.reporting.measures import MEASURES, SummaryRow, format_estimate, format_table
 
 MAX_PICTURES = 12
-"""Top views on the page; each may have 2 MB. The others stay in their folder."""
+"""Most top views on the page, each up to 2 MB; the others stay in their folder."""
 
 
 def render_page(
@@ -31,11 +31,11 @@ def render_page(
 
     Args:
         title: Name of the experiment.
-        records: All of them.
-        rows: The table.
-        comparisons: Within each scope.
-        regrets: Against the oracle.
-        figures: In order, by scene.
+        records: All records.
+        rows: Rows of the table of measures.
+        comparisons: Comparisons within each scope.
+        regrets: Comparisons with the oracle.
+        figures: All figures.
         pictures: Top views as SVG, by caption.
     """
     parts = [
@@ -76,7 +76,7 @@ def comparison_cells(comparisons: Iterable[Comparison]) -> Cells:
 
 
 def _facts(records: Sequence[Record]) -> list[str]:
-    """Return where the numbers come from."""
+    """Return the provenance of the numbers: runs, seeds, processor hours, versions."""
     codes = sorted({record.code for record in records if record.code})
     versions = sorted({record.version for record in records})
     hours = sum(record.cpu or 0.0 for record in records) / 3600
@@ -104,7 +104,7 @@ def _table(cells: Sequence[Sequence[str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a cell with its interval, if it has one, below the value."""
+    """Return a table cell, its interval, if any, below the value."""
     value, bracket, interval = text.partition(" [")
     below = f"<br><small>{escape(bracket[1:] + interval)}</small>" if bracket else ""
     return f"<td>{escape(value)}{below}</td>"
@@ -156,7 +156,7 @@ def _regrets(regrets: Sequence[Regret]) -> list[str]:
         "<h2>Against the oracle</h2>",
         _table(cells),
         "<p class=facts>Views up to the lower of both final coverages, seed by seed. The oracle "
-        "knows the surface and places the fewest views that overlap as it is told.</p>",
+        "knows the surface and places the fewest views that overlap as required.</p>",
     ]
 
 
@@ -196,7 +196,7 @@ def _figures(figures: Sequence[Figure]) -> list[str]:
 _TITLES = {
     "F2": "views and errors",
     "F3": "coverage",
-    "F4": "what was predicted and what came",
+    "F4": "predicted and realised errors",
     "F5": "overlaps and features",
     "F6": "the error the planner assumes",
     "F7": "variants side by side",

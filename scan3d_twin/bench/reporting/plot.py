@@ -11,7 +11,7 @@ from scan3d_twin.bench.reporting.statistics import Estimate
 from scan3d_twin.recording.colours import VIEW_COLOURS
 
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 34.0, 46.0
-"""Room round the plot, in the picture's own units."""
+"""Margins of the plot [units of the picture]."""
 LEGEND_LINE = 18.0
 STYLE = """
 .pl { font: 12px system-ui, "Helvetica Neue", Arial, sans-serif; background: #ffffff; }
@@ -26,7 +26,7 @@ STYLE = """
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """An axis from ``low`` to ``high``; ``form`` writes a tick."""
+    """An axis from ``low`` to ``high``; ``form`` formats a tick label."""
 
     label: str
     low: float
@@ -35,7 +35,7 @@ class Axis:
     form: str = "{:g}"
 
     def share(self, value: float) -> float:
-        """Return where ``value`` lies, 0..1; what lies outside is put on the edge."""
+        """Return the position of ``value`` along the axis, clipped to 0..1."""
         if self.log:
             low, high = math.log(self.low), math.log(self.high)
             value = math.log(max(value, self.low))
@@ -57,7 +57,7 @@ class Axis:
 
 
 def axis_over(label: str, values: Iterable[float], *, log: bool = False) -> Axis:
-    """Return an axis that holds all finite ``values`` and a little more."""
+    """Return an axis that spans all finite ``values`` with a margin."""
     known = [value for value in values if math.isfinite(value) and (value > 0 or not log)]
     if not known:
         return Axis(label, 1.0, 10.0, log) if log else Axis(label, 0.0, 1.0)
@@ -76,14 +76,14 @@ def share_axis(label: str) -> Axis:
 
 @dataclass
 class Plot:
-    """A picture that grows by its methods.
+    """A plot to which dots, lines, bands and bars are added.
 
     Attributes:
-        title: Above it.
+        title: Text above it.
         x: Horizontal axis.
         y: Vertical axis.
-        width: In the picture's own units.
-        height: Without the legend.
+        width: Width [units of the picture].
+        height: Height without the legend [units of the picture].
     """
 
     title: str
@@ -95,17 +95,17 @@ class Plot:
     _legend: list[tuple[str, str]] = field(default_factory=list)
 
     def place(self, x: float, y: float) -> tuple[float, float]:
-        """Return where (x, y) lies in the picture."""
+        """Return the position of (x, y) in the picture."""
         wide, high = self.width - LEFT - RIGHT, self.height - TOP - BOTTOM
         return LEFT + wide * self.x.share(x), self.height - BOTTOM - high * self.y.share(y)
 
     def name(self, label: str, colour: str) -> None:
-        """Add a line to the legend."""
+        """Add an entry to the legend."""
         if (label, colour) not in self._legend:
             self._legend.append((label, colour))
 
     def dots(self, points: Iterable[tuple[float, float]], colour: str, size: float = 3.0) -> None:
-        """Draw a dot at each of ``points`` that is finite."""
+        """Draw a dot at each finite one of ``points``."""
         for x, y in points:
             if math.isfinite(x) and math.isfinite(y):
                 px, py = self.place(x, y)
@@ -165,7 +165,7 @@ class Plot:
         self._parts.append(f'<path class="limit" d="M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}"/>')
 
     def svg(self) -> str:
-        """Return the picture as an SVG document that a page can hold too."""
+        """Return the plot as an SVG document that can also be embedded in a page."""
         total = self.height + LEGEND_LINE * math.ceil(len(self._legend) / 2)
         return "\n".join(
             [

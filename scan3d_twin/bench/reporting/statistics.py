@@ -1,4 +1,4 @@
-"""Rates and medians with their intervals: 95 % throughout."""
+"""Rates, medians and paired tests; all intervals are 95 % confidence intervals."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from scipy.stats import binomtest, wilcoxon
 
 Z_95 = 1.959964
-"""Of the standard normal distribution: 95 % lie within."""
+"""Two-sided 95 % quantile of the standard normal distribution."""
 BOOTSTRAP_DRAWS = 2000
-"""Bootstrap samples; the ends of the interval then move by a few percent of its width."""
+"""Bootstrap samples; the ends of an interval then vary by a few percent of its width."""
 BOOTSTRAP_SEED = 0
-"""Of the bootstrap: the same records give the same intervals."""
+"""Seed of the bootstrap: the same records give the same intervals."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number with its 95 % interval, from ``n`` runs; all NaN without any."""
+    """A value with its 95 % interval, from ``n`` runs; all NaN without runs."""
 
     value: float
     low: float
@@ -54,9 +54,10 @@ def estimate_median(values: Sequence[float]) -> Estimate:
 
 
 def estimate_clustered_rate(groups: Sequence[Sequence[bool]]) -> Estimate:
-    """Return the share of True over all ``groups``; the interval draws whole groups.
+    """Return the share of True over all ``groups``, with a cluster bootstrap interval.
 
-    The steps of one run share a robot and its errors: they are not independent.
+    The bootstrap draws whole groups, because the steps of one run share a robot and its errors and
+    are not independent.
     """
     filled = [group for group in groups if group]
     if not filled:
@@ -72,7 +73,7 @@ def estimate_clustered_rate(groups: Sequence[Sequence[bool]]) -> Estimate:
 
 
 def wilcoxon_p(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the p value of Wilcoxon's signed-rank test that pairs do not differ; 1 if none do."""
+    """Return the p value of Wilcoxon's signed-rank test on pairs; 1 if no pair differs."""
     difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
     if len(difference) == 0 or not np.any(difference):
         return 1.0
@@ -80,7 +81,7 @@ def wilcoxon_p(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def mcnemar_p(a: Sequence[bool], b: Sequence[bool]) -> float:
-    """Return the p value of McNemar's exact test that two success rates do not differ."""
+    """Return the p value of McNemar's exact test on paired successes; 1 if no pair differs."""
     only_a = sum(x and not y for x, y in zip(a, b, strict=True))
     only_b = sum(y and not x for x, y in zip(a, b, strict=True))
     if only_a + only_b == 0:

@@ -1,4 +1,4 @@
-"""ASTM E57 through pye57: every view a scan with its pose, in one file."""
+"""ASTM E57 through pye57: one file with a scan and a pose per view."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.piece import Piece
 
 COORDINATE_STEP = 1e-4
-"""Least difference between two coordinates [m]: a fiftieth of the lidar's noise."""
+"""Resolution of the coordinates [m]: a fiftieth of the lidar's noise."""
 
 
 def encode_las(piece: Piece) -> bytes:

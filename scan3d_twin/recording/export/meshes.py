@@ -20,16 +20,16 @@ MESH_FORMATS = ("glb", "obj", "ply", "stl")
 OCTREE_DEPTH = 8
 """Depth of the octree: 256 cells along 2 m are 8 mm, the spacing of the readings."""
 MAX_POISSON_DISTANCE = 0.015
-"""Poisson closes every hole; surface farther than this from any point is invented [m]: readings
-are 9 mm apart at 1 m, so that no place among them is."""
+"""Poisson reconstruction closes every hole; surface farther than this from any point is cut away
+[m]. Readings are 9 mm apart at 1 m, so that scanned surface is nearer."""
 GREY = (150, 150, 150)
-"""Of a vertex that came from all views."""
+"""Colour of a vertex that belongs to no single view."""
 
 
 def write_mesh(mesh: Mesh, name: str, path: Path) -> None:
     """Write ``mesh`` in the format ``name`` to ``path``; its vertices have the views' colours.
 
-    In metres, z up; glTF (glb) has y up, as it must.
+    In metres, z up; in glTF (glb) y is up, by definition of the format.
 
     Raises:
         UnknownNameError: There is no such format.
@@ -53,7 +53,7 @@ def write_mesh(mesh: Mesh, name: str, path: Path) -> None:
 def reconstruct_poisson(model: Model) -> Mesh:
     """Return the surface through ``model`` by Kazhdan and Hoppe's screened Poisson method (2013).
 
-    What it invents across holes is cut away again.
+    Surface that the method extrapolates across holes is cut away.
 
     Raises:
         ConfigError: Open3D is missing or cannot be loaded.

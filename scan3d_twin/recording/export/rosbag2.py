@@ -32,13 +32,13 @@ LATCHED = Qos(
     _FOREVER,
     avoid_ros_namespace_conventions=False,
 )
-"""So that who listens late gets the fixed transforms too."""
+"""Quality of service of the static transforms: late subscribers receive them too."""
 
 
 def write(session_file: Path, path: Path) -> int:
-    """Write the messages of ``session_file`` as the rosbag2 folder ``path``; return how many.
+    """Write the messages of ``session_file`` as the rosbag2 folder ``path``; return their number.
 
-    They are copied as they are: scan lines, odometry, transforms, clouds, plans, registrations.
+    Scan lines, odometry, transforms, clouds, plans and registrations are copied unchanged.
 
     Raises:
         FileError: The folder exists, or cannot be written.
@@ -77,7 +77,7 @@ def _copy(session_file: Path, folder: Path) -> int:
 
 
 def _rename_inside(folder: Path, name: str) -> None:
-    """Give the data file the final folder's name, as rosbag2 does, and tell the metadata."""
+    """Name the data file after the final folder, as rosbag2 does, here and in the metadata."""
     metadata = folder / "metadata.yaml"
     (data,) = folder.glob("*.mcap")
     final = folder / f"{name}.mcap"

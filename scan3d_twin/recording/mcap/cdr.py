@@ -1,8 +1,7 @@
-"""The messages that come many times a second, encoded by hand.
+"""Fast CDR encoders of the messages that come many times a second.
 
-Each has a fixed layout, so that a struct does in a tenth of the time what takes an object per part
-and a general encoder. The bytes are those of rosbags: CDR, little endian, every number aligned to
-its size.
+Each has a fixed layout, so that one struct takes a tenth of the time of rosbags' general encoder
+and its objects. The bytes are the same: CDR, little endian, every number aligned to its size.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from scan3d_twin.recording.mcap.ros_messages import Message, split_stamp, yaw_qu
 
 _CDR = b"\x00\x01\x00\x00"
 _POSE = "2d 24x 2d"
-"""Of a plane: x and y, then z and w of the quaternion."""
+"""Planar pose: x and y, then z and w of the quaternion."""
 _TWIST = "d 32x d"
-"""Of a base: along x and about z."""
+"""Planar twist: speed along x and turn rate about z."""
 _COVARIANCE = "2d 24x d 2d 24x d 144x 2d 24x d"
-"""The rows of x, y and yaw of six."""
+"""Planar covariance: rows and columns of x, y and yaw in a (6, 6) matrix."""
 
 _ODOMETRY = Struct(f"<4s iI 12s 12s {_POSE} {_COVARIANCE} {_TWIST} 288x")
 _COMMAND = Struct(f"<4s iI 16s {_TWIST}")
@@ -32,7 +31,7 @@ _COUNT = Struct("<I")
 
 
 def _text(text: str) -> bytes:
-    """Return ``text`` with its length; the struct pads it to what the next number asks for."""
+    """Return ``text`` with its length; the struct pads it to the alignment of the next number."""
     return _COUNT.pack(len(text) + 1) + text.encode() + b"\0"
 
 
@@ -40,7 +39,7 @@ _WORLD, _ODOM, _BASE, _LASER = map(_text, ("world", "odom", "base", "laser"))
 
 
 def encode_odometry(sample: Odometry, before: Odometry | None) -> Message:
-    """Return a sample of the odometry, with the velocity since the one ``before``."""
+    """Return an odometry sample, with the mean velocity since the one ``before``."""
     pose = sample.T_odom_base
     data = _ODOMETRY.pack(
         _CDR,
@@ -66,13 +65,13 @@ def _velocity(sample: Odometry, before: Odometry | None) -> tuple[float, float]:
 
 
 def encode_command(stamp: float, linear: float, angular: float) -> Message:
-    """Return a velocity [m/s], [rad/s] that was sent to the base."""
+    """Return a velocity command [m/s, rad/s] that was sent to the base."""
     data = _COMMAND.pack(_CDR, *split_stamp(stamp), _BASE, linear, angular)
     return Message("geometry_msgs/msg/TwistStamped", data)
 
 
 def encode_frames(stamp: float, T_world_odom: Pose2, T_odom_base: Pose2) -> Message:
-    """Return where the odometry's frame lies in the world, and the base in that."""
+    """Return the transforms from ``world`` to ``odom`` and from ``odom`` to ``base``."""
     time, (outer, inner) = split_stamp(stamp), (T_world_odom, T_odom_base)
     data = _FRAMES.pack(
         _CDR,

@@ -1,4 +1,4 @@
-"""Reading MCAP files that end anywhere: after their index, or where a run was killed."""
+"""Reads MCAP files, complete or cut off where a run was killed (recovery)."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from scan3d_twin.core.errors import FileError
 
 _MAGIC = b"\x89MCAP0\r\n"
 _READ_ERRORS = (McapError, CRCValidationError, ZstdError, struct.error, ValueError, KeyError)
-"""What a reader runs into where a disk has lost a part of the file."""
+"""Errors of a reader where a part of the file is lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A message as it lies in a file.
+    """An encoded message in a file.
 
     Attributes:
-        topic: Where it was published.
+        topic: Its topic.
         name: Its type.
-        latched: Whether late listeners need it too.
-        nanoseconds: When, on the robot's clock [ns].
-        data: Encoded.
+        latched: Whether late subscribers need it too.
+        nanoseconds: Its stamp on the robot's clock [ns].
+        data: The message as CDR.
     """
 
     topic: str
@@ -46,10 +46,10 @@ class RawMessage:
 
 
 def is_finished(path: Path) -> bool:
-    """Tell whether the file at ``path`` ends as a finished one does.
+    """Return whether the file at ``path`` is complete, by its last bytes.
 
     Raises:
-        FileError: It cannot be read, or is no MCAP file.
+        FileError: The file cannot be read, or is no MCAP file.
     """
     try:
         with path.open("rb") as stream:
@@ -63,10 +63,10 @@ def is_finished(path: Path) -> bool:
 
 
 def is_sound(path: Path) -> bool:
-    """Tell whether every message of the finished file at ``path`` can be read.
+    """Return whether every message of the complete file at ``path`` can be read.
 
     Raises:
-        FileError: It cannot be opened.
+        FileError: The file cannot be opened.
     """
     try:
         with path.open("rb") as stream:
@@ -80,7 +80,7 @@ def is_sound(path: Path) -> bool:
 
 
 def is_written(path: Path) -> bool:
-    """Tell whether a run that is still going on writes to the file at ``path``."""
+    """Return whether a running program is writing to the file at ``path``."""
     try:
         with path.open("rb") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -92,12 +92,12 @@ def is_written(path: Path) -> bool:
 
 
 def read_contents(path: Path, *topics: str) -> Iterator[RawMessage | Metadata]:
-    """Yield metadata and messages, of ``topics`` or of all, in the order they were written in.
+    """Yield metadata and messages, of ``topics`` or of all, in the order of writing.
 
-    An unfinished file is read up to its last good byte.
+    An unfinished file is read up to its last complete record.
 
     Raises:
-        FileError: It cannot be read, or is no MCAP file, or a finished one is damaged.
+        FileError: The file cannot be read, is no MCAP file, or is complete but damaged.
     """
     finished = is_finished(path)
     try:
@@ -119,7 +119,7 @@ def _is_wanted(each: RawMessage | Metadata, topics: tuple[str, ...]) -> bool:
 
 
 def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[RawMessage | Metadata]:
-    """Yield by the index of a finished file."""
+    """Yield the content by the index of a complete file."""
     reader = make_reader(stream, validate_crcs=True)
     yield from reader.iter_metadata()
     for schema, channel, message in reader.iter_messages(topics, log_time_order=False):
@@ -128,7 +128,7 @@ def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[RawMessage 
 
 
 def _scanned(stream: IO[bytes]) -> Iterator[RawMessage | Metadata]:
-    """Yield from the start up to where the file is no longer sound."""
+    """Yield the content from the start up to the first damaged record."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     for record in _sound_records(stream):
@@ -149,7 +149,7 @@ def _delivered(schema: Schema, channel: Channel, message: Message) -> RawMessage
 
 
 def _sound_records(stream: IO[bytes]) -> Iterator[McapRecord]:
-    """Yield what chunks hold, and metadata, each only if all of it is there."""
+    """Yield the records of complete chunks, and complete metadata records."""
     size = stream.seek(0, os.SEEK_END)
     place = stream.seek(len(_MAGIC))
     while place + 9 <= size:

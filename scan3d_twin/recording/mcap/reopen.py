@@ -1,4 +1,4 @@
-"""Writing a new session file in place of an old one, which is kept beside it."""
+"""Replaces a session file by a new one to be written to, and keeps the old one as a backup."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from scan3d_twin.recording.session_log import MARK
 
 @dataclass(frozen=True)
 class Reopened:
-    """A session file that can be written to once more.
+    """A session file reopened for writing.
 
     Attributes:
-        file: Holds everything of the old one up to its last mark.
-        old: Where the old one was.
-        backup: Where it is now.
+        file: The new file, with the content of the old one up to its last mark.
+        old: Former path of the old file.
+        backup: Path of the old file now.
     """
 
     file: McapFile
@@ -33,24 +33,24 @@ class Reopened:
     backup: Path
 
     def take_back(self) -> None:
-        """Drop the new file and put the old one in its place again."""
+        """Delete the new file and restore the old one."""
         self.file.sink.close()
         self.file.sink.path.unlink(missing_ok=True)
         os.replace(self.backup, self.old)
 
 
 def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reopened:
-    """Begin a new unfinished session file with what the one at ``path`` holds.
+    """Begin a new unfinished session file with the content of the one at ``path``.
 
-    At every moment one of the two is in the folder as a whole.
+    At every moment one of the two is complete in the folder.
 
     Args:
-        path: Of the session file.
-        wall: Returns the time here [s]; only differences count.
-        whole: Also what comes after its last mark: the way towards a view that was not finished.
+        path: The session file.
+        wall: Returns the computer's time [s]; only differences count.
+        whole: Also copy what follows the last mark: the drive towards an unfinished view.
 
     Raises:
-        FileError: A run is writing to it, it cannot be read, or there is no room.
+        FileError: A run is writing to the file, it cannot be read, or the disk is full.
     """
     if is_written(path):
         raise FileError(f"{path} is being written by a run that goes on: stop that first")
@@ -74,11 +74,11 @@ def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reo
 
 
 def read_to_last_mark(path: Path, *topics: str) -> Iterator[RawMessage | Metadata]:
-    """Yield what belongs to a finished view or plan; not the way that led to no other one.
+    """Yield the content up to the last finished view or plan.
 
     Args:
-        path: Of the session file.
-        topics: Which messages besides the records; all if none is named.
+        path: The session file.
+        topics: Topics to yield besides the records; all if none is named.
     """
     pending: list[RawMessage | Metadata] = []
     for each in read_contents(path, *(topics and (*topics, RECORDS))):
@@ -89,7 +89,7 @@ def read_to_last_mark(path: Path, *topics: str) -> Iterator[RawMessage | Metadat
 
 
 def is_mark(each: RawMessage | Metadata) -> bool:
-    """Tell whether all that was recorded before ``each`` belongs together."""
+    """Return whether ``each`` is a mark: the state recorded before it is consistent."""
     if isinstance(each, Metadata) or each.topic != RECORDS:
         return False
     kind: str = ros.typestore().deserialize_cdr(each.data, each.name).kind
@@ -97,7 +97,7 @@ def is_mark(each: RawMessage | Metadata) -> bool:
 
 
 def copy_record(each: RawMessage | Metadata, file: McapFile) -> None:
-    """Write what was read from one file to another."""
+    """Write a record of one file to another ``file``, unchanged."""
     if isinstance(each, Metadata):
         file.metadata(each.name, each.metadata)
     else:
@@ -105,10 +105,10 @@ def copy_record(each: RawMessage | Metadata, file: McapFile) -> None:
 
 
 def back_up(path: Path) -> Path:
-    """Give the file at ``path`` a second name, ``session.1.mcap`` or the next free one; return it.
+    """Link the file at ``path`` as ``session.1.mcap`` or the next free name; return that path.
 
     Raises:
-        FileError: It cannot be.
+        FileError: The backup cannot be written.
     """
     stem, rest = path.name.split(".", 1)
     number = 1
@@ -125,10 +125,10 @@ def back_up(path: Path) -> Path:
 
 
 def find_latest_backup(folder: Path) -> Path:
-    """Return the file that the session in ``folder`` was made from last.
+    """Return the latest backup of the session in ``folder``.
 
     Raises:
-        FileError: There is none.
+        FileError: There is no backup.
     """
     found: dict[int, Path] = {}
     for path in folder.glob("session.*.mcap*"):

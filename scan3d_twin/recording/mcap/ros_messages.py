@@ -1,4 +1,4 @@
-"""What is recorded as ROS 2 messages, so that the tools of that world open a session unchanged.
+"""Encodes what a run records as ROS 2 messages, so that ROS tools open a session file directly.
 
 Frames (as REP 105): ``world`` > ``odom`` > ``base`` > ``laser``. Frame ``laser`` is the lidar's,
 turned so that its beams lie in the x-y plane, as ``sensor_msgs/LaserScan`` has it. Time is the
@@ -82,7 +82,7 @@ class Message(NamedTuple):
 
     Attributes:
         kind: Its type, such as ``std_msgs/msg/Header``.
-        data: As CDR.
+        data: The message as CDR.
     """
 
     kind: str
@@ -91,7 +91,7 @@ class Message(NamedTuple):
 
 @cache
 def typestore() -> Any:
-    """Return the messages of ROS 2 and our own."""
+    """Return the message types of ROS 2 and our own."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in OWN_TYPES.items():
         store.register(get_types_from_msg(text, name))
@@ -114,7 +114,7 @@ def split_stamp(stamp: float) -> tuple[int, int]:
 
 
 def make_time(stamp: float) -> Any:
-    """Return ``stamp`` [s] as ROS has it, to the nanosecond."""
+    """Return ``stamp`` [s] as a ROS time, to the nanosecond."""
     seconds, rest = split_stamp(stamp)
     return make_message("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
 
@@ -125,7 +125,7 @@ def make_header(stamp: float, frame: str) -> Any:
 
 
 def encode_mount(T_base_lidar: FloatArray) -> Message:
-    """Return where the lidar sits on the base, as a transform that never changes."""
+    """Return the lidar's extrinsics as a static transform from ``base`` to ``laser``."""
     T = T_base_lidar @ LASER_IN_LIDAR
     x, y, z, w = map(float, Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
     rotation = make_message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
@@ -157,7 +157,7 @@ def yaw_quaternion(yaw: float) -> tuple[float, float]:
 
 
 def encode_viewpoint(stamp: float, where: Pose2) -> Message:
-    """Return where the robot is to go next, in ``world``."""
+    """Return the next viewpoint in ``world``."""
     return encode(
         "geometry_msgs/msg/PoseStamped", header=make_header(stamp, "world"), pose=make_pose(where)
     )

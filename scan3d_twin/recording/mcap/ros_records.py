@@ -1,4 +1,4 @@
-"""What a run decided and said, as ROS 2 messages."""
+"""Encodes events, plans, registrations and session records as ROS 2 messages."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scan3d_twin.recording.exact_json import Packed
 from scan3d_twin.recording.mcap import ros_messages as ros
 
 INFO = 20
-"""Level of an ordinary ``rcl_interfaces/Log``."""
+"""Level INFO of ``rcl_interfaces/Log``."""
 
 
 def encode_log(stamp: float, text: str) -> ros.Message:
-    """Return an event in words."""
+    """Return an event as a log message."""
     return ros.encode(
         "rcl_interfaces/msg/Log",
         stamp=ros.make_time(stamp),
@@ -56,7 +56,7 @@ def _candidate(each: Candidate) -> Any:
 
 
 def encode_registration(stamp: float, index: int, result: RegistrationResult) -> ros.Message:
-    """Return how view ``index`` lies on the one before it."""
+    """Return the registration of view ``index`` on the one before it."""
     pose = ros.make_message(
         "geometry_msgs/msg/PoseWithCovariance",
         pose=ros.make_pose(Pose2.from_matrix(result.T_target_source)),
@@ -78,7 +78,7 @@ def encode_registration(stamp: float, index: int, result: RegistrationResult) ->
 
 
 def encode_record(stamp: float, kind: str, index: int, packed: Packed) -> ros.Message:
-    """Return a value that is to come back bit by bit."""
+    """Return a record of the session log, stored bit by bit."""
     text, blob = packed
     return ros.encode(
         "scan3d_twin_msgs/msg/Record",

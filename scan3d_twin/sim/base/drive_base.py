@@ -18,15 +18,15 @@ from scan3d_twin.sim.world import PREFIX, World
 __all__ = ["CREATE2", "MIN_HISTORY", "SimBase"]
 
 MIN_HISTORY = 20_000
-"""Odometry samples that are kept at least: 5 minutes."""
+"""Number of latest odometry samples that are always kept: 5 minutes."""
 FORGET_BATCH = 2_000
-"""So many older ones are forgotten at a time."""
+"""Number of older samples that are discarded at once."""
 
 
 class SimBase:
     """A ``DriveBase`` on the twin.
 
-    Sensor packets are taken in every 15 ms; they become odometry when somebody asks for it.
+    A sensor packet is sampled every 15 ms; odometry is computed from the packets on demand.
     """
 
     def __init__(
@@ -85,10 +85,11 @@ class SimBase:
         return self._feelers.wall()
 
     def service(self) -> None:
-        """Take in a sensor packet and move the wheel speeds towards the command.
+        """Sample a sensor packet and ramp the wheel speeds towards the command.
 
         Raises:
-            HazardError: A new hazard, or the robot drives on into an old one; the wheels stand.
+            HazardError: A hazard is new, or the robot drives on into an old one; the wheels are
+                stopped.
         """
         self._samples += 1
         self.next_step = self._due(self._samples + 1)
@@ -107,7 +108,7 @@ class SimBase:
         self._accelerate()
 
     def _reckon(self) -> None:
-        """Make odometry of the packets that came in since."""
+        """Compute odometry from the pending packets."""
         update = self._odometer.update
         self._history += [update(sample) for sample in self._pending]
         self._pending.clear()
@@ -128,7 +129,7 @@ class SimBase:
 
 
 def _blocking(before: Hazards, now: Hazards, target: tuple[float, float]) -> tuple[str, ...]:
-    """Return the hazards to stop for: new ones, and old ones if the robot drives on ahead."""
+    """Return the hazards to stop for: new ones, and old ones if the robot drives forward."""
     if now.battery <= 0:
         return (*now.active(), "battery empty")
     if now == before and sum(target) <= 0:

@@ -1,4 +1,4 @@
-"""What the base feels: bumpers, cliff and wall sensors, wheel drops, overcurrents, battery."""
+"""Safety sensors of the base: bumpers, cliffs, wall, wheel drops, overcurrents, battery."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ CLIFF_DISTANCE = 0.05
 WALL_DISTANCE = 0.10
 """Distance beside the wall sensor that counts as a wall [m]; assumption."""
 STALL_SHARE = 0.1
-"""Share of the commanded speed below which a wheel stands; assumption."""
+"""Share of the commanded speed below which a wheel counts as stalled; assumption."""
 STALL_TIME = 0.3
-"""Time a wheel must stand although it is driven, before its overcurrent shows [s]; assumption."""
+"""Time for which a driven wheel must be stalled before its overcurrent shows [s]; assumption."""
 
 BATTERY_CAPACITY = 2700
-"""Of the battery [mAh]; NiMH pack of the Create 2."""
+"""Capacity of the battery [mAh]; NiMH pack of the Create 2."""
 
 _FLAGS = tuple(field.name for field in fields(Hazards) if field.name != "battery")
 _SIDES = ("left", "right")
@@ -38,7 +38,7 @@ _DOWN, _GEOM = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
 
 
 class SafetySensors:
-    """The sensors of one base in its world."""
+    """The safety sensors of one base in its world."""
 
     def __init__(self, world: World, period: float, battery_life: float) -> None:
         self._world = world
@@ -59,7 +59,7 @@ class SafetySensors:
         self._calm = Hazards()
 
     def hazards(self, driven: tuple[float, float]) -> Hazards:
-        """Return the hazards now; ``driven`` is the wheels' commanded speed [rad/s]."""
+        """Return the present hazards; ``driven`` is the wheels' commanded speed [rad/s]."""
         qpos = self._world.data.qpos
         bumps = [self._bumped(side, force) for side, force in enumerate(self._forces.tolist())]
         cliffs = [self._over_cliff(site) for site in self._cliffs]
@@ -80,7 +80,7 @@ class SafetySensors:
         return max(0.0, math.ceil(left * BATTERY_CAPACITY) / BATTERY_CAPACITY)
 
     def wall(self) -> bool:
-        """Return whether the wall sensor, which looks right, sees a wall."""
+        """Return whether the wall sensor, which points right, sees a wall."""
         beam = np.array(self._wall.xmat.reshape(3, 3)[:, 2])
         return 0 <= self._distance(self._wall.xpos, beam) <= WALL_DISTANCE
 
@@ -93,7 +93,7 @@ class SafetySensors:
         return math.dist(pressed_at[:2], self._place[:2]) < BUMPER_TRAVEL
 
     def _stalls(self, side: int, driven: float) -> bool:
-        """Return whether a wheel has stood still although it is driven."""
+        """Return whether a driven wheel has been stalled for longer than ``STALL_TIME``."""
         if driven and abs(self._world.data.qvel.item(self._wheels[side])) < STALL_SHARE * abs(
             driven
         ):
@@ -112,16 +112,16 @@ class SafetySensors:
     def _distance(self, point: FloatArray, direction: FloatArray) -> float:
         """Return the distance from ``point`` (3,) to the scene [m]; -1 where there is none.
 
-        Cast only when a packet is due: as MuJoCo sensors the rays would cost every physics step.
+        Rays are cast only when a packet is due; MuJoCo sensors would cast them every physics step.
         """
         model, data = self._world.model, self._world.data
         return float(mujoco.mj_ray(model, data, point, direction, None, 1, self._body, _GEOM, None))
 
 
 def _even_floor_reach(model: Any) -> float:
-    """Return how far about the origin a plane at z = 0 reaches [m]; 0 where there is none.
+    """Return how far a plane at z = 0 extends from the origin [m]; 0 where there is none.
 
-    Above it a cliff sensor that is low enough needs no ray.
+    Above such a plane a cliff sensor needs no ray.
     """
     reach = 0.0
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):

@@ -1,6 +1,6 @@
-"""An uneven floor: what the wheels roll on where the scene has a plane.
+"""An uneven floor under the wheels, in place of the planes of a scene.
 
-The lidar goes on seeing the plane, a millimetre off, far below its own noise.
+The lidar still sees the plane; the difference of a millimetre is below its noise.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.config import RobotErrorConfig
 
 HALF_SIDE = 6.0
-"""Half the side of the uneven square about the scene's origin [m]; beyond it the floor is even."""
+"""Half the side of the uneven square around the scene's origin [m]; the floor beyond is even."""
 CELLS_PER_LENGTH = 4
-"""Cells of the grid per ``uneven_length``; a coarser grid would have kinks."""
+"""Grid cells per ``uneven_length``; a coarser grid would have kinks."""
 
 
 def draw_uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArray:
-    """Return heights (n, n) [m] of zero mean that change over ``uneven_length``."""
+    """Return random heights (n, n) [m] of zero mean with the correlation ``uneven_length``."""
     n = round(2 * HALF_SIDE / config.uneven_length * CELLS_PER_LENGTH)
     smooth = gaussian_filter(rng.standard_normal((n, n)), CELLS_PER_LENGTH / 2, mode="nearest")
     heights: FloatArray = (smooth - smooth.mean()) / smooth.std() * config.uneven

@@ -1,4 +1,4 @@
-"""What the sensor's firmware makes of the light: whole millimetres, or an error code."""
+"""The sensor's firmware: turns the received light into whole millimetres or an error code."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from scan3d_twin.sim.lidar.noise import Draws, cyclic_bias, range_sigma, repeat_
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """What the receiver gets, arrays (m, n_beams).
+    """The received light, arrays (m, n_beams).
 
     Attributes:
-        distances: By phase [m]; inf for a miss.
-        power: Of the return; 0 for a miss.
-        cosines: Of the incidence in the middle of the beam.
-        bias: The surface's own error [m].
+        distances: Distance by phase [m]; inf for a miss.
+        power: Power of the return; 0 for a miss.
+        cosines: Cosine of the incidence in the middle of the beam.
+        bias: Range bias of the surface [m].
     """
 
     distances: FloatArray
@@ -31,7 +31,7 @@ class Light:
     bias: FloatArray
 
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the arrays in their order."""
+        """Return the arrays in the order of the attributes."""
         return self.distances, self.power, self.cosines, self.bias
 
 
@@ -42,7 +42,15 @@ Broken = tuple[tuple[IntArray, IntArray], IntArray]
 def read(
     light: Light, broken: Broken, draws: Draws, drift: FloatArray, config: LidarModelConfig
 ) -> tuple[FloatArray, IntArray]:
-    """Return ranges [m], NaN where there is none, and codes, both (m, n_beams)."""
+    """Return ranges [m], NaN without a measurement, and codes, both (m, n_beams).
+
+    Args:
+        light: The received light.
+        broken: Beams at a depth edge with the codes of their mixed pixels.
+        draws: Random draws of the lines.
+        drift: Warm-up error of each line (m,) [m].
+        config: Error model.
+    """
     power = light.power
     seen = _is_detected(power, draws.seen, config)
     distances = np.where(seen, light.distances, 0.0)
@@ -78,7 +86,7 @@ def _is_detected(
 
 
 def _is_isolated(valid: BoolArray) -> BoolArray:
-    """Return where a valid reading has neighbours in its line and none is valid."""
+    """Return where a valid reading lies between two invalid ones of its line."""
     lonely = np.zeros_like(valid)
     lonely[:, 1:-1] = valid[:, 1:-1] & ~valid[:, :-2] & ~valid[:, 2:]
     return lonely

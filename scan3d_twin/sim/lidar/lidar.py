@@ -16,9 +16,9 @@ from scan3d_twin.sim.lidar.scanner import CHUNK, Evidence, Readings, Scanner
 from scan3d_twin.sim.world import HISTORY_STEPS, TIMESTEP, World
 
 MAX_UNREAD_LINES = 16
-"""Unread lines that are kept; assumption, the host's serial buffer of some 32 kB."""
+"""Most unread lines that are kept; assumption, the host's serial buffer of about 32 kB."""
 MAX_SWEEP_DURATION = 0.9 * HISTORY_STEPS * TIMESTEP
-"""Of a sweep that is computed at once [s]; the lidar's poses are kept no longer."""
+"""Longest sweep that is computed at once [s], limited by the history of the lidar's poses."""
 
 # Streams of the lidar's seed.
 _NOISE, _JITTER, _LOSS = 0, 1, 2
@@ -27,10 +27,10 @@ _BLOCK = 256
 
 @dataclass(frozen=True, slots=True)
 class Revolution:
-    """A revolution not yet read: enough to compute its line later.
+    """A revolution that is not yet read, with all that its line needs.
 
     Attributes:
-        number: It counts the revolutions that are sent.
+        number: Number of the revolution since the first that was sent.
         start: True time of step 0 [s].
         qpos: Positions of the scene's moving objects.
     """
@@ -43,8 +43,8 @@ class Revolution:
 class SimLidar:
     """A ``Lidar`` on the twin.
 
-    The noise of a revolution depends on the seed and its number alone, so a line that nobody reads
-    costs nothing and changes nothing, and a sweep read at once equals one read line by line.
+    The noise of a revolution depends only on the seed and its number. So an unread line costs
+    nothing and changes nothing, and a sweep read at once equals one read line by line.
     """
 
     def __init__(self, world: World, clock: SimClock, scanner: Scanner, seed: list[int]) -> None:
@@ -53,7 +53,7 @@ class SimLidar:
         self._scanner = scanner
         self._seed = seed
         rng = np.random.default_rng(seed)
-        # The mirror turned before anyone listened.
+        # The mirror is at a random angle at time 0
         self._start = float(rng.uniform(0.0, scanner.spec.line_period))
         self._pace = 1 + scanner.config.revolution * float(rng.standard_normal())
         self._jitter, self._drawn = np.empty(0), 0
@@ -72,7 +72,7 @@ class SimLidar:
         return math.ceil((self._time(number) + self._scanner.config.latency) / self._world.timestep)
 
     def service(self) -> None:
-        """Take in the line that has arrived, unless it is lost."""
+        """Queue the line that has arrived, unless it is lost."""
         number, start, self._next = self._next, self._time(self._next), self._next + 1
         self.next_step = self._arrival(self._next)
         loss = self._scanner.config.line_loss
@@ -91,10 +91,10 @@ class SimLidar:
         return self._lines([self._last])[0]
 
     def read_sweep(self, count: int) -> tuple[ScanLine, ...]:
-        """Return the next ``count`` lines, computed at once: the same bits as by ``read_line``.
+        """Return the next ``count`` lines, computed at once, bit by bit as by ``read_line``.
 
         Raises:
-            ConfigError: So many lines take longer than the lidar's poses are kept.
+            ConfigError: The lines take longer than ``MAX_SWEEP_DURATION``.
             HazardError: As for ``Clock.sleep``.
         """
         if not (count >= 1 and count * self.spec.line_period <= MAX_SWEEP_DURATION):
@@ -109,9 +109,9 @@ class SimLidar:
         return tuple(self._lines(turns))
 
     def read_waiting(self) -> tuple[ScanLine, ...]:
-        """Return the lines that have arrived, computed at once: the same bits as by ``read_line``.
+        """Return the lines that have arrived, computed at once, bit by bit as by ``read_line``.
 
-        Only the last ``UNREAD_LINES`` wait.
+        At most the last ``MAX_UNREAD_LINES`` are kept.
         """
         turns = list(self._unread)
         self._unread.clear()
@@ -119,13 +119,13 @@ class SimLidar:
         return tuple(self._lines(turns))
 
     def evidence(self) -> Evidence | None:
-        """Return what lay behind the line read last, for evaluation; None before the first."""
+        """Return the ground truth of the last line read, for evaluation; None before the first."""
         if self._last is None:
             return None
         return self._measure([self._last], evidence=True).evidence[0]
 
     def _lines(self, turns: list[Revolution]) -> list[ScanLine]:
-        """Return the lines of ``turns``, a few at once where nothing else moves."""
+        """Return the lines of ``turns``, computed in chunks where the scene is static."""
         lines = []
         size = 1 if turns and len(turns[0].qpos) else CHUNK
         for first in range(0, len(turns), size):
@@ -152,7 +152,7 @@ class SimLidar:
         )
 
     def _time(self, number: int) -> float:
-        """Return the true time of step 0 of revolution ``number`` [s]; asked in their order."""
+        """Return the true time of step 0 of revolution ``number`` [s]; call in order of numbers."""
         if number >= self._drawn:
             rng = np.random.default_rng([*self._seed, _JITTER, self._drawn])
             self._jitter = self._scanner.config.jitter * rng.standard_normal(_BLOCK)
@@ -161,6 +161,6 @@ class SimLidar:
         return max(0.0, self._start + turn + float(self._jitter[number - self._drawn]))
 
     def _stamp(self, start: float) -> float:
-        """Return ``start`` [s] as the sensor's timer shows it."""
+        """Return ``start`` [s] rounded down to the resolution of the sensor's timer."""
         step = self._scanner.config.stamp_step
         return math.floor(start / step) * step if step > 0 else start

@@ -1,7 +1,7 @@
-"""How much of the lidar's light comes back from a surface.
+"""Optics: the power that a surface returns to the lidar.
 
-Light and receiver coincide (monostatic), so the half vector is the view. Power per beam, in units
-of a white diffuse surface facing the sensor at 1 m times 1 / pi:
+Emitter and receiver coincide (monostatic), so the half vector is the view vector. Power per beam,
+in units of a white diffuse surface facing the sensor at 1 m times 1 / pi:
 
     P = (rho / pi * cos + F0 * D * G1^2 / (4 * cos) + R) / r^2
 
@@ -34,7 +34,7 @@ UNSET_RGBA = (0.5, 0.5, 0.5, 1.0)
 
 @dataclass(frozen=True)
 class Materials:
-    """Optical properties by geom id; the last row is the robot itself.
+    """Optical properties by geom id; the last row is the robot.
 
     Attributes:
         diffuse: rho / pi (n_geoms + 1,).
@@ -52,7 +52,7 @@ class Materials:
     def of(model: Any, config: LidarModelConfig) -> Materials:
         """Read ``metallic``, ``roughness`` and colour of each geom; unset (-1) is matte.
 
-        MuJoCo's ``specular`` and ``shininess`` cannot serve: by default all things shine.
+        MuJoCo's ``specular`` and ``shininess`` are ignored: by default they make everything shiny.
         """
         metallic = np.zeros(model.ngeom + 1)
         roughness = np.full(model.ngeom + 1, config.roughness)

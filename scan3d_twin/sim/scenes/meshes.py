@@ -1,7 +1,7 @@
-"""A mesh file as a scene: true triangles for the rays, small boxes for the contacts.
+"""A mesh file as a scene: its triangles for the rays, small boxes for the contacts.
 
-MuJoCo collides with a mesh's convex hull, which may swallow the robot, so the mesh itself has no
-contacts; its footprint below the robot's height is covered by invisible boxes instead.
+MuJoCo collides with the convex hull of a mesh, which may contain the robot. So the mesh has no
+contacts; invisible boxes cover its surface below the robot's height instead.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from scan3d_twin.sim.scenes.surface_samples import sample_triangles
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 
 ROBOT_HEIGHT = 0.35
-"""What stands above this cannot touch the robot [m]."""
+"""Height above which nothing can touch the robot [m]."""
 SPAWN_DISTANCE = 1.5
-"""From the robot's start to the mesh [m]; as in the built-in scenes."""
+"""Distance from the robot's start to the mesh [m]; as in the built-in scenes."""
 SIZE_LIMITS = (0.02, 20.0)
-"""Least and largest extent of a mesh that can be meant [m]; else its unit is wrong."""
+"""Smallest and largest plausible extent of a mesh [m]; beyond, its unit is wrong."""
 GRID_CELLS = 24
 """Cells of the collision grid along the longer side of the footprint."""
 
@@ -36,7 +36,7 @@ def mesh_spec(path: Path, scale: float) -> Any:
         scale: Metres per unit of the file.
 
     Raises:
-        SceneError: The file is not a mesh, is empty, or its size cannot be meant.
+        SceneError: The file is not a mesh, is empty, or its size is implausible.
     """
     vertices, faces = _load(path, scale)
     spec = mujoco.MjSpec()
@@ -60,7 +60,7 @@ def mesh_spec(path: Path, scale: float) -> Any:
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=(low + high) / 2,
             size=(high - low) / 2,
-            rgba=[0, 0, 0, 0],  # rays pass through what is wholly transparent
+            rgba=[0, 0, 0, 0],  # rays pass fully transparent geoms
             group=3,
         )
     spec.worldbody.add_site(
@@ -108,7 +108,7 @@ def _areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
 def _collision_boxes(vertices: FloatArray, faces: IntArray) -> list[tuple[FloatArray, FloatArray]]:
     """Return boxes (low, high corner) [m] that cover the surface below the robot's height.
 
-    Only cells that hold some surface are covered, so hollow things stay hollow.
+    Only cells that contain surface are covered, so that hollow objects stay hollow.
     """
     extent = np.ptp(vertices[:, :2], axis=0)
     cell = max(float(extent.max()) / GRID_CELLS, SIZE_LIMITS[0])

@@ -17,14 +17,14 @@ INSTALL = (
 
 
 class Context(Protocol):
-    """What ``mujoco.egl`` and ``mujoco.osmesa`` call ``GLContext``."""
+    """An OpenGL context: ``GLContext`` of ``mujoco.egl`` and ``mujoco.osmesa``."""
 
     def make_current(self) -> None:
-        """Draw here from now on."""
+        """Make it the context of all OpenGL calls of this thread."""
         ...
 
     def free(self) -> None:
-        """Give the context back."""
+        """Release the context."""
         ...
 
 
@@ -32,7 +32,7 @@ def open_context(width: int, height: int) -> Context:
     """Return a context of ``width`` x ``height`` pixels.
 
     Raises:
-        ConfigError: There is none; the message names what to install.
+        ConfigError: No backend works; the message names what to install.
     """
     if any(importlib.util.find_spec(name) is None for name in ("OpenGL", "glfw")):
         raise ConfigError("pictures need the extra view: pip install 'scan3d-twin[view]'")
@@ -52,7 +52,7 @@ def open_context(width: int, height: int) -> Context:
 def _open(backend: str, width: int, height: int) -> Any:
     """Return a context of ``backend``.
 
-    PyOpenGL keeps to the platform of its first import, so it is forgotten before.
+    PyOpenGL keeps the platform of its first import, so its modules are unloaded first.
     """
     for name in [name for name in sys.modules if name.split(".")[0] == "OpenGL"]:
         del sys.modules[name]

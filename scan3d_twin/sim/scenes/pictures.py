@@ -19,19 +19,19 @@ from scan3d_twin.sim.world import PREFIX, RobotErrors, build_model
 
 WIDTH, HEIGHT = 1280, 720
 HIDDEN_GROUP = 3
-"""From this group on geoms and sites are helpers that no picture shows."""
+"""First group of the geoms and sites that pictures do not show."""
 CUT_AWAY_SHARE = 0.7
-"""What hides a place and is nearer to the camera than this share of the way is cut away."""
+"""Geoms that hide a place within this share of the distance from the camera are cut away."""
 SUPERSAMPLES = 4
 SHADOW_MAP_SIZE = 2048
-"""Side of the shadow map [pixels]; MuJoCo's default of 4096 takes ten times as long."""
+"""Side of the shadow map [pixels]; MuJoCo's default of 4096 takes ten times the time."""
 
 
 def render_scene(scene: Scene, robot: RobotName = "create2") -> Picture:
     """Return a picture (height, width, 3) of ``scene`` with the robot at its start.
 
     Raises:
-        ConfigError: Nothing here can render; the message names what to install.
+        ConfigError: No OpenGL backend works; the message names what to install.
     """
     errors = RobotErrors.draw(RobotErrorConfig(), np.random.default_rng(0))
     spec = scene.spec.copy()
@@ -82,7 +82,7 @@ def write_png(path: Path, picture: Picture) -> None:
 
 
 def _cut_away(model: Any, data: Any, camera: Any) -> None:
-    """Hide what stands between ``camera`` and the places it is to show, as a wall of the room."""
+    """Hide geoms between ``camera`` and the robot and target, such as a wall of the room."""
     azimuth, elevation = np.radians(camera.azimuth), np.radians(camera.elevation)
     flat = np.cos(elevation)
     ahead = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])

@@ -1,9 +1,9 @@
 """Random scenes: a target of random shape and material, in a room or in the open.
 
-Everything drawn lies in the ranges of ``SceneRanges``; the same generator state gives the same
-scene. The target stands in the middle of ``map``, the robot starts some way off and looks
-roughly at it, and round the target nothing stands in its way. ``load_scene("random:7")`` returns
-the scene of seed 7 of the default ranges.
+All draws lie in the ranges of ``SceneRanges``; the same generator state gives the same scene. The
+target stands in the middle of ``map``, the robot starts at a distance and roughly faces it, and its
+path round the target is free. ``load_scene("random:7")`` returns the scene of seed 7 of the default
+ranges.
 """
 
 from __future__ import annotations
@@ -28,25 +28,26 @@ from scan3d_twin.sim.scenes.random_shapes import (
 from scan3d_twin.sim.scenes.scene import Scene, scene_from_spec
 
 NAME_PREFIX = "random:"
-"""Before the seed in a scene's name."""
+"""Prefix of the seed in a scene's name."""
 _STREAM = 7
-"""Keeps scene k's draws apart from those of a run with seed k."""
+"""Separates the draws of scene k from those of a run with seed k."""
 Interval = tuple[float, float]
 TURNING_ROOM = 0.20
-"""Room beyond what the robot needs to stand at the standoff and to turn [m]; assumption."""
+"""Free room besides the standoff and the robot's diameter [m]; assumption."""
 MIN_START_DISTANCE = 1.5
-"""Nothing but the target stands so near to the robot's start that it would stand out more [m]."""
+"""Least distance of clutter from the robot's start, so that the target is most salient [m]."""
 MIN_WALL_DISTANCE = 0.8
-"""From a front's target to the wall behind it [m]; nearer, strays join the two in a look around."""
+"""Least distance of a target for tour front to the wall behind it [m]; nearer, stray points would
+join the two in a panorama."""
 WALL_HALF_HEIGHT, WALL_HALF_THICKNESS = 1.25, 0.05
 """Half height and half thickness of walls [m]; as in the built-in scenes."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneRanges:
-    """What random scenes are drawn from: intervals (low, high), uniform; SI units.
+    """Ranges of random scenes: uniform intervals (low, high) in SI units.
 
-    Sizes are those of furniture and boxes that a robot 35 cm high can see all of: assumptions.
+    Sizes are those of furniture and boxes that a robot 35 cm high can see completely: assumptions.
     """
 
     shapes: tuple[Shape, ...] = field(default_factory=shape_names)
@@ -54,47 +55,47 @@ class SceneRanges:
     tours: tuple[Tour, ...] = ("front", "full")
     """Whether it is scanned from the front or all round, equally likely."""
     width: Interval = (0.35, 1.50)
-    """Of the target across the robot's view [m]; a sweep covers 1.15 m at a standoff of 1 m."""
+    """Width of the target across the robot's view [m]; a sweep covers 1.15 m at 1 m standoff."""
     depth: Interval = (0.20, 0.60)
-    """Of each part along the robot's view [m]."""
+    """Depth of each part along the robot's view [m]."""
     height: Interval = (0.30, 0.90)
-    """Of each part [m]; the window of 75 deg ends 1.07 m high at a standoff of 1 m."""
+    """Height of each part [m]; the window of 75 deg ends at 1.07 m at a standoff of 1 m."""
     gap: Interval = (0.04, 0.12)
-    """Between parts [m]; below the 0.20 m at which two things count as two targets."""
+    """Gap between parts [m]; from 0.20 m on they count as two targets."""
     setback: Interval = (0.0, 0.15)
-    """Of a part's front behind the foremost one [m]; paper, Fig. 13."""
+    """Setback of a part's front behind the foremost one [m]; paper, Fig. 13."""
     radius: Interval = (0.12, 0.35)
-    """Of cylinders [m]."""
+    """Radius of cylinders [m]."""
     amplitude: Interval = (0.01, 0.03)
-    """Of a wavy side [m]; paper, Fig. 10: 0.02."""
+    """Amplitude of a wavy side [m]; paper, Fig. 10: 0.02."""
     period: Interval = (0.08, 0.25)
-    """Of a wavy side [m]; paper, Fig. 10: 0.08."""
+    """Period of a wavy side [m]; paper, Fig. 10: 0.08."""
     rise: Interval = (0.12, 0.20)
-    """Of a step [m]; DIN 18065: 0.14 to 0.20."""
+    """Rise of a step [m]; DIN 18065: 0.14 to 0.20."""
     going: Interval = (0.15, 0.30)
-    """Depth of a step, its going [m]; DIN 18065: 0.23 to 0.32."""
+    """Going (depth) of a step [m]; DIN 18065: 0.23 to 0.32."""
     turn: Interval = (-0.35, 0.35)
-    """Heading of a target that is scanned from the front [rad]; others lie any way."""
+    """Heading of a target for tour front [rad]; others have any heading."""
     start: Interval = (1.0, 1.4)
-    """Way from the target's round to the robot's start [m]."""
+    """Distance from the target's circumcircle to the robot's start [m]."""
     heading: Interval = (-0.3, 0.3)
-    """The robot's heading at its start, off the target's middle [rad]."""
+    """The robot's heading at its start, relative to the target's middle [rad]."""
     standoff: Interval = (0.9, 1.1)
     """Scanning distance [m]; the built-in scenes have 1.0."""
     walls: float = 0.75
     """Share of the scenes that lie in a room, 0..1."""
     spare: Interval = (0.0, 0.8)
-    """Room beyond the robot's way round the target, on each side [m]."""
+    """Room beyond the robot's path round the target, on each side [m]."""
     clutter: tuple[int, int] = (0, 6)
-    """Number of things that stand about, as many of them as fit."""
+    """Number of objects of clutter; fewer where they do not fit."""
     clutter_radius: Interval = (0.06, 0.17)
-    """Of those things [m]."""
+    """Radius of these objects [m]."""
     matte: float = 0.60
     """Share of matte surfaces, 0..1."""
     dark: float = 0.15
     """Share of dark matte surfaces, 0..1."""
     glossy: float = 0.15
-    """Share of glossy plastic, 0..1; chrome is what the three shares leave."""
+    """Share of glossy plastic, 0..1; the rest is chrome."""
     albedo: Interval = (0.40, 0.90)
     """Reflectance of matte and glossy surfaces."""
     dark_albedo: Interval = (0.10, 0.25)
@@ -136,7 +137,7 @@ _LIMITS: dict[str, Interval] = {
     "clutter": (0, 50), "clutter_radius": (0.02, 0.5), "albedo": (0.0, 1.0),
     "dark_albedo": (0.0, 1.0), "gloss": (0.05, 1.0), "chrome": (0.05, 1.0), "friction": (0.1, 2.0),
 }  # fmt: skip
-"""What an interval may hold: beyond, the robot or its lidar is not made for it."""
+"""Limits of the intervals: the range in which robot and lidar work."""
 
 
 def _check_interval(name: str, value: tuple[float, float]) -> None:
@@ -150,7 +151,7 @@ def _check_interval(name: str, value: tuple[float, float]) -> None:
 def draw_scene(
     rng: np.random.Generator, ranges: SceneRanges | None = None, name: str = "random"
 ) -> Scene:
-    """Return a scene drawn from ``ranges``; None are the default ones."""
+    """Return a random scene drawn from ``ranges``; None for the default ones."""
     ranges = SceneRanges() if ranges is None else ranges
     shape = ranges.shapes[int(rng.integers(len(ranges.shapes)))]
     tour = ranges.tours[int(rng.integers(len(ranges.tours)))]
@@ -192,7 +193,7 @@ def scene_of_seed(name: str) -> Scene:
 def _add_target(
     spec: Any, solids: list[Solid], rng: np.random.Generator, ranges: SceneRanges
 ) -> None:
-    """Add the target's solids; all of one material, or each of its own."""
+    """Add the target's solids, of one common material or one each."""
     alike = bool(rng.integers(2))
     common = _add_material(spec, "target", rng, ranges)
     for k, solid in enumerate(solids):
@@ -236,7 +237,7 @@ def _add_room(
     rng: np.random.Generator,
     ranges: SceneRanges,
 ) -> FloatArray:
-    """Add a floor and perhaps walls; return the inside's limits (-x, +x, -y, +y) [m]."""
+    """Add a floor and perhaps walls; return the limits of the room (-x, +x, -y, +y) [m]."""
     spec.worldbody.add_light(pos=(0, 0, 3), dir=(0.3, 0, -1))
     spec.worldbody.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(8, 8, 0.1), rgba=(0.55, 0.55, 0.55, 1)
@@ -244,7 +245,7 @@ def _add_room(
     limits = way + rng.uniform(*ranges.spare, 4)
     behind = R + MIN_WALL_DISTANCE + draw_uniform(rng, ranges.spare)
     if tour == "front":
-        limits[1] = behind  # nobody has to pass behind the target
+        limits[1] = behind  # tour front needs no path behind the target
     if rng.random() >= ranges.walls:
         return limits
     material = spec.add_material(name="wall", rgba=(0.85, 0.85, 0.82, 1.0)).name
@@ -284,7 +285,7 @@ def _add_clutter(
     rng: np.random.Generator,
     ranges: SceneRanges,
 ) -> None:
-    """Add things about the room, out of the robot's way and off its start."""
+    """Add clutter to the room, outside the robot's path and away from its start."""
     wanted = int(rng.integers(ranges.clutter[0], ranges.clutter[1] + 1))
     placed: list[tuple[float, float, float]] = []
     for _ in range(10 * wanted):
@@ -329,7 +330,7 @@ def _add_site(spec: Any, name: str, pose: Pose2) -> None:
 
 
 def _add_customs(spec: Any, shape: Shape, tour: Tour, standoff: float, friction: float) -> None:
-    """Add what the conventions of scene files say in ``<custom>``."""
+    """Add the ``<custom>`` elements of the scene conventions."""
     where = "front only" if tour == "front" else "all round"
     spec.add_text(name="scan3d.tour", data=tour)
     spec.add_text(name="scan3d.description", data=f"random: {shape.replace('_', ' ')}, {where}")

@@ -1,4 +1,4 @@
-"""The shapes that random targets are made of: solids that stand on the floor.
+"""Shapes of random targets, built of solids on the floor.
 
 A shape is a list of solids in the target's own frame: the robot looks along +x, so that fronts face
 -x; y runs across. Lengths in m.
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
 Shape = Literal["box", "boxes", "cylinder", "sine", "steps", "l_shape", "u_shape", "combination"]
 FACET_WIDTH = 0.005
-"""Width of a facet of a wavy side [m]; the chord of the sharpest wave errs by less than .5 mm."""
+"""Width of a facet of a wavy side [m]; the chord of the sharpest wave is off by less than .5 mm."""
 FACET_ROWS = 7
-"""Facets over a wavy side's height: MuJoCo casts rays slowly against long slivers."""
+"""Rows of facets of a wavy side: MuJoCo casts rays slowly against long thin triangles."""
 LEG_SHARE = 0.35
 """Thickness of the legs of an L or U as a share of its width or depth; assumption."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A box, a cylinder or a prism that stands at ``place``.
+    """A box, a cylinder or a prism.
 
     Attributes:
-        kind: What it is.
-        place: Middle of its foot, and its turn about z, in the target's frame.
+        kind: Kind of the solid.
+        place: Pose of its base in the target's frame.
         size: Half extents of a box or prism; radius, radius and half height of a cylinder (3,).
-        bottom: Height of its foot.
+        bottom: Height of its base.
         mesh: Vertices (n, 3) about the middle, and faces (m, 3), of a prism.
     """
 
@@ -46,12 +46,12 @@ class Solid:
     mesh: tuple[FloatArray, IntArray] | None = None
 
     def corners(self) -> FloatArray:
-        """Return the corners (4, 2) of the rectangle its footprint fills, in the target's frame."""
+        """Return the corners (4, 2) of its footprint's bounding box, in the target's frame."""
         signs = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)])
         return self.place.apply(signs * self.size[:2])
 
     def moved(self, by: Pose2) -> Solid:
-        """Return the same solid in the frame in which the target's is ``by``."""
+        """Return the solid moved by the pose ``by``."""
         return replace(self, place=by @ self.place)
 
 
@@ -91,7 +91,7 @@ def _box(rng: np.random.Generator, ranges: SceneRanges, width: float) -> list[So
 
 
 def _boxes(rng: np.random.Generator, ranges: SceneRanges, width: float) -> list[Solid]:
-    """Two to four boxes in a row, as in the paper's Fig. 13, their fronts set back."""
+    """Return two to four boxes in a row with different setbacks, as in the paper's Fig. 13."""
     count = int(rng.integers(2, 5))
     shares = rng.uniform(0.5, 1.5, count)
     gap = min(draw_uniform(rng, ranges.gap), width / (2 * count))

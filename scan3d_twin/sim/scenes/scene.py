@@ -32,9 +32,9 @@ class Scene:
     """A scene without a robot.
 
     Attributes:
-        name: For reports and folder names.
-        spec: Its editable model; copy before editing.
-        model: The compiled model: what the lidar's rays can hit.
+        name: Name in reports and folder names.
+        spec: The editable model; copy before editing.
+        model: The compiled model, against which the lidar's rays are cast.
         spawn: ``T_map_base`` at the start; ``map`` is the scene's own frame.
         tour: Whether it is scanned from the front or all round.
         standoff: Scanning distance [m]; None leaves it to the run's configuration.
@@ -75,8 +75,8 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
         mesh_scale: Metres per unit of a mesh file.
 
     Raises:
-        UnknownNameError: It is neither a path nor the name of a scene.
-        ConfigError: ``mesh_scale`` is not positive, or the SEED no whole number.
+        UnknownNameError: There is no scene of this name, and it is no path.
+        ConfigError: ``mesh_scale`` is not positive, or SEED is not a whole number.
         SceneError: The file is missing or broken, or holds no target.
     """
     if not (mesh_scale > 0 and np.isfinite(mesh_scale)):
@@ -111,15 +111,15 @@ def _one_line(error: Exception) -> str:
 
 
 def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
-    """Return the scene that an ``MjSpec`` without a robot describes by the conventions above.
+    """Return the scene of an ``MjSpec`` without a robot, by the conventions above.
 
     Args:
-        name: The scene's.
-        spec: Gets a floor, and names for the target's geoms, where they are missing.
-        label: Names it in messages: a file.
+        name: Name of the scene.
+        spec: The model; a missing floor and missing names of target geoms are added.
+        label: The file or name in messages.
 
     Raises:
-        SceneError: It does not compile, or holds no target or spawn.
+        SceneError: The model does not compile, or has no target or spawn.
     """
     _add_floor(spec)
     targets = _targets(spec, label)
@@ -163,7 +163,7 @@ def _add_floor(spec: Any) -> None:
 
 
 def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
-    """Return the geom names of each target; unnamed geoms of a target body get a name."""
+    """Return the geom names of each target, after naming unnamed geoms of target bodies."""
     bodies, geoms = _target_names(spec)
     targets = {}
     for name in bodies:
@@ -203,7 +203,7 @@ def _target_names(spec: Any) -> tuple[list[str], list[str]]:
 
 
 def _positive(spec: Any, name: str, unit: str, label: str) -> float | None:
-    """Return the number that the scene states as ``name``; None if it does not."""
+    """Return the positive number ``name`` of the scene; None if it states none."""
     for numeric in spec.numerics:
         if numeric.name == name:
             value = float(np.atleast_1d(numeric.data)[0])

@@ -1,4 +1,4 @@
-"""Evenly spaced samples of a geom's surface, exact in shape, deterministic."""
+"""Evenly spaced, deterministic samples of a geom's exact surface."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SAMPLED_TYPES = (
     mujoco.mjtGeom.mjGEOM_CAPSULE,
     mujoco.mjtGeom.mjGEOM_ELLIPSOID,
 )
-"""Geom types that ``sample_geom`` knows."""
+"""Geom types that ``sample_geom`` supports."""
 
 
 def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
@@ -54,7 +54,7 @@ def sample_triangles(triangles: FloatArray, spacing: float) -> Samples:
     places = (np.arange(count) + 0.5) * (double_area.sum() / count)
     chosen = np.searchsorted(np.cumsum(double_area), places).clip(max=len(triangles) - 1)
     # The R2 sequence fills a triangle evenly (M. Roberts, 2018: unreasonable effectiveness of
-    # quasirandom sequences); points beyond the diagonal are folded back.
+    # quasirandom sequences); points beyond the diagonal are reflected.
     uv = (np.arange(1, count + 1)[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1.0
     uv = np.where(uv.sum(axis=1, keepdims=True) > 1, 1 - uv, uv)
     a, b, c = np.moveaxis(triangles[chosen], 1, 0)
@@ -106,7 +106,7 @@ def _sample_cylinder(radius: float, half: float, spacing: float) -> Samples:
 
 
 def _sample_sphere(radius: float, spacing: float) -> Samples:
-    """Return a Fibonacci lattice."""
+    """Return samples of a sphere on a Fibonacci lattice."""
     n = max(4, round(4 * math.pi * radius**2 / spacing**2))
     k = np.arange(n) + 0.5
     z, angle = 1 - 2 * k / n, math.pi * (1 + math.sqrt(5)) * k
@@ -126,7 +126,7 @@ def _capsule_triangles(radius: float, half: float) -> FloatArray:
 
 def _unit_sphere_triangles() -> FloatArray:
     """Return triangles (m, 3, 3) of a sphere of radius 1."""
-    import trimesh  # as above
+    import trimesh  # slow to import, and rarely needed
 
     return np.array(trimesh.creation.icosphere(4).triangles)
 

@@ -11,9 +11,9 @@ import numpy as np
 from scan3d_twin.core.types import FloatArray
 
 CHORD_TOLERANCE = 1e-4
-"""How far a chord may lie below the surface [m]."""
+"""Largest distance of a chord from the surface [m]."""
 PLANE_REACH = 100.0
-"""Half the side of the square that stands for an endless plane [m]; the lidar sees 4 m."""
+"""Half the side of the square that replaces an infinite plane [m]; the lidar sees 4 m."""
 
 _GEOM = mujoco.mjtGeom
 TRIANGULATED_TYPES = (
@@ -25,7 +25,7 @@ TRIANGULATED_TYPES = (
     _GEOM.mjGEOM_CAPSULE,
     _GEOM.mjGEOM_MESH,
 )
-"""Geom types that ``geom_triangles`` knows."""
+"""Geom types that ``geom_triangles`` supports."""
 
 
 def geom_triangles(model: Any, geom: int) -> FloatArray:
@@ -69,7 +69,7 @@ def mesh_triangles(model: Any, geom: int) -> FloatArray:
 
 
 def _segment_count(radius: float, angle: float) -> int:
-    """Return how many chords stand for an arc of ``angle`` [rad] within ``TOLERANCE``."""
+    """Return the number of chords for an arc of ``angle`` [rad] within ``CHORD_TOLERANCE``."""
     # A chord over the angle a lies radius * a^2 / 8 below the arc.
     return min(512, max(6, math.ceil(angle / math.sqrt(8 * CHORD_TOLERANCE / radius))))
 
@@ -84,7 +84,7 @@ def _arc_points(radius: float, first: float, last: float) -> FloatArray:
 
 
 def _revolve(profile: FloatArray, radius: float) -> FloatArray:
-    """Return the triangles swept by ``profile`` (n, 2), radius and height, upwards, about z."""
+    """Return the surface of revolution about z of an upward ``profile`` (n, 2): radius, height."""
     n = _segment_count(radius, math.tau)
     angles = math.tau * np.arange(n) / n
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
