@@ -29,12 +29,12 @@ class ResumedRun:
     Attributes:
         recorded: The run up to its last finished view or plan.
         settings: The effective settings: given options over the recorded ones.
-        place: Takes a robot that was just opened to where the run was, and returns it.
+        place_robot: Takes a robot that was just opened to where the run was, and returns it.
     """
 
     recorded: RecordedRun
     settings: Settings
-    place: Callable[[Robot, Notify], Robot]
+    place_robot: Callable[[Robot, Notify], Robot]
 
     @property
     def folder(self) -> Path:
@@ -62,13 +62,13 @@ def resume_sim(folder: Path, out: Path | None, given: Options) -> ResumedRun:
     check_planner(effective.config.planner, truth_known=True)
     sent = list(read_commands(recorded.path))
 
-    def place(robot: Robot, notify: Notify) -> Robot:
+    def place_robot(robot: Robot, notify: Notify) -> Robot:
         notify(f"driving through the first {recorded.mark.stamp:.0f} s again")
         if not reenact(robot, sent, recorded.mark):
             notify("not quite where it was: this computer rounds otherwise than the one before")
         return robot
 
-    return ResumedRun(recorded, effective, place)
+    return ResumedRun(recorded, effective, place_robot)
 
 
 def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
@@ -80,11 +80,11 @@ def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
     check_planner(effective.config.planner, truth_known=False)
     stamp, T_odom_here = read_last_odometry(recorded.path)
 
-    def place(robot: Robot, notify: Notify) -> Robot:
+    def place_robot(robot: Robot, notify: Notify) -> Robot:
         notify("going on from where the robot was; it must not have been moved since")
         return continue_odometry(robot, T_odom_here, stamp)
 
-    return ResumedRun(recorded, effective, place)
+    return ResumedRun(recorded, effective, place_robot)
 
 
 def _load(folder: Path, out: Path | None) -> RecordedRun:

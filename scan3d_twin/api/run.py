@@ -78,13 +78,13 @@ def run_in_folder(
     """
     try:
         with (
-            watch.onlooker(name, observer.on_event) as onlooker,
+            watch.open_watcher(name, observer.on_event) as watcher,
             open_recorder(folder, taps, resume) as recorder,
         ):
             outcome = _digitize_and_save(
-                settings, name, opening, recorder, observer, resume, onlooker, begun
+                settings, name, opening, recorder, observer, resume, watcher, begun
             )
-            onlooker.end(outcome.report["stop_reason"], observer.on_event)
+            watcher.finish(outcome.report["stop_reason"], observer.on_event)
     finally:
         release_folder(folder)
     return outcome
@@ -128,7 +128,7 @@ def _digitize_and_save(
     recorder: Recorder,
     observer: Observer,
     resume: ResumedRun | None,
-    onlooker: RunWatcher,
+    watcher: RunWatcher,
     begun: float,
 ) -> RunOutcome:
     """Digitise, save the files and return the result."""
@@ -140,15 +140,15 @@ def _digitize_and_save(
         watching: Observer = Observers(recorder, ViewSaver(folder, settings), observer)
         earlier = None
         if resume is not None:
-            robot, earlier = resume.place(robot, observer.on_event), resume.earlier
+            robot, earlier = resume.place_robot(robot, observer.on_event), resume.earlier
             known = len(earlier.session.views)
             watching = Observers(watching, MovedCheck(known, watching.on_event))
-        robot, watching = onlooker.attach(recorder.attach(robot), watching)
+        robot, watching = watcher.attach(recorder.attach(robot), watching)
         loop = close_loop(robot, truth, settings, watching, time.perf_counter, earlier, begun)
         _finish(recorder, loop)
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     observer.on_event("evaluating and saving" if truth is not None else "saving")
-    picture = onlooker.picture()
+    picture = watcher.picture()
     try:
         report = save_run(
             folder, name, settings, loop.session, loop.journey, effort, truth, picture

@@ -32,7 +32,7 @@ class RunWatcher:
             return robot, observer
         return self.view.attach(robot), Observers(observer, self.view)
 
-    def end(self, reason: str, report: Callable[[str], None]) -> None:
+    def finish(self, reason: str, report: Callable[[str], None]) -> None:
         """Show on the page why the run ended, and serve it until nobody reads it."""
         if self.view is None:
             return
@@ -57,7 +57,7 @@ class WatchOptions:
     picture: Callable[[], bytes | str] = str
 
     @contextmanager
-    def onlooker(self, name: str, report: Callable[[str], None]) -> Iterator[RunWatcher]:
+    def open_watcher(self, name: str, report: Callable[[str], None]) -> Iterator[RunWatcher]:
         """Serve the live view of the run called ``name`` if there is an address.
 
         Raises:

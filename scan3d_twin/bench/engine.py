@@ -62,7 +62,7 @@ def _outcome(future: Future[Any], task: Task, attempt: int) -> TaskResult:
         done: TaskResult = future.result()
         return replace(done, record=replace(done.record, attempts=attempt))
     words = str(error) if isinstance(error, WorkerLostError) else f"bug: {error!r}"
-    return TaskResult(task.lost(words, attempt))
+    return TaskResult(task.lost_record(words, attempt))
 
 
 def _is_worth_a_retry(future: Future[Any]) -> bool:

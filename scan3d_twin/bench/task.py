@@ -45,11 +45,11 @@ class Task:
         run = replace(self.settings.run, seed=seed)
         return replace(self, settings=replace(self.settings, run=run), picture=picture)
 
-    def lost(self, reason: str, attempts: int) -> Record:
+    def lost_record(self, reason: str, attempts: int) -> Record:
         """Return the record of a task whose worker was lost in the last of ``attempts``."""
-        return replace(self.blank(), status="lost", stop=reason, attempts=attempts)
+        return replace(self.blank_record(), status="lost", stop=reason, attempts=attempts)
 
-    def blank(self) -> Record:
+    def blank_record(self) -> Record:
         """Return the record of the task before its run: the settings alone."""
         config, run = self.settings.config, self.settings.run
         return Record(

@@ -54,7 +54,7 @@ def run_task(task: Task) -> TaskResult:
         with open_sim(scene, run.seed, task.settings.twin) as (robot, truth):
             loop = close_loop(robot, truth, task.settings, Unobserved(), time.process_time)
     except TwinError as error:
-        blank = replace(task.blank(), stop=f"{type(error).__name__}: {error}")
+        blank = replace(task.blank_record(), stop=f"{type(error).__name__}: {error}")
         return TaskResult(_add_provenance(blank, wall, cpu))
     if loop.ended is not None and not isinstance(loop.ended, TwinError):
         raise loop.ended
@@ -63,7 +63,7 @@ def run_task(task: Task) -> TaskResult:
     evaluation = (
         evaluate_model(loop.session, model, Reference.of(loop.session, truth)) if seen else None
     )
-    record = _fill_record(task.blank(), loop, model, evaluation)
+    record = _fill_record(task.blank_record(), loop, model, evaluation)
     picture = _draw_picture(task, record, loop.session, model) if task.picture and seen else None
     return TaskResult(_add_provenance(record, wall, cpu), picture)
 

@@ -82,7 +82,7 @@ def load_session(place: Path) -> RecordedRun:
         else:
             message = _decoded(each)
             packed = message.json, message.data.tobytes()
-            state.take((message.kind, message.index, packed))
+            state.apply((message.kind, message.index, packed))
     if state.session is None or state.mark is None or "settings" not in texts:
         raise FileError(f"no view was finished in {path}: there is nothing to go on from")
     described = texts["settings"]

@@ -189,7 +189,7 @@ class Recorder:
         if self._kept:
             return
         if self._reopened is not None:
-            self._reopened.take_back()
+            self._reopened.restore_old()
         elif not keep:
             self._file.sink.path.unlink(missing_ok=True)
 

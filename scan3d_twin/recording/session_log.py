@@ -95,7 +95,7 @@ class SessionState:
     _open: list[Record] = field(default_factory=list)
     _items: dict[str, dict[int, Any]] = field(default_factory=dict)
 
-    def take(self, record: Record) -> None:
+    def apply(self, record: Record) -> None:
         """Apply the next ``record``.
 
         Raises:

@@ -144,7 +144,7 @@ class KinematicRobot:
         self.truth = Truth(scene, self.world, caster, lambda: None)
         self.path = 0.0
 
-    def look(self) -> Observation:
+    def take_panorama(self) -> Observation:
         """Return a panorama, a coarse sweep all round, from where the robot stands."""
         sweep = self._config.sweep
         return self._sweep(self.here.yaw, math.pi, sweep.look_rate, self._thinning.looks)

@@ -104,7 +104,7 @@ class LiveView:
         if self._pace is not None:
             self._pace.wait(self._robot.clock.now())
         if self._due():
-            self.stage.robot(self._T_world_odom @ self._robot.base.odometry().T_odom_base)
+            self.stage.show_robot(self._T_world_odom @ self._robot.base.odometry().T_odom_base)
 
     def _due(self) -> bool:
         now = time.monotonic()
@@ -129,15 +129,17 @@ class LiveView:
         seen = np.isfinite(line.ranges)
         points = line.ranges[seen, None] * rays[seen]
         in_base = points @ robot.T_base_lidar[:3, :3].T + robot.T_base_lidar[:3, 3]
-        self.stage.line((self._T_world_odom @ robot.base.odometry().T_odom_base).apply(in_base))
+        self.stage.show_line(
+            (self._T_world_odom @ robot.base.odometry().T_odom_base).apply(in_base)
+        )
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
         view, count = session.views[-1], len(session.views)
         self._T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
-        self.stage.views(session)
+        self.stage.show_views(session)
         if count == 1:
-            self.stage.look_at(session)
+            self.stage.aim_camera(session)
         share = scanned_share(session)
         self._bar.value = 100.0 * share
         what = "front" if session.config.tour == "front" else "contour"
@@ -147,8 +149,8 @@ class LiveView:
 
     def on_plan(self, session: Session) -> None:
         """See ``Observer``."""
-        self.stage.views(session)
-        self.stage.plan(session)
+        self.stage.show_views(session)
+        self.stage.show_plan(session)
         self._plan.content = format_plan(session)
 
     def command(self) -> Command:

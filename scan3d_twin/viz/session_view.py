@@ -19,8 +19,8 @@ class SessionView:
     def __init__(self, server: viser.ViserServer, name: str, session: Session) -> None:
         self._session = session
         self._stage = Stage(server)
-        self._stage.views(session)
-        self._stage.look_at(session)
+        self._stage.show_views(session)
+        self._stage.aim_camera(session)
         self._build(server.gui, name, len(session.views))
         self._show(len(session.views))
 
@@ -41,8 +41,8 @@ class SessionView:
         past = replace(whole, views=whole.views[:count], plans=whole.plans[:count])
         view = past.views[-1]
         self._stage.show_upto(count)
-        self._stage.robot(view.T_world_scan)
-        self._stage.plan(past)
+        self._stage.show_robot(view.T_world_scan)
+        self._stage.show_plan(past)
         share = scanned_share(past)
         self._bar.value = 100.0 * share
         last = len(whole.views) - 1

@@ -58,12 +58,12 @@ class Stage:
         scene.add_box("/robot/nose", ORANGE, dimensions=nose, position=(0.16, 0.0, 0.08))
         return frame
 
-    def robot(self, T_world_base: Pose2) -> None:
+    def show_robot(self, T_world_base: Pose2) -> None:
         """Show the robot at its pose."""
         self._robot.position = (T_world_base.x, T_world_base.y, 0.0)
         self._robot.wxyz = _turn(T_world_base)
 
-    def line(self, points: FloatArray) -> None:
+    def show_line(self, points: FloatArray) -> None:
         """Show the latest scan line by its points (n, 3) in ``world`` [m]."""
         if len(points) == 0:
             return
@@ -83,7 +83,7 @@ class Stage:
         if self._line is not None:
             self._line.visible = False
 
-    def views(self, session: Session) -> None:
+    def show_views(self, session: Session) -> None:
         """Show all views of ``session``; views shown before move to their new poses."""
         for index, view in enumerate(session.views):
             if index == len(self._views):
@@ -121,7 +121,7 @@ class Stage:
             point_shading="flat",
         )
 
-    def plan(self, session: Session) -> None:
+    def show_plan(self, session: Session) -> None:
         """Show the last plan of ``session``: the next viewpoint, and the other candidates."""
         for handle in self._plan:
             handle.remove()
@@ -177,11 +177,11 @@ class Stage:
             view.visible = index < self._upto
             self._backgrounds[index].visible = self._with_background and index < self._upto
 
-    def dark(self, wanted: bool) -> None:
+    def set_dark(self, wanted: bool) -> None:
         """Show the page dark or light."""
         set_theme(self._server, dark=wanted)
 
-    def look_at(self, session: Session) -> None:
+    def aim_camera(self, session: Session) -> None:
         """Point the camera of all pages at the target from the robot's side."""
         hint = np.column_stack([session.hint, np.zeros(len(session.hint))])
         seen = [view.T_world_scan.apply(view.target.points) for view in session.views]
@@ -202,7 +202,7 @@ def add_look_controls(gui: Any, stage: Stage) -> None:
     background = gui.add_checkbox("Background", initial_value=True)
     background.on_update(lambda _: stage.show_background(background.value))
     dark = gui.add_checkbox("Dark", initial_value=False)
-    dark.on_update(lambda _: stage.dark(dark.value))
+    dark.on_update(lambda _: stage.set_dark(dark.value))
 
 
 def _background(view: View) -> FloatArray:

@@ -29,7 +29,7 @@ def make(a_task: Task) -> Make:
     ) -> Record:
         steps = tuple(_step(k, error) for k, error in enumerate((None, *errors)))
         record = replace(
-            a_task.blank(),
+            a_task.blank_record(),
             key=f"{variant}-{seed}",
             variant=variant,
             seed=seed,

@@ -12,7 +12,7 @@ from scan3d_twin.cli.bench_progress import LiveProgress, bench_progress, run_wor
 @pytest.fixture(scope="module")
 def lost():
     (task,) = list_tasks(make_experiment(["three_boxes"], [], ["best"]))
-    return task.lost("not finished after 9 s", 3)
+    return task.lost_record("not finished after 9 s", 3)
 
 
 def test_off_a_terminal_each_run_is_a_line_with_the_time_left(lost, capsys):

@@ -110,14 +110,16 @@ def test_it_errs_as_the_robot_of_the_physics_does():
 
 
 def test_the_same_seed_gives_the_same_bits():
-    one, two, other = (robot(seed, twin=TwinConfig()).look().image.ranges for seed in (1, 1, 2))
+    one, two, other = (
+        robot(seed, twin=TwinConfig()).take_panorama().image.ranges for seed in (1, 1, 2)
+    )
     assert np.array_equal(one, two, equal_nan=True)
     assert not np.array_equal(one, other, equal_nan=True)
 
 
 def test_time_passes_as_with_a_real_robot():
     moving = robot()
-    moving.look()
+    moving.take_panorama()
     turned = math.tau / CONFIG.sweep.look_rate
     assert turned < moving.world.time < turned + 10.0
     before = moving.world.time

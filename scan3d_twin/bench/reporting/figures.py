@@ -71,15 +71,15 @@ def draw_pareto(scene: str, group: Group, paint: dict[str, str]) -> Figure | Non
     x = axis_over("views", [0, *(r.views for r in shown)])
     y = axis_over("worst registration error [mm]", [_mm(r.max_error) for r in shown], log=True)
     plot = Plot(f"{scene}: views and worst error", x, y)
-    plot.limit(1e3 * shown[0].epsilon, "\N{GREEK SMALL LETTER EPSILON}")
+    plot.add_limit(1e3 * shown[0].epsilon, "\N{GREEK SMALL LETTER EPSILON}")
     rows: Cells = [["variant", "seed", "views", "max_error_mm", "success"]]
     for k, (variant, runs) in enumerate(group.items()):
-        plot.name(variant, paint[variant])
+        plot.add_legend(variant, paint[variant])
         shift = 0.5 * (k + 1) / (len(group) + 1) - 0.25
-        plot.dots([(r.views + shift, _mm(r.max_error)) for r in runs], paint[variant])
+        plot.add_dots([(r.views + shift, _mm(r.max_error)) for r in runs], paint[variant])
         rows += [[variant, r.seed, r.views, _mm(r.max_error), int(r.success)] for r in runs]
     caption = "One dot a run; below the dashed line every registration met epsilon."
-    return Figure(f"F2-{scene}", caption, plot.svg(), rows)
+    return Figure(f"F2-{scene}", caption, plot.render(), rows)
 
 
 @dataclass(frozen=True)
@@ -113,15 +113,15 @@ def draw_coverage(
     plot = Plot(f"{scene}: coverage", x, share_axis("coverage at 20 mm"))
     rows: Cells = [["variant", along.name, "coverage", "low", "high", "runs"]]
     for variant, runs in group.items():
-        plot.name(variant, paint[variant])
+        plot.add_legend(variant, paint[variant])
         curve = [(at, estimate_median([_covered(r, along, at) for r in runs])) for at in places]
-        plot.band(curve, paint[variant])
+        plot.add_band(curve, paint[variant])
         rows += [[variant, at, *_cells(e)] for at, e in curve]
     caption = (
         f"Coverage of the coverable surface over {along.name}: median of the runs and its 95 % "
         "interval. A run that has ended keeps what it covered."
     )
-    return Figure(f"F3-{scene}-{along.name}", caption, plot.svg(), rows)
+    return Figure(f"F3-{scene}-{along.name}", caption, plot.render(), rows)
 
 
 def _covered(run: Record, along: CoverageAxis, at: float) -> float:
@@ -139,20 +139,20 @@ def draw_calibration(scene: str, group: Group, paint: dict[str, str]) -> Figure 
     errors = [_mm(value) for _, _, s in shown for value in (s.predicted, s.error)]
     x = axis_over("predicted error [mm]", errors, log=True)
     plot = Plot(f"{scene}: predicted and realised error", x, _relabelled(x, "realised error [mm]"))
-    plot.diagonal()
-    plot.limit(1e3 * shown[0][1].epsilon, "\N{GREEK SMALL LETTER EPSILON}")
+    plot.add_diagonal()
+    plot.add_limit(1e3 * shown[0][1].epsilon, "\N{GREEK SMALL LETTER EPSILON}")
     for variant in group:
         label = estimate_median([q for r in group[variant] for q in error_ratios(r)])
-        plot.name(f"{variant}: \N{MULTIPLICATION SIGN} {label.value:.2f}", paint[variant])
+        plot.add_legend(f"{variant}: \N{MULTIPLICATION SIGN} {label.value:.2f}", paint[variant])
         points = [(_mm(s.predicted), _mm(s.error)) for v, _, s in shown if v == variant]
-        plot.dots(points, paint[variant], size=2.2)
+        plot.add_dots(points, paint[variant], size=2.2)
     rows: Cells = [["variant", "seed", "view", "predicted_mm", "error_mm"]]
     rows += [[v, r.seed, s.view, _mm(s.predicted), _mm(s.error)] for v, r, s in shown]
     caption = (
         "One dot a registration; on the dashed diagonal the prediction was right, above it the "
         "error was larger. In the legend: the median of realised over predicted."
     )
-    return Figure(f"F4-{scene}", caption, plot.svg(), rows)
+    return Figure(f"F4-{scene}", caption, plot.render(), rows)
 
 
 def _has_both_errors(step: Step) -> bool:
@@ -188,14 +188,16 @@ def draw_overlaps(scene: str, group: Group, paint: dict[str, str]) -> Figure | N
     )
     rows: Cells = [["variant", "way_m", "step_m", "overlap", "feature"]]
     for variant, found in steps.items():
-        plot.name(variant, paint[variant])
-        plot.dots([(way, eta) for way, _, eta, _ in found if eta is not None], paint[variant], 2.2)
-        plot.line(
+        plot.add_legend(variant, paint[variant])
+        plot.add_dots(
+            [(way, eta) for way, _, eta, _ in found if eta is not None], paint[variant], 2.2
+        )
+        plot.add_line(
             _running_median([(w, e) for w, _, e, _ in found if e is not None]), paint[variant]
         )
         rows += [[variant, *row] for row in found]
     caption = "One dot a step, and their running median, for planners that choose the overlap."
-    return Figure(f"F5a-{scene}", caption, plot.svg(), rows)
+    return Figure(f"F5a-{scene}", caption, plot.render(), rows)
 
 
 def draw_features(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
@@ -211,16 +213,16 @@ def draw_features(scene: str, group: Group, paint: dict[str, str]) -> Figure | N
     plot = Plot(f"{scene}: steps and features", x, y)
     rows: Cells = [["variant", "steps", "spearman", "p", "O3O4_less_O1O2_m", "p"]]
     for variant, found in steps.items():
-        plot.dots([(s[3] or 0.0, s[1]) for s in found], paint[variant], 2.2)
+        plot.add_dots([(s[3] or 0.0, s[1]) for s in found], paint[variant], 2.2)
         claim = _test_claim(found, group[variant])
-        plot.name(f"{variant}: \N{GREEK SMALL LETTER RHO} {claim[0]:.2f}", paint[variant])
+        plot.add_legend(f"{variant}: \N{GREEK SMALL LETTER RHO} {claim[0]:.2f}", paint[variant])
         rows.append([variant, len(found), *claim])
     caption = (
         "The paper says that steps are long where the surface has features: then Spearman's rank "
         "correlation \N{GREEK SMALL LETTER RHO} of length and feature score is positive. Feature "
         "score: the spread of the normals over the half of the view that the robot leaves by."
     )
-    return Figure(f"F5b-{scene}", caption, plot.svg(), rows)
+    return Figure(f"F5b-{scene}", caption, plot.render(), rows)
 
 
 def _test_claim(
@@ -256,11 +258,11 @@ def draw_success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> F
     for key in sorted(curves):
         curve = [(at, estimate_rate(sum(r.success for r in runs), len(runs)))
                  for at, runs in sorted(curves[key].items())]  # fmt: skip
-        plot.name(" ".join(key), tints[" ".join(key)])
-        plot.band(curve, tints[" ".join(key)])
+        plot.add_legend(" ".join(key), tints[" ".join(key)])
+        plot.add_band(curve, tints[" ".join(key)])
         rows += [[*key, at, *_cells(e)] for at, e in curve]
     caption = "Runs with every error within epsilon, over the translation error that eq. (2) draws."
-    return Figure(f"F6-{scene}", caption, plot.svg(), rows)
+    return Figure(f"F6-{scene}", caption, plot.render(), rows)
 
 
 def draw_success_bars(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
@@ -272,11 +274,11 @@ def draw_success_bars(scene: str, group: Group, paint: dict[str, str]) -> Figure
     rows: Cells = [["variant", "success", "low", "high", "runs"]]
     for k, (variant, runs) in enumerate(group.items()):
         estimate = estimate_rate(sum(r.success for r in runs), len(runs))
-        plot.name(f"{variant} ({len(runs)})", paint[variant])
-        plot.bar(k + 0.5, 0.35, estimate, paint[variant])
+        plot.add_legend(f"{variant} ({len(runs)})", paint[variant])
+        plot.add_bar(k + 0.5, 0.35, estimate, paint[variant])
         rows.append([variant, *_cells(estimate)])
     caption = "Share of successful runs with its 95 % interval; in brackets the number of runs."
-    return Figure(f"F7-{scene}", caption, plot.svg(), rows)
+    return Figure(f"F7-{scene}", caption, plot.render(), rows)
 
 
 def _running_median(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:

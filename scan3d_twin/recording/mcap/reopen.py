@@ -32,7 +32,7 @@ class Reopened:
     old: Path
     backup: Path
 
-    def take_back(self) -> None:
+    def restore_old(self) -> None:
         """Delete the new file and restore the old one."""
         self.file.sink.close()
         self.file.sink.path.unlink(missing_ok=True)
