@@ -134,18 +134,25 @@ def _digitize_and_save(
     """Digitise, save the files and return the result."""
     started, folder = time.perf_counter(), recorder.path.parent
     with opening as (robot, truth):
+        # Describe the run
         name_of_base = cast(RobotName, robot.base.spec.name)
         settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
         recorder.describe(name, settings)
         watching: Observer = Observers(recorder, ViewSaver(folder, settings), observer)
+
+        # Resume an earlier run
         earlier = None
         if resume is not None:
             robot, earlier = resume.place_robot(robot, observer.on_event), resume.earlier
             known = len(earlier.session.views)
             watching = Observers(watching, MovedCheck(known, watching.on_event))
+
+        # Close the loop
         robot, watching = watcher.attach(recorder.attach(robot), watching)
         loop = close_loop(robot, truth, settings, watching, time.perf_counter, earlier, begun)
         _finish(recorder, loop)
+
+    # Save all files and the report
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     observer.on_event("evaluating and saving" if truth is not None else "saving")
     picture = watcher.picture()
@@ -155,6 +162,8 @@ def _digitize_and_save(
         )
     except FileError as error:  # the disk that was full before is full now
         raise (loop.ended if isinstance(loop.ended, FileError) else error) from None
+
+    # Return it with its error
     return RunOutcome(folder, report, loop.session, loop.ended or _scan_error(loop.session))
 
 

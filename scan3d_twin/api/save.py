@@ -43,11 +43,14 @@ def save_run(
     evaluated only if it shows the target of the ground truth. ``scene_picture`` is a PNG of the
     scene, or a sentence why there is none; empty for a real robot.
     """
+    # Evaluate against the ground truth
     seen = sightings(session)
     model = joined([each.cleaned for each in seen])
     known = truth is not None and len(model) and shows_target(session, truth)
     reference = Reference.of(session, truth) if truth is not None and known else None
     evaluation = None if reference is None else evaluate_model(session, model, reference)
+
+    # Build the report
     report = build_report(
         scene,
         settings,
@@ -58,9 +61,13 @@ def save_run(
         evaluation,
         None if reference is None else _mesh_accuracy(session, seen, reference),
     )
+
+    # Write views in their final poses
     for index, each in enumerate(session.views):
         write_file(view_path(folder, index), view_bytes(each))
     _remove_views_from(len(session.views), folder)
+
+    # Write top view, model and report
     picture = draw_top_view(
         model.points,
         model.view,
@@ -74,6 +81,8 @@ def save_run(
     write_file(folder / "report.json", report_json(report))
     if isinstance(scene_picture, bytes):
         write_file(folder / "scene.png", scene_picture)
+
+    # Write the report page
     pictures = Pictures(picture, scene_picture)
     options = settings_toml(settings)
     page = render_report_page(report, options, session, model, pictures, evaluation)

@@ -33,6 +33,7 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
         ConfigError: Dask is not installed here, or the workers run other sources.
         LinkError: The scheduler does not answer, or has no workers.
     """
+    # Connect to the scheduler
     try:
         from distributed import Client
     except ImportError:
@@ -45,6 +46,8 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
         raise LinkError(
             f"no Dask scheduler answers at {address}; start one with `dask scheduler`"
         ) from error
+
+    # Check the workers and serve
     with client:
         _check(client, address, code_hash())
         yield ClusterEngine(client, address, timeout)
@@ -52,6 +55,7 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
 
 def _check(client: Any, address: str, here: str) -> None:
     """Raise if there are no workers, or the sources of one differ from the hash ``here``."""
+    # Wait for the first worker
     try:
         client.wait_for_workers(1, timeout=WORKER_TIMEOUT)
     except TimeoutError as error:
@@ -64,6 +68,8 @@ def _check(client: Any, address: str, here: str) -> None:
         raise ConfigError(
             f"a worker of {address} cannot run scan3d_twin ({error}); install this version there"
         ) from error
+
+    # Compare their sources
     for worker, code in codes.items():
         if code != here:
             raise ConfigError(
@@ -116,12 +122,15 @@ class ClusterEngine:
 
     def _settle(self, outer: Future[TaskResult]) -> None:
         """Set the result or the error of ``outer`` from its Dask task."""
+        # Forget the task
         inner = self._inner.pop(outer)
         del self._begun[outer]
         if outer.done():
             return
         if inner.status == "cancelled":
             raise self._gone()
+
+        # Pass on result or error
         error = inner.exception()
         if error is None:
             outer.set_result(inner.result())
@@ -132,12 +141,17 @@ class ClusterEngine:
 
     def _end_overdue(self, futures: Collection[Future[TaskResult]]) -> None:
         """Give up overdue tasks, and restart the workers that hang on them."""
+        # Find the overdue tasks
         now = time.monotonic()
         overdue = [f for f in futures if now - self._begun[f] > self._timeout]
         if not overdue:
             return
+
+        # Find the workers that hang
         keys = {self._inner[future].key for future in overdue}
         workers = [w for w, mine in self._client.processing().items() if keys & set(mine)]
+
+        # Give up tasks, restart workers
         for future in overdue:
             self._inner[future].cancel()
             future.set_exception(WorkerLostError(f"not finished after {self._timeout:g} s"))

@@ -43,9 +43,12 @@ def run_on_workers(
     waiting = deque((task, 1) for task in tasks)
     running: dict[Future[TaskResult], tuple[Task, int]] = {}
     while waiting or running:
+        # Keep all workers busy
         while waiting and len(running) < engine.slots:
             task, attempt = waiting.popleft()
             running[engine.submit(task)] = task, attempt
+
+        # Yield results, retry lost tasks
         for future in engine.wait(running):
             task, attempt = running.pop(future)
             done = _outcome(future, task, attempt)

@@ -67,11 +67,14 @@ class Journal:
         Raises:
             FileError: The journal cannot be written, or another bench has it open.
         """
+        # Create and open the file
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         except OSError as error:
             raise FileError(f"cannot write {path}: {error.strerror}") from error
+
+        # Lock it against other benches
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -79,6 +82,8 @@ class Journal:
             raise FileError(
                 f"another bench writes {path}; wait for it, or name another folder with --out"
             ) from None
+
+        # Cut off an incomplete line
         self._path = path
         self._cut()
 

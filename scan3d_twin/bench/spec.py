@@ -148,6 +148,7 @@ def read_experiment(path: Path) -> Experiment:
         FileError: The file cannot be read.
         ConfigError: A key or value is wrong.
     """
+    # Read the variants
     document = read_settings(path)
     where = str(path)
     _check_keys(document, ("description", "options", "variants", "grids"), where)
@@ -156,6 +157,8 @@ def read_experiment(path: Path) -> Experiment:
         name: merge_options([common, _table(document["variants"], name, f"{where}: variants")])
         for name in _table(document, "variants", where)
     }
+
+    # Read the grids
     grids = document.get("grids", [])
     if not own or not isinstance(grids, list) or not grids:
         raise ConfigError(f"{where} needs [variants.NAME] and [[grids]]")

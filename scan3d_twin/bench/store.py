@@ -35,6 +35,8 @@ def write_parquet(records: Iterable[Record], path: Path) -> None:
     """
     duckdb = _duckdb()
     part = path.with_name(path.name + ".part")
+
+    # Convert JSON lines, then rename
     with tempfile.NamedTemporaryFile("w", suffix=".jsonl", encoding="utf-8") as lines:
         lines.writelines(to_json(record) + "\n" for record in records)
         lines.flush()

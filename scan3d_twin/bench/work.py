@@ -47,6 +47,7 @@ def run_task(task: Task) -> TaskResult:
     Raises:
         Exception: A bug; errors of a robot or a scene are in the record.
     """
+    # Run the closed loop
     wall, cpu = time.perf_counter(), time.process_time()
     run = task.settings.run
     try:
@@ -56,8 +57,12 @@ def run_task(task: Task) -> TaskResult:
     except TwinError as error:
         blank = replace(task.blank_record(), stop=f"{type(error).__name__}: {error}")
         return TaskResult(_add_provenance(blank, wall, cpu))
+
+    # Raise what is a bug
     if loop.ended is not None and not isinstance(loop.ended, TwinError):
         raise loop.ended
+
+    # Evaluate and draw the result
     seen = any(len(view.target) for view in loop.session.views)
     model = build_model(loop.session)
     evaluation = (
@@ -72,6 +77,7 @@ def _fill_record(
     blank: Record, loop: LoopOutcome, model: Model, evaluation: Evaluation | None
 ) -> Record:
     """Return the record of ``loop``; without ``evaluation`` no view showed the target."""
+    # Fill in the loop
     errors = [pair.error for pair in evaluation.pairs] if evaluation else []
     record = replace(
         blank,
@@ -87,6 +93,8 @@ def _fill_record(
         plan_cpu=sum(loop.plan_times),
         steps=tuple(_step(loop, k, evaluation) for k in range(len(loop.session.views))),
     )
+
+    # Add the quality of the model
     return record if evaluation is None else replace(record, **_quality(model, evaluation))
 
 
@@ -105,6 +113,7 @@ def _quality(model: Model, evaluation: Evaluation) -> dict[str, Any]:
 
 def _step(loop: LoopOutcome, k: int, evaluation: Evaluation | None) -> Step:
     """Return the row of view ``k``."""
+    # Take pose and journey
     view, journey = loop.session.views[k], loop.journeys[k]
     step = Step(
         view=k,
@@ -118,11 +127,14 @@ def _step(loop: LoopOutcome, k: int, evaluation: Evaluation | None) -> Step:
         plan_cpu=loop.plan_times[k] if k < len(loop.plan_times) else None,
         feature=feature_score_before(loop.session, k),
     )
+
+    # Add the registration
     return step if k == 0 else replace(step, **_registered(loop.session, k, evaluation))
 
 
 def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict[str, Any]:
     """Return the plan of view ``k`` and the errors of its registration, as fields of a step."""
+    # Take plan and registration
     plan, result = session.plans[k - 1], session.views[k].registration
     planned = {
         "overlap": plan.overlap,
@@ -136,6 +148,8 @@ def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict
             "fitness": result.fitness,
             "converged": result.converged,
         }
+
+    # Add errors against the truth
     if evaluation is None:
         return planned
     pair = evaluation.pairs[k - 1]

@@ -50,14 +50,19 @@ def remove_view(session: Session, index: int) -> Session:
     Raises:
         ConfigError: There is no such view, or it is the only one.
     """
+    # Check that it can go
     if not 0 <= index < len(session.views):
         raise ConfigError(
             f"there is no view {index}: the run has {len(session.views)}, counted from 0"
         )
     if len(session.views) == 1:
         raise ConfigError("the only view cannot be dropped")
+
+    # Align the others all at once
     if session.config.alignment.mode != "off":
         return align(session, leave_out=[index])
+
+    # Or register one after another
     views = tuple(k for k in range(len(session.views)) if k != index)
     poses = tuple(session.views[k].T_world_scan for k in views)
     rest = apply_alignment(session, Alignment(views, poses, np.zeros((len(views), 3)), (), ()))
@@ -79,8 +84,11 @@ def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> RecordedRu
         ConfigError: As for ``remove_view``.
         FileError: There is no session, a run is writing to it, or the disk is full.
     """
+    # Remove the view from the session
     recorded = load_session(folder)
     session, mark = remove_view(recorded.session, index), recorded.mark
+
+    # Append the changes to the file
     reopened = reopen(recorded.path, wall, whole=True)
     log = SessionLog(recorded.session)
     for state in (replace(session, stop_reason=""), session):

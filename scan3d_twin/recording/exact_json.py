@@ -33,14 +33,19 @@ class _Packer:
 
     def tree(self, value: Any) -> Any:
         """Return ``value`` as a tree of JSON types."""
+        # Arrays and NumPy scalars
         if isinstance(value, np.ndarray):
             return self._array(value)
         if isinstance(value, np.generic):
             return self.tree(value.item())
+
+        # Containers
         if is_dataclass(value):
             return {f.name: self.tree(getattr(value, f.name)) for f in stored_fields(type(value))}
         if isinstance(value, tuple | list):
             return [self.tree(each) for each in value]
+
+        # Plain values
         if isinstance(value, float) and not math.isfinite(value):
             return repr(value)
         if value is None or isinstance(value, bool | int | float | str):
@@ -123,6 +128,7 @@ class _Unpacker:
 
     def value(self, hint: Any, tree: Any) -> Any:
         """Return the value of type ``hint`` that ``tree`` encodes."""
+        # Arrays, optional values and tuples
         hint = _expanded(hint)
         origin = get_origin(hint)
         if hint is np.ndarray or origin is np.ndarray:
@@ -132,6 +138,8 @@ class _Unpacker:
             return None if tree is None else self.value(inner, tree)
         if origin is tuple:
             return self._tuple(get_args(hint), tree)
+
+        # Dataclasses and plain values
         if is_dataclass(hint):
             assert isinstance(hint, type)
             return hint(**self.fields(hint, tree))

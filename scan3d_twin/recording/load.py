@@ -74,6 +74,7 @@ def load_session(place: Path) -> RecordedRun:
     Raises:
         FileError: There is no session file, no view was finished in it, or it is damaged.
     """
+    # Replay the session log
     path = find_session_file(place)
     texts, state = {}, SessionState()
     for each in read_contents(path, RECORDS):
@@ -85,6 +86,8 @@ def load_session(place: Path) -> RecordedRun:
             state.apply((message.kind, message.index, packed))
     if state.session is None or state.mark is None or "settings" not in texts:
         raise FileError(f"no view was finished in {path}: there is nothing to go on from")
+
+    # Return it with its settings
     described = texts["settings"]
     return RecordedRun(
         path=path,

@@ -115,6 +115,7 @@ class Recorder:
 
     def attach(self, robot: Robot) -> Robot:
         """Return ``robot`` wrapped so that its odometry and commands are recorded."""
+        # Record mount and first odometry
         self._robot = robot
         if self._reopened:
             self._last = robot.base.odometry()
@@ -122,6 +123,8 @@ class Recorder:
             "/tf_static", robot.clock.now(), ros.encode_mount(robot.T_base_lidar), latched=True
         )
         self._follow()
+
+        # Wrap base and clock
         recorded = replace(robot, base=_TappedBase(robot.base, self._on_command))
         return attended(recorded, self._follow)
 
@@ -214,18 +217,25 @@ class Recorder:
 
     def _follow(self) -> None:
         """Write the odometry since the last call."""
+        # Report an earlier failure
         if self._failure is not None:
             raise self._failure
+
+        # Add up path and turns
         robot = self._attached()
         since = 0.0 if self._last is None else self._last.stamp
         samples = robot.base.odometry_since(since)
         if self._last is not None:
             path, turn = travelled(samples)
             self.mark = replace(self.mark, path=self.mark.path + path, turn=self.mark.turn + turn)
+
+        # Write the new samples
         fresh = [s for s in samples if self._last is None or s.stamp > self._last.stamp]
         for sample in fresh:
             self._file.write(ODOMETRY, sample.stamp, cdr.encode_odometry(sample, self._last))
             self._last = sample
+
+        # Write the latest transform
         if fresh and self._last is not None:
             stamp, T_odom_base = self._last.stamp, self._last.T_odom_base
             self._file.write(

@@ -67,7 +67,10 @@ def compare_sessions(recorded: Session, again: Session) -> list[Row]:
     """Return a row per view: differences of pose, registration and plan [mm, deg]."""
     rows = []
     for k, (before, now) in enumerate(zip(recorded.views, again.views, strict=True)):
+        # Take both plans
         plans = [each.plans[k] if k < len(each.plans) else None for each in (recorded, again)]
+
+        # Compare pose, registration and plan
         row = {
             "view": k,
             "identical": is_identical((before, plans[0]), (now, plans[1])),

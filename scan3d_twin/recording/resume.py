@@ -45,10 +45,13 @@ def reenact(robot: Robot, commands: Iterable[Command], mark: Mark) -> bool:
     Raises:
         ScanError: The robot ended up somewhere else.
     """
+    # Replay the commands
     for stamp, linear, angular in commands:
         _wait_until(robot.clock, stamp)
         robot.base.set_velocity(linear, angular)
     _wait_until(robot.clock, mark.stamp)
+
+    # Compare with the recorded odometry
     here, there = robot.base.odometry().T_odom_base, mark.T_odom_base
     if here == there:
         return True
@@ -154,6 +157,7 @@ def moved_warning(session: Session) -> str:
     The view is registered on the one before it with a wide prior. Along a direction that the scene
     leaves open, such as a bare wall, a displacement goes unnoticed.
     """
+    # Register with a wide prior
     previous, view = session.views[-2:]
     move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     prior = PosePrior.planar(move, SEARCH_XY, SEARCH_YAW)
@@ -162,6 +166,8 @@ def moved_warning(session: Session) -> str:
         found = register(*grids, prior=prior, starts=STARTS)
     except RegistrationError:
         return "the first view after going on shows nothing known: was the robot moved?"
+
+    # Measure the distance to odometry
     truly, points = Pose2.from_matrix(found.T_target_source), view.target.points
     off = max(truly.distance(move), rms(truly.apply(points) - move.apply(points)))
     if off > MOVED_DISTANCE:

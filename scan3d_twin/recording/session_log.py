@@ -108,6 +108,7 @@ class SessionState:
 
     def _close(self, records: list[Record]) -> None:
         """Apply all ``records`` since the last mark."""
+        # Apply records to the items
         base = self.session
         for kind, index, packed in records[:-1]:
             if kind == SESSION:
@@ -117,6 +118,8 @@ class SessionState:
                 items[index] = _item(_lists()[kind], items.get(index), packed)
         if base is None:
             raise FileError("no valid session in the file: it begins in the middle")
+
+        # Cut lists to the marked lengths
         text = records[-1][2][0]
         lengths = json.loads(text)["lengths"]
         try:
@@ -126,6 +129,8 @@ class SessionState:
             }
         except KeyError as error:
             raise FileError(f"no valid session in the file: item {error} is missing") from None
+
+        # Take the new state
         self.session, self.mark = replace(base, **lists), unpack(Mark, (text, b""))
         if not self.session.stop_reason:
             self.open_session = self.session

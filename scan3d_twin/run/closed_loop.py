@@ -91,9 +91,12 @@ def close_loop(
     Raises:
         BaseException: Whatever ended the loop before its first view.
     """
+    # Prepare planner, log and target
     planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
     log = _ProgressLog(robot, earlier, begun)
     target = _find_target(settings.run.target, truth)
+
+    # Digitise until it ends
     ended: BaseException | None = None
     try:
         session = digitize(
@@ -109,6 +112,8 @@ def close_loop(
         if log.session is None:
             raise
         ended, session = error, log.session.ended(_describe_error(error))
+
+    # Return the result
     return LoopOutcome(session, log.journey(), tuple(log.journeys), tuple(planner.seconds), ended)
 
 

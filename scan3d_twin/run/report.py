@@ -111,12 +111,15 @@ def failure_reason(session: Session) -> str:
     A scan fails when fewer than two views are registered, or when no step was predicted to meet
     epsilon.
     """
+    # Count the registered views
     registered = sum(v.registration is None or v.registration.converged for v in session.views)
     if registered < 2:
         return (
             f"{registered} of {len(session.views)} views registered, a model needs 2; "
             "try a smaller standoff, more views or another target"
         )
+
+    # Look for a step within epsilon
     epsilon = session.config.planning.epsilon
     predicted = [p.predicted_rmse for p in session.plans if p.viewpoint is not None]
     known = [rmse for rmse in predicted if math.isfinite(rmse)]

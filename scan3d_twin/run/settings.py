@@ -149,9 +149,13 @@ def _build(cls: type[T], values: Any, where: str) -> T:
     """Return ``cls`` with ``values`` by key, checked; ``where`` is their prefix in messages."""
     if not isinstance(values, Mapping):
         raise ConfigError(f"{where.rstrip('.')} must be a table, got {values!r}")
+
+    # Collect fields and former names
     names = {option_key(f.name): f.name for f in fields(cls)}  # type: ignore[arg-type]
     hints, former = get_type_hints(cls), former_names(cls)
     arguments: dict[str, Any] = {}
+
+    # Check and convert each value
     for name, value in values.items():
         if name not in former:
             _check_known(name, list(names), where)

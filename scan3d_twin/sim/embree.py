@@ -45,9 +45,12 @@ class TriangleScene:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
+        # Compute the poses of all geoms
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         attitudes = np.array(data.geom_xmat).reshape(-1, 3, 3)
+
+        # Tessellate the visible geoms
         parts, owners, shapes = [], [], []
         for geom in range(model.ngeom):
             if is_visible(model, geom):
@@ -55,6 +58,8 @@ class TriangleScene:
                 parts.append(local @ attitudes[geom].T + data.geom_xpos[geom])
                 owners.append(np.full(len(local), geom))
                 shapes.append(_shapes(model, geom, local))
+
+        # Build the arrays by triangle
         triangles = np.concatenate(parts)
         self.geoms: IntArray = np.append(np.concatenate(owners), -1)
         self.normals = np.vstack([_normals(triangles), np.zeros((1, 3))])
@@ -64,6 +69,8 @@ class TriangleScene:
         self._curved = np.append(np.concatenate(shapes) > 0, False)
         self._any_curved = bool(self._curved.any())
         self._maps, self._offsets = _quadrics(model, np.array(data.geom_xpos), attitudes)
+
+        # Build the hierarchy of triangles
         self._scene = EmbreeScene(robust=True)
         self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
 
@@ -74,13 +81,18 @@ class TriangleScene:
 
         Hits on a tessellated curved surface are refined to its exact distance and normal.
         """
+        # Cast for the first hits
         found = self._scene.run(
             origins.astype(np.float32), directions.astype(np.float32), query="INTERSECT", output=1
         )
         index = found["primID"].astype(np.int64)
         distances = found["tfar"].astype(np.float64)
         distances[index < 0] = np.inf
+
+        # Look up normals and geoms
         normals, geoms = self.normals.take(index, axis=0), self.geoms.take(index)
+
+        # Refine hits on curved surfaces
         if self._any_curved:
             curved = np.flatnonzero(self._curved.take(index))
             if len(curved):
@@ -133,11 +145,15 @@ def _quadrics(
         radius, half = model.geom_size[geom, :2]
         if kind not in _ROUND and kind not in _STRAIGHT:
             continue
+
+        # Choose the radii by kind
         side, ends = np.full(3, radius), 0.0
         if kind == _GEOM.mjGEOM_ELLIPSOID:
             side = np.array(model.geom_size[geom])
         elif kind in _STRAIGHT:
             side, ends = np.array([radius, radius, np.inf]), half
+
+        # Map side and both ends
         for shape, (size, along) in enumerate(((side, 0.0), (radius, -ends), (radius, ends)), 1):
             maps[geom, shape] = (attitudes[geom] / size).T
             centre = places[geom] + along * attitudes[geom][:, 2]

@@ -134,9 +134,13 @@ class KinematicRobot:
         # has no mixed pixels.
         lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1, line_loss=0.0)
         spec = thin_spec(lidar_spec(twin.lidar_link), thinning)
+
+        # Build the scanner
         surfaces = stream(seed, Stream.SURFACE)
         self._scanner = Scanner(scene.model, twin.robot, spec, lidar, caster, surfaces)
         self._rng, self._config, self._thinning = stream(seed, Stream.LIDAR), config, thinning
+
+        # Draw the robot, open the truth
         self._errors = draw_robot(scene, seed, twin.errors)
         self._spec = PROFILES[twin.robot]
         self.world = KinematicWorld(scene.spawn)
@@ -173,14 +177,19 @@ class KinematicRobot:
 
     def _sweep(self, yaw: float, half: float, rate: float, every: int) -> Observation:
         """Turn right from ``half`` to -``half`` about the heading ``yaw``, reading lines."""
+        # Compute the headings of all beams
         spec, scale = self._scanner.spec, turn_scale(self._errors)
         period = spec.line_period * every
         first = half - rate * period * float(self._rng.random())
         count = math.floor((first + half) / (rate * period)) + 1
         yaws = first - rate * (period * np.arange(count)[:, None] + spec.beam_times)
+
+        # Turn and measure
         started = self._turn_through(half, rate) + (half - first) / rate
         true = self.world.pose
         ranges, codes = self._measure(true, scale * yaws)
+
+        # Assemble the range image
         image = RangeImage(
             stamps=read_only(started + period * np.arange(count)),
             yaws=read_only(yaws),
@@ -205,6 +214,7 @@ class KinematicRobot:
 
     def _measure(self, true: Pose2, yaws: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return ranges [m] and codes (m, n) of beams at ``yaws`` (m, n) about the true pose."""
+        # Place the lidar at each beam
         m, n = yaws.shape
         angles = true.yaw + yaws
         c, s = np.cos(angles), np.sin(angles)
@@ -212,6 +222,8 @@ class KinematicRobot:
         positions = np.empty((m, n, 3))
         positions[..., 0], positions[..., 1] = true.x + ahead * c, true.y + ahead * s
         positions[..., 2] = up
+
+        # Draw the noise and measure
         draws = Draws(
             self._rng.standard_normal((m, n), dtype=np.float32),
             self._rng.standard_normal((m, n)),

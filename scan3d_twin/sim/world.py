@@ -107,20 +107,27 @@ def build_model(
     Raises:
         SceneError: They do not compile together, as with a keyframe without the robot's joints.
     """
+    # Put the robot at the spawn
     spec = scene.spec.copy()
     half = scene.spawn.yaw / 2
     frame = spec.worldbody.add_frame(
         pos=[scene.spawn.x, scene.spawn.y, 0.0], quat=[np.cos(half), 0, 0, np.sin(half)]
     )
     child = robot_spec(robot)
+
+    # Apply its errors
     errors = errors.on(scene)
     _apply_errors(child, errors)
     spec.attach(child, prefix=PREFIX, frame=frame)
     if errors.floor is not None:
         lay_floor(spec, errors.floor)
+
+    # Set the solver
     _set_options(spec.option, Solver() if solver is None else solver)
     if scene.model.nv == 0:  # the robot is the only island; finding islands costs 7 % of a step
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+
+    # Compile the model
     try:
         return spec.compile()
     except ValueError as error:
@@ -139,6 +146,8 @@ def _apply_errors(spec: Any, errors: RobotErrors) -> None:
         mount.pos = np.array(mount.pos) * (1, 1 + errors.wheel_base, 1)
         motor = spec.actuator(f"{side}_cogging")
         motor.biasprm[0], motor.biasprm[2] = errors.cogging, errors.cogging_phase[index]
+
+    # Turn the lidar's mount
     if any(errors.mount):
         lateral, roll, pitch = errors.mount
         site = spec.site("lidar")
@@ -166,14 +175,19 @@ class World:
     """
 
     def __init__(self, scene: Scene, model: Any) -> None:
+        # Set up model and data
         self.model = model
         self.data = mujoco.MjData(model)
         self.steps = 0
         self.timestep = float(model.opt.timestep)
         self._settled = round(SETTLE_TIME / self.timestep)
+
+        # Let the suspension settle
         self._scene_nq = scene.model.nq  # attached last, the robot comes after the scene's joints
         mujoco.mj_step(model, self.data, nstep=self._settled)
         mujoco.mj_forward(model, self.data)
+
+        # Take views of MuJoCo's arrays
         free = model.joint(PREFIX + "free").qposadr[0]
         self._base_qpos = self.data.qpos[free : free + 7]
         histories = [

@@ -102,6 +102,8 @@ def round_up(value: float) -> float:
 def _axes(chart: Chart) -> list[str]:
     left, right = LEFT, chart.width - RIGHT
     bottom = chart.height - BOTTOM
+
+    # Draw ticks and grid of y
     parts = []
     for value in _ticks(chart.y_range):
         y = chart.y(value)
@@ -110,12 +112,16 @@ def _axes(chart: Chart) -> list[str]:
         parts.append(
             f'<text class="tick" x="{left - 6:g}" y="{y + 4:.1f}" text-anchor="end">{words}</text>'
         )
+
+    # Draw the ticks of x
     for value in _ticks(chart.x_range):
         words = f"{value:.0%}" if "x" in chart.percent else f"{value:g}"
         parts.append(
             f'<text class="tick" x="{chart.x(value):.1f}" y="{bottom + 16:g}" '
             f'text-anchor="middle">{words}</text>'
         )
+
+    # Draw the axis and labels
     middle = (left + right) / 2
     parts.append(f'<path class="axis" d="M{left:g} {bottom:g}H{right:g}"/>')
     parts.append(
@@ -160,6 +166,8 @@ def _line(chart: Chart) -> list[str]:
 
 def _dot(chart: Chart, dot: Dot) -> str:
     x, y = chart.x(dot.x), chart.y(dot.y)
+
+    # Write tooltip and label
     title = f"<title>{escape(dot.title)}</title>" if dot.title else ""
     label = (
         f'<text class="label" x="{x:.1f}" y="{y - 9:.1f}" text-anchor="middle">'
@@ -167,6 +175,8 @@ def _dot(chart: Chart, dot: Dot) -> str:
         if dot.label
         else ""
     )
+
+    # Draw a circle or an arrow
     fill = dot.colour if dot.filled else "var(--page)"
     if dot.y > chart.y_range[1]:
         shape = f'<path d="M{x - 5:.1f} {y + 9:.1f}h10l-5 -9z" '

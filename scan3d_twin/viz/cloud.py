@@ -65,11 +65,15 @@ def choose_camera(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
     """Return a camera that sees all ``points`` (n, 3) from the side of most ``viewpoints``."""
     if len(points) == 0:
         return Camera(np.zeros(3), 3.0, math.pi, math.radians(25.0))
+
+    # Look from the viewpoints' side
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     places = np.array([[pose.x, pose.y] for pose in viewpoints]).reshape(-1, 2)
     x, y = (places - middle[:2]).sum(axis=0) if len(places) else (-1.0, 0.0)
     # A little to the side shows depth better than from straight ahead.
     azimuth, elevation = math.atan2(y, x) + math.radians(20.0), math.radians(24.0)
+
+    # Back off until it fits
     camera = Camera(middle, 2.0 * float(np.ptp(points, axis=0).max()), azimuth, elevation)
     for _ in range(3):
         column, row, _ = _project(points, camera)
@@ -120,18 +124,25 @@ def pack_points(model: Model, views: int, around: FloatArray, camera: Camera) ->
         around: Points of the surroundings (n, 3) [m].
         camera: Determines the light.
     """
+    # Sort by view and thin
     chosen = model.select(np.argsort(model.view, kind="stable"))
     chosen = chosen.select(
         np.arange(0, len(model), max(1, math.ceil(len(model) / MAX_TARGET_POINTS)))
     )
     points = np.concatenate([chosen.points, around])
+
+    # Quantise coordinates to 16 bits
     low = points.min(axis=0) if len(points) else np.zeros(3)
     extent = max(1e-3, float(np.ptp(points, axis=0).max())) if len(points) else 1.0
     records = np.zeros(len(points), POINT_RECORD)
     for axis, name in enumerate("xyz"):
         records[name] = np.round((points[:, axis] - low[axis]) / extent * 65535)
+
+    # Light the surfaces
     light = np.concatenate([shade_normals(chosen.normals, camera), np.full(len(around), 0.8)])
     records["shade"] = np.round(255 * light)
+
+    # Find the ranges of the views
     counts = [*np.bincount(chosen.view, minlength=views), len(around)]
     firsts = np.cumsum([0, *counts[:-1]])
     ranges = [(int(first), int(count)) for first, count in zip(firsts, counts, strict=True)]
@@ -140,10 +151,13 @@ def pack_points(model: Model, views: int, around: FloatArray, camera: Camera) ->
 
 def render_still(model: Model, camera: Camera) -> bytes:
     """Return a picture of ``model`` from ``camera`` as PNG with a transparent background."""
+    # Project, near points last
     size = (STILL_HEIGHT, STILL_WIDTH)
     x, y, depth = _project(model.points, camera)
     front = depth > 0.05
     order = np.flatnonzero(front)[np.argsort(-depth[front])]  # near points overwrite far ones
+
+    # Draw squares of 3 pixels
     picture = np.zeros((*size, 4), np.uint8)
     colours = _colours(model.view, shade_normals(model.normals, camera))[order]
     column, row = np.round(x[order]).astype(np.int64), np.round(y[order]).astype(np.int64)
@@ -157,10 +171,13 @@ def render_still(model: Model, camera: Camera) -> bytes:
 
 def _project(points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return column, row and depth (n,) of ``points`` (n, 3) in the still picture."""
+    # Compute the camera's axes
     a, e = camera.azimuth, camera.elevation
     back = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     right = np.array([-math.sin(a), math.cos(a), 0.0])
     up = np.cross(back, right)
+
+    # Project in perspective
     offset = points - camera.middle - camera.distance * back
     depth = -offset @ back
     focal = STILL_HEIGHT / 2 / math.tan(FIELD_OF_VIEW / 2)

@@ -119,27 +119,35 @@ class LiveView:
 
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``; stops as ``attend`` does."""
+        # Limit the refresh rate
         due = time.monotonic() - self._drawn >= REFRESH_PERIOD
         self.attend()
         robot = self._robot
         if robot is None or not due:
             return
+
+        # Convert the line to points
         elevations = robot.lidar.spec.elevations
         rays = np.stack([np.cos(elevations), np.zeros_like(elevations), np.sin(elevations)], axis=1)
         seen = np.isfinite(line.ranges)
         points = line.ranges[seen, None] * rays[seen]
         in_base = points @ robot.T_base_lidar[:3, :3].T + robot.T_base_lidar[:3, 3]
+
+        # Show them in the world
         self.stage.show_line(
             (self._T_world_odom @ robot.base.odometry().T_odom_base).apply(in_base)
         )
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
+        # Show the views
         view, count = session.views[-1], len(session.views)
         self._T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
         self.stage.show_views(session)
         if count == 1:
             self.stage.aim_camera(session)
+
+        # Show the progress
         share = scanned_share(session)
         self._bar.value = 100.0 * share
         what = "front" if session.config.tour == "front" else "contour"

@@ -80,11 +80,15 @@ def _render_model(session: Session, model: Model) -> str:
     """Return the section with the interactive model over its still picture."""
     if len(model) == 0:
         return "<h2>Model</h2><p>No view shows anything of the target: there is no model.</p>"
+
+    # Pack points, draw the still picture
     viewpoints = [view.T_world_scan for view in session.views]
     camera = cloud.choose_camera(model.points, viewpoints)
     packed = cloud.pack_points(model, len(session.views), cloud.surrounding_points(session), camera)
     picture = base64.b64encode(cloud.render_still(model, camera)).decode()
     data = base64.b64encode(packed.data).decode()
+
+    # Return the section with script
     return f"""<h2>Model</h2>
 <figure>
 <div class="frame" id="model">
@@ -150,6 +154,7 @@ def _viewpoint_lines(session: Session) -> list[float]:
     """
     numbers: list[float] = []
     for k, view in enumerate(session.views):
+        # Draw mast and arrow
         pose = view.T_world_scan
         rgb = [round(int(view_colour(k)[i : i + 2], 16) / 255, 3) for i in (1, 3, 5)]
         half = min(session.config.sweep.width, math.pi) / 2
@@ -161,6 +166,8 @@ def _viewpoint_lines(session: Session) -> list[float]:
                 (tip, (pose.x + 0.3 * math.cos(yaw), pose.y + 0.3 * math.sin(yaw), ROBOT_HEIGHT))
             )
         ends.append((ends[1][1], ends[2][1]))
+
+        # Append ends with colour and view
         for pair in ends:
             for place in pair:
                 numbers += [*(round(value, 4) for value in place), *rgb, k]

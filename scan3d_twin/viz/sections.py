@@ -24,6 +24,7 @@ MAX_CHART_ERROR = 5.0
 
 def render_head(report: Report) -> str:
     """Return the title, the stop reason and the key figures."""
+    # Collect the key figures
     figures = [
         ("Views", f"{report['views']}", ""),
         *_quality(report),
@@ -36,6 +37,8 @@ def render_head(report: Report) -> str:
         f"<div><dt>{escape(name)}</dt><dd>{escape(value)} <small>{escape(unit)}</small></dd></div>"
         for name, value, unit in figures
     )
+
+    # Return the header of the page
     return (
         f"<header><h1>{escape(report['scene'])}</h1>"
         f'<p class="lead">{escape(_capital(report["stop_reason"]))}. '
@@ -85,6 +88,8 @@ def render_views(report: Report, session: Session) -> str:
     """Return the table of views: planned overlap, predicted and realised errors."""
     if not session.views:
         return ""
+
+    # Fill heading and rows
     known = report["coverage_20mm"] is not None
     rows = {row["view"]: row for row in report["registration"]}
     names = ["View", "Points", "Overlap", "Predicted error"]
@@ -92,6 +97,8 @@ def render_views(report: Report, session: Session) -> str:
     names += ["Odometry corrected by", "Fitness"]
     header = "".join(f"<th>{name}</th>" for name in names) + '<th class="words">Note</th>'
     body = "".join(_row(k, session, rows.get(k), known=known) for k in range(len(session.views)))
+
+    # Return the table with legend
     return (
         '<h2>Views</h2><div class="scroll"><table>'
         f"<thead><tr>{header}</tr></thead><tbody>{body}</tbody></table></div>"
@@ -136,6 +143,7 @@ def _note(row: dict[str, Any]) -> str:
 
 def render_overlap_curves(session: Session) -> str:
     """Return a chart E(eta) for each planning step that predicted errors."""
+    # Select steps with a prediction
     epsilon = 1e3 * session.config.planning.epsilon
     steps = [
         (k, plan)
@@ -144,6 +152,8 @@ def render_overlap_curves(session: Session) -> str:
     ]
     if not steps:
         return ""
+
+    # Find a common scale
     finite = [
         1e3 * c.predicted_rmse
         for _, plan in steps
@@ -151,6 +161,8 @@ def render_overlap_curves(session: Session) -> str:
         if math.isfinite(c.predicted_rmse)
     ]
     top = round_up(min(MAX_CHART_ERROR * epsilon, 1.1 * max([epsilon, *finite])))
+
+    # Draw one chart per step
     charts = "".join(
         _overlap_curve(k, plan, epsilon, top) for k, plan in steps if len(plan.candidates) > 1
     )
@@ -159,6 +171,8 @@ def render_overlap_curves(session: Session) -> str:
         for k, plan in steps
         if len(plan.candidates) == 1
     )
+
+    # Return the section with charts
     return (
         "<h2>How the overlaps were chosen</h2><p>For each step the planner predicts the "
         "registration error E of growing overlaps η and takes the smallest that stays within ε "
@@ -169,6 +183,7 @@ def render_overlap_curves(session: Session) -> str:
 
 
 def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
+    # Make one dot per candidate
     chosen = plan.viewpoint is not None
     dots = [
         Dot(
@@ -181,6 +196,8 @@ def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
         for c in sorted(plan.candidates, key=lambda c: c.overlap)
         if not math.isnan(c.predicted_rmse)
     ]
+
+    # Draw the chart
     words = f"{plan.overlap:.0%}" + (" (default)" if plan.fell_back else "")
     title = f"View {k} to {k + 1}: {words}" if chosen else f"View {k}: the last"
     chart = Chart(
@@ -204,6 +221,8 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
     """Return the chart of coverage against time, each view a numbered dot."""
     if not session.views:
         return ""
+
+    # Compute coverage after each view
     if evaluation is not None:
         shares: Sequence[float] = evaluation.coverage_by_view
         what = "Share of the coverable surface with a model point within 20 mm"
@@ -213,6 +232,8 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
             for k in range(len(session.views))
         ]
         what = "Share of the target's outline, as far as the robot knows it, that was scanned"
+
+    # Make one dot per view
     times = [float(view.observation.image.stamps.max()) for view in session.views]
     scale, unit = (1.0, "s") if times[-1] < 600 else (60.0, "min")
     dots = [
@@ -230,6 +251,8 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
         width=520,
         height=260,
     )
+
+    # Return the chart with caption
     return (
         f'<h2>Coverage</h2><figure class="wide">{render_chart(chart)}<figcaption>{what}, '
         "at the end of each view, which is numbered.</figcaption></figure>"

@@ -36,13 +36,18 @@ class SessionView:
 
     def _show(self, count: int) -> None:
         """Show the run after ``count`` views, with the plan made then."""
+        # Cut the session to that time
         whole = self._session
         count = min(count, len(whole.views))
         past = replace(whole, views=whole.views[:count], plans=whole.plans[:count])
         view = past.views[-1]
+
+        # Show views, robot and plan
         self._stage.show_upto(count)
         self._stage.show_robot(view.T_world_scan)
         self._stage.show_plan(past)
+
+        # Show the progress in words
         share = scanned_share(past)
         self._bar.value = 100.0 * share
         last = len(whole.views) - 1

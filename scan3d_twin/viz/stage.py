@@ -95,6 +95,7 @@ class Stage:
 
     def _add_view(self, index: int, view: View) -> None:
         """Add the points of a view below a frame that is its frame ``scan``."""
+        # Add the thinned target
         scene, name, colour = (
             self._server.scene,
             f"/views/{index:03d}",
@@ -104,8 +105,12 @@ class Stage:
         target = view.target.points
         step = max(1, math.ceil(len(target) / MAX_VIEW_POINTS))
         self._cloud(f"{name}/target", target[::step], colour, POINT_SIZE)
+
+        # Add the thinned background
         around = voxel_thin(_background(view), BACKGROUND_VOXEL)
         self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT_SIZE))
+
+        # Add the viewpoint's number
         place = (0.0, 0.0, EYE_HEIGHT)
         scene.add_icosphere(f"{name}/place", 0.03, colour, subdivisions=2, position=place)
         scene.add_label(f"{name}/number", f"{index}", position=(0.0, 0.0, EYE_HEIGHT + 0.06))
@@ -148,14 +153,19 @@ class Stage:
 
     def _add_next(self, plan: Plan, pose: Pose2, width: float) -> None:
         """Add the chosen viewpoint: a marker, its scan sector and its predicted error."""
+        # Outline the scan sector
         scene = self._server.scene
         corners = np.array([[0.0, 0.0], *_sector(width)])
         ring = np.column_stack([pose.apply(corners), np.full(len(corners), 0.02)])
         sides = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
+
+        # Describe the predicted error
         known = math.isfinite(plan.predicted_rmse)
         error = f"{1e3 * plan.predicted_rmse:.1f} mm" if known else "error unknown"
         place, above = (pose.x, pose.y, EYE_HEIGHT), (pose.x, pose.y, EYE_HEIGHT + 0.08)
         words = f"next: {plan.overlap:.0%}, {error}"
+
+        # Add the objects
         self._plan += [
             scene.add_line_segments("/next/sector", sides, CHOSEN, thickness=0.012),
             scene.add_icosphere("/next/place", 0.045, CHOSEN, subdivisions=2, position=place),

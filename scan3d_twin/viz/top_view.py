@@ -80,9 +80,12 @@ def draw_top_view(
         standoff: Distance at which the surface is expected [m]; the sectors are a quarter longer.
         title: One line above the picture.
     """
+    # Lay out the picture
     reach = 1.25 * standoff
     frame = _frame(points, viewpoints, sweep_width, reach)
     total = frame.height + TITLE_HEIGHT + MARGIN
+
+    # Draw from back to front
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {total:.0f}" role="img">',
         f"<title>{escape(title)}</title><style>{STYLE}</style>",
@@ -102,12 +105,17 @@ def _frame(
     points: FloatArray, viewpoints: Sequence[Pose2], sweep_width: float, reach: float
 ) -> _Frame:
     """Return a frame around all points and sectors, with a border."""
+    # Bound all points and sectors
     corners = [_sector_points(pose, sweep_width, reach) for pose in viewpoints]
     seen = np.concatenate([points[:, :2], *corners])
     low, high = seen.min(axis=0) - 0.15, seen.max(axis=0) + 0.15
+
+    # Fit the scale to both axes
     width = WIDTH - MARGIN - 20.0
     scale = min(width / (high[0] - low[0]), MAX_HEIGHT / (high[1] - low[1]))
     height = max(MIN_HEIGHT, scale * (high[1] - low[1]))
+
+    # Centre the content
     middle = (low + high) / 2
     return _Frame(
         x_min=float(middle[0] - width / scale / 2),
@@ -127,10 +135,13 @@ def _sector_points(pose: Pose2, width: float, reach: float) -> FloatArray:
 
 def _points(frame: _Frame, points: FloatArray, view: IntArray) -> list[str]:
     """Return one path of dots per view, one dot per occupied cell of the picture."""
+    # One dot per occupied cell
     size = POINT_SIZE / 2 / frame.scale
     cells = np.column_stack([view, np.round(points[:, :2] / size).astype(np.int64)])
     cells = np.unique(cells, axis=0)
     cells = cells[:: max(1, math.ceil(len(cells) / MAX_POINTS))]
+
+    # Draw one path per view
     parts = []
     for index in np.unique(cells[:, 0]):
         dots = size * cells[cells[:, 0] == index, 1:]
@@ -155,12 +166,15 @@ def _stars(frame: _Frame, viewpoints: Sequence[Pose2]) -> list[str]:
     """Return a star at each viewpoint, with its number behind it."""
     parts = []
     for index, pose in enumerate(viewpoints):
+        # Draw a star of five tips
         x, y = frame.x(pose.x), frame.y(pose.y)
         tips = " ".join(
             f"{x + r * math.sin(a):.1f},{y - r * math.cos(a):.1f}"
             for a, r in ((math.tau * k / 10, 4.0 if k % 2 else 10.0) for k in range(10))
         )
         parts.append(f'<polygon class="star" points="{tips}" fill="{view_colour(index)}"/>')
+
+        # Draw its number behind it
         tx, ty = x - 19 * math.cos(pose.yaw), y + 19 * math.sin(pose.yaw) + 4.5
         parts.append(
             f'<text class="label" x="{tx:.1f}" y="{ty:.1f}" text-anchor="middle">{index}</text>'
@@ -170,10 +184,13 @@ def _stars(frame: _Frame, viewpoints: Sequence[Pose2]) -> list[str]:
 
 def _axes(frame: _Frame) -> list[str]:
     """Return grid, frame and ticks in metres."""
+    # Choose the tick distance
     left, top = MARGIN, TITLE_HEIGHT
     bottom, right = top + frame.height, left + frame.width
     step = _round_step(100.0 / frame.scale)
     digits = max(0, -math.floor(math.log10(step)))
+
+    # Draw vertical grid lines
     parts = []
     for value in _multiples(step, frame.x_min, frame.x_max):
         x = frame.x(value)
@@ -182,6 +199,8 @@ def _axes(frame: _Frame) -> list[str]:
             f'<text class="tick" x="{x:.1f}" y="{bottom + 17:.1f}" text-anchor="middle">'
             f"{value:.{digits}f}</text>"
         )
+
+    # Draw horizontal grid lines
     for value in _multiples(step, frame.y_min, frame.y_max):
         y = frame.y(value)
         parts.append(f'<path class="grid" d="M{left:g} {y:.1f}H{right:.1f}"/>')
@@ -189,6 +208,8 @@ def _axes(frame: _Frame) -> list[str]:
             f'<text class="tick" x="{left - 8:g}" y="{y + 4:.1f}" text-anchor="end">'
             f"{value:.{digits}f}</text>"
         )
+
+    # Draw frame and labels
     middle = top + frame.height / 2
     parts += [
         f'<rect class="frame" x="{left:g}" y="{top:g}" width="{frame.width:g}" '

@@ -127,10 +127,13 @@ def _pairs(a: dict[int, Record], b: dict[int, Record]) -> list[tuple[Record, Rec
 def _compare(
     scene: str, scope: str, name: str, mine: dict[int, Record], reference: str, runs: Runs
 ) -> Comparison:
+    # Pair the runs by seed
     pairs = _pairs(mine, runs[reference])
     a, b = [x for x, _ in pairs], [y for _, y in pairs]
     timed = [(x.duration, y.duration) for x, y in pairs if x.duration and y.duration]
     count = max(1, len(pairs))
+
+    # Estimate ratios, test the differences
     return Comparison(
         scene=scene,
         scope=scope,

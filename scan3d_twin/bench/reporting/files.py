@@ -31,13 +31,18 @@ def write_report(records: Sequence[Record], title: str, pictures: Path, out: Pat
     Raises:
         FileError: The folder cannot be written.
     """
+    # Write the figures
     rows, compared, figures = summarise(records), compare_variants(records), draw_figures(records)
     for figure in figures:
         write_file(out / "figures" / f"{figure.name}.svg", figure.svg)
         write_file(out / "figures" / f"{figure.name}.csv", csv_text(figure.rows))
+
+    # Write the tables
     write_file(out / "summary.csv", csv_text(_summary_rows(rows)))
     write_file(out / "steps.csv", csv_text(_step_rows(records)))
     write_file(out / "comparisons.csv", csv_text(comparison_cells(compared)))
+
+    # Write the page
     text = render_page(
         title,
         records,
@@ -59,9 +64,12 @@ def csv_text(rows: Cells) -> str:
 
 
 def _summary_rows(rows: Sequence[SummaryRow]) -> Cells:
+    # Name the columns
     parts = ("", "_low", "_high")
     names = [measure.name + part for measure in MEASURES for part in parts]
     cells: Cells = [["scene", "variant", "scope", "runs", "failed", "lost", *names]]
+
+    # Fill one line per row
     for row in rows:
         numbers = [
             value

@@ -77,6 +77,7 @@ def comparison_cells(comparisons: Iterable[Comparison]) -> Cells:
 
 def _facts(records: Sequence[Record]) -> list[str]:
     """Return the provenance of the numbers: runs, seeds, processor hours, versions."""
+    # Count runs, seeds and hours
     codes = sorted({record.code for record in records if record.code})
     versions = sorted({record.version for record in records})
     hours = sum(record.cpu or 0.0 for record in records) / 3600
@@ -88,6 +89,8 @@ def _facts(records: Sequence[Record]) -> list[str]:
         f"hours; "
         f"scan3d_twin {', '.join(versions)}, sources {', '.join(codes)}.</p>"
     ]
+
+    # Warn of mixed or lost runs
     if len(codes) > 1:
         parts.append("<p class=note>These runs are of different sources: do not quote them.</p>")
     if lost:
@@ -120,6 +123,8 @@ def _comparisons(comparisons: Sequence[Comparison]) -> list[str]:
     parts = []
     for (scene, scope), group in groupby(comparisons, key=lambda c: (c.scene, c.scope)):
         found = list(group)
+
+        # Fill one row per variant
         heading = ["variant", "pairs", "success", "p", "views", "p", "time", "p"]
         cells = [heading] + [
             [
@@ -134,6 +139,8 @@ def _comparisons(comparisons: Sequence[Comparison]) -> list[str]:
             ]
             for c in found
         ]
+
+        # Title and table
         parts.append(f"<h2>{escape(scene)}, registration of the {escape(scope)}: "
                      f"against {escape(found[0].reference)}</h2>")  # fmt: skip
         parts.append(_table(cells))
@@ -163,6 +170,8 @@ def _regrets(regrets: Sequence[Regret]) -> list[str]:
 def _pictures(pictures: Mapping[str, bytes]) -> list[str]:
     if not pictures:
         return []
+
+    # Embed pictures with their captions
     shown = list(pictures.items())[:MAX_PICTURES]
     parts = ["<h2>F1: top views</h2><div class=figures>"]
     for caption, svg in shown:
@@ -171,6 +180,8 @@ def _pictures(pictures: Mapping[str, bytes]) -> list[str]:
             f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(caption)}">'
             f"<figcaption>{escape(caption)}</figcaption></figure>"
         )
+
+    # Count the pictures left out
     left = len(pictures) - len(shown)
     parts.append("</div>" + (f"<p class=facts>{left} more in top_views/.</p>" if left else ""))
     return parts

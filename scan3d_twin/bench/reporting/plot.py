@@ -189,6 +189,8 @@ class Plot:
 
     def _axes(self) -> list[str]:
         bottom, right = self.height - BOTTOM, self.width - RIGHT
+
+        # Draw ticks and grid of y
         parts = []
         for value in self.y.ticks():
             y = self.position_of(self.x.low, value)[1]
@@ -198,6 +200,8 @@ class Plot:
                 f'<text class="tick" x="{LEFT - 6:g}" y="{y + 4:.1f}" text-anchor="end">'
                 f"{words}</text>"
             )
+
+        # Draw the ticks of x
         for value in self.x.ticks() if self.x.label else ():
             x = self.position_of(value, self.y.low)[0]
             words = self.x.form.format(value)
@@ -205,6 +209,8 @@ class Plot:
                 f'<text class="tick" x="{x:.1f}" y="{bottom + 16:g}" text-anchor="middle">'
                 f"{words}</text>"
             )
+
+        # Draw the axis and labels
         middle = (TOP + bottom) / 2
         return [
             *parts,

@@ -27,6 +27,8 @@ def write(parts: Sequence[Piece], path: Path) -> list[Path]:
         raise ConfigError(
             "E57 files need the extra export (on x86-64): pip install 'scan3d-twin[export]'"
         ) from error
+
+    # Write a part file, then rename
     part_file = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -31,10 +31,14 @@ def _encode(piece: Piece, *, compressed: bool) -> bytes:
         raise ConfigError(
             "LAS and LAZ files need the extra export: pip install 'scan3d-twin[export]'"
         ) from error
+
+    # Write a reproducible header
     header = laspy.LasHeader(point_format=2, version="1.2")
     header.scales = np.full(3, COORDINATE_STEP)
     header.generating_software = "scan3d_twin"
     header.creation_date = None  # the same run gives the same bytes on any day
+
+    # Fill points, views and colours
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = piece.model.points.T
     cloud.point_source_id = piece.model.view.astype(np.uint16)
@@ -42,6 +46,8 @@ def _encode(piece: Piece, *, compressed: bool) -> bytes:
     cloud.red, cloud.green, cloud.blue = (
         257 * view_colours_rgb(piece.model.view).astype(np.uint16)
     ).T
+
+    # Encode as LAS or LAZ
     buffer = io.BytesIO()
     cloud.write(buffer, do_compress=compressed)
     return buffer.getvalue()

@@ -17,6 +17,7 @@ _POINT = np.dtype(
 
 def encode(piece: Piece) -> bytes:
     """Return ``piece`` as a PCD file, its pose as the file's viewpoint."""
+    # Fill the points
     model, pose = piece.model, piece.T_world_piece
     points = np.empty(len(model), dtype=_POINT)
     for axis, name in enumerate("xyz"):
@@ -25,6 +26,8 @@ def encode(piece: Piece) -> bytes:
     red, green, blue = view_colours_rgb(model.view).astype(np.uint32).T
     points["rgb"] = red << 16 | green << 8 | blue
     points["label"] = model.view
+
+    # Write the header
     turn = f"{math.cos(pose.yaw / 2):.9g} 0 0 {math.sin(pose.yaw / 2):.9g}"
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",

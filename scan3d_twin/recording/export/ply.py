@@ -17,6 +17,7 @@ _TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 def encode(piece: Piece) -> bytes:
     """Return ``piece`` as a PLY file."""
+    # Fill the vertices
     model = piece.model
     vertices = np.empty(len(model), dtype=_VERTEX)
     for axis, name in enumerate("xyz"):
@@ -25,6 +26,8 @@ def encode(piece: Piece) -> bytes:
     vertices["view"] = model.view
     for channel, name in enumerate(("red", "green", "blue")):
         vertices[name] = view_colours_rgb(model.view)[:, channel]
+
+    # Write the header
     names = _VERTEX.names or ()
     header = [
         "ply",

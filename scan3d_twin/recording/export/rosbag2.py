@@ -64,6 +64,8 @@ def _copy(session_file: Path, folder: Path) -> int:
         for each in read_contents(session_file):
             if not isinstance(each, RawMessage):
                 continue
+
+            # Declare a topic once
             if each.topic not in topics:
                 topics[each.topic] = writer.add_connection(
                     each.topic,
@@ -71,6 +73,8 @@ def _copy(session_file: Path, folder: Path) -> int:
                     typestore=store,
                     offered_qos_profiles=[LATCHED] if each.latched else [],
                 )
+
+            # Copy the message
             writer.write(topics[each.topic], each.nanoseconds, each.data)
             count += 1
     return count

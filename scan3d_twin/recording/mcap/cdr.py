@@ -94,6 +94,7 @@ def encode_frames(stamp: float, T_world_odom: Pose2, T_odom_base: Pose2) -> Mess
 
 def encode_scan(line: ScanLine, spec: LidarSpec) -> Message:
     """Return a scan line; its intensities are the sensor's error codes, -1 where measured."""
+    # Write the header
     steps = max(1, spec.n_beams - 1)
     first, last = float(spec.elevations[0]), float(spec.elevations[-1])
     head = _SCAN.pack(
@@ -108,6 +109,8 @@ def encode_scan(line: ScanLine, spec: LidarSpec) -> Message:
         spec.min_range,
         spec.max_range,
     )
+
+    # Append ranges and codes
     count = _COUNT.pack(len(line.ranges))
     ranges, codes = (each.astype(np.float32).tobytes() for each in (line.ranges, line.codes))
     return Message("sensor_msgs/msg/LaserScan", b"".join((head, count, ranges, count, codes)))

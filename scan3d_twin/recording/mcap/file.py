@@ -65,8 +65,11 @@ class Sink:
         Raises:
             FileError: The disk is full or gone, now or in an earlier call; earlier data is kept.
         """
+        # Refuse after a failure
         if self._failure is not None:
             raise self._failure
+
+        # Write, or restore the size
         left = memoryview(data)
         try:
             while left:
@@ -77,6 +80,8 @@ class Sink:
                 os.lseek(self._fd, self._size, os.SEEK_SET)
             self._failure = _cannot_record(self.path, error)
             raise self._failure from error
+
+        # Count the bytes
         self._size += len(data)
         return len(data)
 

@@ -150,6 +150,7 @@ def _delivered(schema: Schema, channel: Channel, message: Message) -> RawMessage
 
 def _sound_records(stream: IO[bytes]) -> Iterator[McapRecord]:
     """Yield the records of complete chunks, and complete metadata records."""
+    # Walk over the records
     size = stream.seek(0, os.SEEK_END)
     place = stream.seek(len(_MAGIC))
     while place + 9 <= size:
@@ -160,6 +161,8 @@ def _sound_records(stream: IO[bytes]) -> Iterator[McapRecord]:
         if opcode not in (Opcode.CHUNK, Opcode.METADATA):
             stream.seek(place)
             continue
+
+        # Parse chunks and metadata
         try:
             records = _parsed(opcode, stream.read(length))
         except _READ_ERRORS:

@@ -54,6 +54,8 @@ def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reo
     """
     if is_written(path):
         raise FileError(f"{path} is being written by a run that goes on: stop that first")
+
+    # Copy the content
     copy = path.with_name(f".{SESSION_FILE}.copy")
     copy.unlink(missing_ok=True)
     file = McapFile(copy, wall)
@@ -67,6 +69,8 @@ def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reo
         file.sink.close()
         copy.unlink(missing_ok=True)
         raise
+
+    # Replace the old file
     file.sink.rename(path.with_name(SESSION_FILE + PART))
     if path.name == SESSION_FILE:
         path.unlink()

@@ -126,12 +126,15 @@ def make_header(stamp: float, frame: str) -> Any:
 
 def encode_mount(T_base_lidar: FloatArray) -> Message:
     """Return the lidar's extrinsics as a static transform from ``base`` to ``laser``."""
+    # Compose rotation and translation
     T = T_base_lidar @ LASER_IN_LIDAR
     x, y, z, w = map(float, Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
     rotation = make_message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
     place = make_message(
         "geometry_msgs/msg/Vector3", **dict(zip("xyz", T[:3, 3].tolist(), strict=True))
     )
+
+    # Wrap them in a transform
     edge = make_message(
         "geometry_msgs/msg/TransformStamped",
         header=make_header(0.0, "base"),
@@ -165,12 +168,15 @@ def encode_viewpoint(stamp: float, where: Pose2) -> Message:
 
 def encode_cloud(stamp: float, index: int, view: View) -> Message:
     """Return all points of view ``index`` in ``world``, except the floor."""
+    # Fill points, view and target
     points = np.zeros(len(view.sweep), dtype=CLOUD)
     for axis, values in zip("xyz", view.T_world_scan.apply(view.sweep.points).T, strict=True):
         points[axis] = values
     points["view"] = index
     places, target = (_places(each.lines, each.beams, view) for each in (view.sweep, view.target))
     points["target"] = np.isin(places, target)
+
+    # Wrap them in a message
     return encode(
         "sensor_msgs/msg/PointCloud2",
         header=make_header(stamp, "world"),

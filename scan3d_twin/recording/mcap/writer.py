@@ -100,19 +100,27 @@ class McapWriter:
         """Write the current chunk and its index, if there is a message in it."""
         if not self._places:
             return
+
+        # Compress the chunk
         chunk, places = bytes(self._chunk), self._places
         self._chunk, self._places = bytearray(), {}
         packed = zstandard.compress(chunk)
+
+        # Write the chunk
         times = [time for each in places.values() for time in each[::2]]
         first, last = min(times), max(times)
         record = Chunk("zstd", packed, last, first, zlib.crc32(chunk), len(chunk))
         start, size = self._write(record)
+
+        # Write its message index
         offsets, index = {}, bytearray()
         for channel, each in places.items():
             offsets[channel] = start + size + len(index)
             index += _message_index(channel, each)
             self._counts[channel] += len(each) // 2
         self._stream.write(bytes(index))
+
+        # Remember it for the summary
         self._chunks.append(
             ChunkIndex(
                 chunk_length=size,
@@ -129,9 +137,12 @@ class McapWriter:
 
     def finish(self) -> None:
         """Write the summary and the footer, which end the file."""
+        # End the data section
         self.flush()
         self._write(DataEnd(0))
         start = self._stream.tell()
+
+        # Summary records by kind
         groups: tuple[tuple[Opcode, Sequence[McapRecord]], ...] = (
             (Opcode.SCHEMA, self._schemas),
             (Opcode.CHANNEL, self._channels),
@@ -145,6 +156,8 @@ class McapWriter:
             group = _encoded(*records)
             offsets += _encoded(SummaryOffset(kind, start + len(summary), len(group)))
             summary += group
+
+        # Footer with the checksum
         places = (start, start + len(summary))
         summary += offsets
         checked = summary + _encoded(Footer(*places, 0))[:-4]  # all but the checksum itself

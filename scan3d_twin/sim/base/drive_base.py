@@ -32,6 +32,7 @@ class SimBase:
     def __init__(
         self, world: World, spec: BaseSpec = CREATE2, errors: RobotErrorConfig | None = None
     ) -> None:
+        # Find its parts in the model
         errors = RobotErrorConfig() if errors is None else errors
         self.spec = spec
         self._world = world
@@ -40,9 +41,13 @@ class SimBase:
         self._drives = [int(model.actuator(name + "_drive").id) for name in names]
         self._wheels = [int(model.joint(name + "_wheel").qposadr[0]) for name in names]
         self._ramp = ACCELERATION * spec.sample_period / (spec.wheel_diameter / 2)
+
+        # Start sensors and commands at rest
         self._feelers = SafetySensors(world, spec.sample_period, errors.battery_life)
         self._target = (0.0, 0.0)
         self._driven = (0.0, 0.0)
+
+        # Start the odometry
         self._samples = 0
         self.next_step = self._due(1)
         self._zero = [float(data.qpos[wheel]) for wheel in self._wheels]
@@ -91,6 +96,7 @@ class SimBase:
             HazardError: A hazard is new, or the robot drives on into an old one; the wheels are
                 stopped.
         """
+        # Sample a sensor packet
         self._samples += 1
         self.next_step = self._due(self._samples + 1)
         time, qpos, radius = self._world.time, self._world.data.qpos, self.spec.wheel_diameter / 2
@@ -100,11 +106,15 @@ class SimBase:
         self._pending.append(Sample(time, (left, right), sent))
         if len(self._pending) >= FORGET_BATCH:
             self._reckon()
+
+        # Stop the wheels for hazards
         before, self._hazards = self._hazards, self._feelers.hazards(self._driven)
         names = _blocking(before, self._hazards, self._target)
         if names:
             self.stop()
             raise HazardError(f"stopped: {', '.join(names)} at {time:.2f} s")
+
+        # Ramp towards the command
         self._accelerate()
 
     def _reckon(self) -> None:

@@ -41,9 +41,12 @@ class SafetySensors:
     """The safety sensors of one base in its world."""
 
     def __init__(self, world: World, period: float, battery_life: float) -> None:
+        # Keep world and battery
         self._world = world
         self._period = period
         self._battery_life = battery_life
+
+        # Find its parts in the model
         model, data = world.model, world.data
         first = int(model.sensor(f"{PREFIX}bump_left").adr[0])
         self._forces = data.sensordata[first : first + 2]  # left and right
@@ -54,6 +57,8 @@ class SafetySensors:
         self._place = data.body(PREFIX + "base").xpos
         self._body = model.body(PREFIX + "base").id
         self._plane = _even_floor_reach(model)
+
+        # Reset the state of the sensors
         self._pressed_at: list[FloatArray | None] = [None, None]
         self._stalled = [0.0, 0.0]
         self._calm = Hazards()

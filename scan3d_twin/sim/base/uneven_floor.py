@@ -30,11 +30,14 @@ def draw_uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> Flo
 
 def lay_floor(spec: Any, heights: FloatArray) -> None:
     """Let the robot roll on ``heights`` (n, n) [m] instead of the scene's planes."""
+    # Disable contacts of the planes
     planes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
     if not planes:
         return  # a floor made of boxes has its own edges
     for plane in planes:
         plane.conaffinity = 0  # the robot touches what has a conaffinity
+
+    # Add a height field instead
     low, high = float(heights.min()), float(heights.max())
     field = spec.add_hfield(
         name="uneven_floor",
@@ -43,6 +46,8 @@ def lay_floor(spec: Any, heights: FloatArray) -> None:
         ncol=heights.shape[1],
     )
     field.userdata = ((heights - low) / (high - low)).ravel()
+
+    # Hide it from the rays
     spec.worldbody.add_geom(
         name="uneven_floor",
         type=mujoco.mjtGeom.mjGEOM_HFIELD,

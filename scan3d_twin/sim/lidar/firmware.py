@@ -51,16 +51,23 @@ def read(
         drift: Warm-up error of each line (m,) [m].
         config: Error model.
     """
+    # Detect the returns
     power = light.power
     seen = _is_detected(power, draws.seen, config)
     distances = np.where(seen, light.distances, 0.0)
+
+    # Add bias and noise
     sigma = range_sigma(distances, power, light.cosines, config)
     readings = cyclic_bias(distances, config)
     readings += distances + light.bias + drift[:, None] + sigma * draws.noise
     readings = repeat_readings(readings, sigma, draws.chance, config)
+
+    # Round and check the range
     millimetres = np.rint(readings * 1000)
     valid = seen & (millimetres >= urg04lx.MIN_RANGE_MM) & (millimetres <= urg04lx.MAX_RANGE_MM)
     codes = np.where(valid, VALID, urg04lx.NO_RETURN)
+
+    # Set error codes by cause
     if config.threshold > 0:
         codes[~seen & (power > config.threshold / 2)] = urg04lx.WEAK_RETURN
     at, mixed = broken
@@ -70,6 +77,8 @@ def read(
         codes[valid & (draws.chance > 1 - config.glitch)] = urg04lx.GLITCH
     if power.max() > config.saturation:
         codes[power > config.saturation] = urg04lx.TOO_STRONG
+
+    # Drop isolated readings
     valid = codes == VALID
     codes[_is_isolated(valid)] = urg04lx.NEIGHBOURS_INVALID
     return np.where(codes == VALID, millimetres / 1000, np.nan), codes

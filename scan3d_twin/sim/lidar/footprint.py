@@ -68,14 +68,20 @@ def mix(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> M
     if len(distances) == 1:
         none = np.empty(0, np.int64)
         return Mixed(distances[0], power[0], none, none)
+
+    # Find beams at a depth edge
     near, far = distances.min(axis=0), distances.max(axis=0)
     total = power.sum(axis=0)
     edge = np.flatnonzero((far > near + MIN_EDGE_DEPTH) & (total > 0))
+
+    # Average weighted by power
     safe = distances if np.isfinite(far).all() else np.where(power > 0, distances, 0.0)
     mean = (power * safe).sum(axis=0)
     mean /= np.maximum(total, 1e-300)
     mean[near == np.inf] = np.inf
     total /= len(distances)
+
+    # Add phasors at the edges
     if len(edge) == 0:
         return Mixed(mean, total, edge, edge)
     phasors = _phasors(safe[:, edge], power[:, edge])

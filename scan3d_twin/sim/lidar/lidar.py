@@ -48,14 +48,18 @@ class SimLidar:
     """
 
     def __init__(self, world: World, clock: SimClock, scanner: Scanner, seed: list[int]) -> None:
+        # Keep the parts of the twin
         self._world = world
         self._clock = clock
         self._scanner = scanner
         self._seed = seed
+
+        # Draw the mirror's phase and speed
         rng = np.random.default_rng(seed)
-        # The mirror is at a random angle at time 0
         self._start = float(rng.uniform(0.0, scanner.spec.line_period))
         self._pace = 1 + scanner.config.revolution * float(rng.standard_normal())
+
+        # Start with no revolution
         self._jitter, self._drawn = np.empty(0), 0
         self._next = 0
         self._unread: deque[Revolution] = deque(maxlen=MAX_UNREAD_LINES)
@@ -137,10 +141,13 @@ class SimLidar:
         return lines
 
     def _measure(self, turns: list[Revolution], *, evidence: bool = False) -> Readings:
+        # Interpolate the poses of all beams
         config, n = self._scanner.config, self.spec.n_beams
         starts = np.array([turn.start for turn in turns])
         times = starts[:, None] + self.spec.beam_times * self._pace
         positions, rotations = self._world.lidar_poses(times.ravel())
+
+        # Draw the noise and measure
         rngs = [np.random.default_rng([*self._seed, _NOISE, turn.number]) for turn in turns]
         return self._scanner.measure(
             turns[0].qpos,

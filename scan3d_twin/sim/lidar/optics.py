@@ -54,10 +54,13 @@ class Materials:
 
         MuJoCo's ``specular`` and ``shininess`` are ignored: by default they make everything shiny.
         """
+        # Start from matte surfaces
         metallic = np.zeros(model.ngeom + 1)
         roughness = np.full(model.ngeom + 1, config.roughness)
         red = np.full(model.ngeom + 1, config.albedo)
         retro, gains = np.zeros(model.ngeom + 1), _retro_gains(model)
+
+        # Read the material of each geom
         for geom, material in enumerate(model.geom_matid):
             red[geom] = _rgba(model, geom)[0]
             if material >= 0:
@@ -65,6 +68,8 @@ class Materials:
                 retro[geom] = gains.get(int(material), 0.0)
                 if model.mat_roughness[material] >= 0:
                     roughness[geom] = max(0.01, float(model.mat_roughness[material]))
+
+        # Precompute the factors of power
         f0 = F0_DIELECTRIC * (1 - metallic) + F0_METAL * metallic
         return Materials(
             diffuse=read_only((1 - metallic) * np.minimum(config.albedo, red) / math.pi),

@@ -38,6 +38,7 @@ def mesh_spec(path: Path, scale: float) -> Any:
     Raises:
         SceneError: The file is not a mesh, is empty, or its size is implausible.
     """
+    # Add the mesh for the rays
     vertices, faces = _load(path, scale)
     spec = mujoco.MjSpec()
     spec.modelname = path.stem
@@ -55,6 +56,8 @@ def mesh_spec(path: Path, scale: float) -> Any:
         conaffinity=0,
         rgba=[0.8, 0.75, 0.6, 1],
     )
+
+    # Add invisible boxes for contacts
     for low, high in _collision_boxes(vertices, faces):
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -63,6 +66,8 @@ def mesh_spec(path: Path, scale: float) -> Any:
             rgba=[0, 0, 0, 0],  # rays pass fully transparent geoms
             group=3,
         )
+
+    # Add spawn, light and conventions
     spec.worldbody.add_site(
         name="spawn", pos=[vertices[:, 0].min() - SPAWN_DISTANCE, 0, 0], group=4
     )
@@ -110,6 +115,7 @@ def _collision_boxes(vertices: FloatArray, faces: IntArray) -> list[tuple[FloatA
 
     Only cells that contain surface are covered, so that hollow objects stay hollow.
     """
+    # Sample surface below the robot's height
     extent = np.ptp(vertices[:, :2], axis=0)
     cell = max(float(extent.max()) / GRID_CELLS, SIZE_LIMITS[0])
     points, _ = sample_triangles(vertices[faces], cell / 2)
@@ -117,6 +123,8 @@ def _collision_boxes(vertices: FloatArray, faces: IntArray) -> list[tuple[FloatA
     points = points[points[:, 2] < ROBOT_HEIGHT]
     if len(points) == 0:
         return []
+
+    # Cover the cells with surface
     origin = points[:, :2].min(axis=0)
     cells = ((points[:, :2] - origin) / cell).astype(int)
     occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)

@@ -34,11 +34,14 @@ def open_context(width: int, height: int) -> Context:
     Raises:
         ConfigError: No backend works; the message names what to install.
     """
+    # Check packages and wanted backend
     if any(importlib.util.find_spec(name) is None for name in ("OpenGL", "glfw")):
         raise ConfigError("pictures need the extra view: pip install 'scan3d-twin[view]'")
     wanted = os.environ.get("MUJOCO_GL")
     if wanted and wanted not in BACKENDS:
         raise ConfigError(f"MUJOCO_GL must be one of {', '.join(BACKENDS)}, got {wanted!r}")
+
+    # Try the backends in turn
     reasons = []
     for backend in (wanted,) if wanted else BACKENDS:
         try:

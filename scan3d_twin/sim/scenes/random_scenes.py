@@ -108,8 +108,11 @@ class SceneRanges:
     """Sliding friction between floor and tyres."""
 
     def __post_init__(self) -> None:
+        # Check the intervals
         for name in _LIMITS:
             _check_interval(name, getattr(self, name))
+
+        # Check shapes and tours
         _require(bool(self.shapes) and bool(self.tours), "random.shapes and random.tours: name one")
         for shape in self.shapes:
             if shape not in shape_names():
@@ -117,6 +120,8 @@ class SceneRanges:
         for tour in self.tours:
             if tour not in ("front", "full"):
                 raise UnknownNameError("tour", tour, ("front", "full"))
+
+        # Check the shares
         for name in ("walls", "matte", "dark", "glossy"):
             share = getattr(self, name)
             _require(0.0 <= share <= 1.0, f"random.{name} must be in [0, 1], got {share:g}")
@@ -153,21 +158,31 @@ def draw_scene(
 ) -> Scene:
     """Return a random scene drawn from ``ranges``; None for the default ones."""
     ranges = SceneRanges() if ranges is None else ranges
+
+    # Draw shape, heading and standoff
     shape = ranges.shapes[int(rng.integers(len(ranges.shapes)))]
     tour = ranges.tours[int(rng.integers(len(ranges.tours)))]
     turn = draw_uniform(rng, ranges.turn if tour == "front" else (-math.pi, math.pi))
     solids = [solid.moved(Pose2(0.0, 0.0, turn)) for solid in build_shape(shape, rng, ranges)]
     standoff, start = draw_uniform(rng, ranges.standoff), draw_uniform(rng, ranges.start)
+
+    # Add the target
     spec = mujoco.MjSpec()
     spec.modelname = name
     _add_target(spec, solids, rng, ranges)
+
+    # Place the robot's start
     corners = np.concatenate([solid.corners() for solid in solids])
     R = float(np.linalg.norm(corners, axis=1).max())
     spawn = Pose2(-R - start, 0.0, draw_uniform(rng, ranges.heading))
     way = R + max(standoff, start) + 2 * MotionConfig().robot_radius + TURNING_ROOM
+
+    # Add room and clutter
     limits = _add_room(spec, R, way, tour, rng, ranges)
     _add_clutter(spec, spawn, way, limits, rng, ranges)
     _add_site(spec, "spawn", spawn)
+
+    # Add front and conventions
     if tour == "front":
         outward = Pose2(0.0, 0.0, turn).rotate(np.array([-1.0, 0.0]))
         place = float((corners @ outward).max()) * outward
@@ -196,6 +211,8 @@ def _add_target(
     """Add the target's solids, of one common material or one each."""
     alike = bool(rng.integers(2))
     common = _add_material(spec, "target", rng, ranges)
+
+    # Add one geom per solid
     for k, solid in enumerate(solids):
         material = common if alike else _add_material(spec, f"target_{k}", rng, ranges)
         name = f"target_{k}"
@@ -238,16 +255,21 @@ def _add_room(
     ranges: SceneRanges,
 ) -> FloatArray:
     """Add a floor and perhaps walls; return the limits of the room (-x, +x, -y, +y) [m]."""
+    # Add light and floor
     spec.worldbody.add_light(pos=(0, 0, 3), dir=(0.3, 0, -1))
     spec.worldbody.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(8, 8, 0.1), rgba=(0.55, 0.55, 0.55, 1)
     )
+
+    # Draw the limits of the room
     limits = way + rng.uniform(*ranges.spare, 4)
     behind = R + MIN_WALL_DISTANCE + draw_uniform(rng, ranges.spare)
     if tour == "front":
         limits[1] = behind  # tour front needs no path behind the target
     if rng.random() >= ranges.walls:
         return limits
+
+    # Add the four walls
     material = spec.add_material(name="wall", rgba=(0.85, 0.85, 0.82, 1.0)).name
     middle = ((limits[1] - limits[0]) / 2, (limits[3] - limits[2]) / 2)
     half = ((limits[0] + limits[1]) / 2, (limits[2] + limits[3]) / 2)
@@ -288,6 +310,8 @@ def _add_clutter(
     """Add clutter to the room, outside the robot's path and away from its start."""
     wanted = int(rng.integers(ranges.clutter[0], ranges.clutter[1] + 1))
     placed: list[tuple[float, float, float]] = []
+
+    # Draw places until enough are free
     for _ in range(10 * wanted):
         radius = draw_uniform(rng, ranges.clutter_radius)
         x = float(rng.uniform(-limits[0], limits[1]))

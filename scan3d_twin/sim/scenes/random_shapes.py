@@ -92,10 +92,13 @@ def _box(rng: np.random.Generator, ranges: SceneRanges, width: float) -> list[So
 
 def _boxes(rng: np.random.Generator, ranges: SceneRanges, width: float) -> list[Solid]:
     """Return two to four boxes in a row with different setbacks, as in the paper's Fig. 13."""
+    # Draw widths and gaps
     count = int(rng.integers(2, 5))
     shares = rng.uniform(0.5, 1.5, count)
     gap = min(draw_uniform(rng, ranges.gap), width / (2 * count))
     widths = shares / shares.sum() * (width - (count - 1) * gap)
+
+    # Add boxes from left to right
     solids, y = [], 0.0
     for own in widths:
         back, depth = draw_uniform(rng, ranges.setback), draw_uniform(rng, ranges.depth)
@@ -130,18 +133,25 @@ def _wavy_box(
     extent: tuple[float, float, float], amplitude: float, period: float
 ) -> tuple[FloatArray, IntArray]:
     """Return vertices (n, 3) about the middle and outward faces (m, 3) of a box with a wavy -x."""
+    # Outline the box from above
     depth, width, height = extent
     columns = max(2, math.ceil(width / FACET_WIDTH))
     y = np.linspace(-width / 2, width / 2, columns + 1)
     wave = amplitude * np.sin(math.tau * y / period) - depth / 2
     # Counter-clockwise from above: down the wavy side, then up the straight one.
     ring = np.concatenate([np.stack([wave, y], axis=1)[::-1], [(depth / 2, v) for v in y]])
+
+    # Stack the outline level by level
     levels = np.linspace(-height / 2, height / 2, FACET_ROWS + 1)
     vertices = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in levels])
+
+    # Triangulate the sides
     n = len(ring)
     a = (np.arange(FACET_ROWS)[:, None] * n + np.arange(n)).ravel()
     b = (np.arange(FACET_ROWS)[:, None] * n + (np.arange(n) + 1) % n).ravel()
     sides = [np.stack([a, b, b + n], axis=1), np.stack([a, b + n, a + n], axis=1)]
+
+    # Triangulate floor and top
     front = np.arange(columns)  # edge k of the wave runs from column k to k + 1, falling in y
     back = n - 1 - front  # the straight side's vertex behind the same place
     floor = [
@@ -184,6 +194,8 @@ def _combination(rng: np.random.Generator, ranges: SceneRanges, width: float) ->
     gap = min(draw_uniform(rng, ranges.gap), width / 4)
     solids: list[Solid] = []
     y = 0.0
+
+    # Add parts from left to right
     for name in rng.choice(("box", "cylinder", "sine", "l_shape"), 2):
         parts = _centred(_BUILDERS[name](rng, ranges, (width - gap) / 2))
         extent = np.concatenate([part.corners() for part in parts])

@@ -121,6 +121,7 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
     Raises:
         SceneError: The model does not compile, or has no target or spawn.
     """
+    # Complete and compile the model
     _add_floor(spec)
     targets = _targets(spec, label)
     try:
@@ -129,6 +130,8 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
         raise SceneError(f"{label} does not compile: {_one_line(error)}") from None
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+
+    # Read tour, spawn and front
     texts = {text.name: text.data for text in spec.texts}
     tour = texts.get("scan3d.tour", "full")
     if tour not in ("front", "full"):
@@ -139,6 +142,8 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
     front = _site_pose(model, data, "front") if tour == "front" else None
     if tour == "front" and front is None:
         raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
+
+    # Return it with its options
     return Scene(
         name=name,
         spec=spec,
@@ -164,6 +169,7 @@ def _add_floor(spec: Any) -> None:
 
 def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
     """Return the geom names of each target, after naming unnamed geoms of target bodies."""
+    # Collect geoms of target bodies
     bodies, geoms = _target_names(spec)
     targets = {}
     for name in bodies:
@@ -173,6 +179,8 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
             geom.name = geom.name or f"{name}/{number}"
         if parts:
             targets[name] = tuple(geom.name for geom in parts)
+
+    # Collect single target geoms
     for name in geoms:
         if name not in targets and not any(name in parts for parts in targets.values()):
             targets[name] = (name,)
@@ -180,6 +188,8 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
         raise SceneError(
             f"{label} has no target; name a geom or body 'target...' or add <tuple name=\"target\">"
         )
+
+    # Refuse geoms that are not solid
     for name in (name for parts in targets.values() for name in parts):
         geom = spec.geom(name)
         if geom is None:

@@ -47,9 +47,12 @@ def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
 
 def sample_triangles(triangles: FloatArray, spacing: float) -> Samples:
     """Return samples of ``triangles`` (m, 3, 3), area-weighted by systematic sampling."""
+    # Compute the areas
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     double_area = np.linalg.norm(cross, axis=1)
     total = float(double_area.sum()) / 2
+
+    # Sample the triangles by area
     count = max(1, math.ceil(total / spacing**2))
     places = (np.arange(count) + 0.5) * (double_area.sum() / count)
     chosen = np.searchsorted(np.cumsum(double_area), places).clip(max=len(triangles) - 1)
@@ -57,6 +60,8 @@ def sample_triangles(triangles: FloatArray, spacing: float) -> Samples:
     # quasirandom sequences); points beyond the diagonal are reflected.
     uv = (np.arange(1, count + 1)[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1.0
     uv = np.where(uv.sum(axis=1, keepdims=True) > 1, 1 - uv, uv)
+
+    # Return points and normals
     a, b, c = np.moveaxis(triangles[chosen], 1, 0)
     points = a + uv[:, :1] * (b - a) + uv[:, 1:] * (c - a)
     return points, cross[chosen] / double_area[chosen, None]

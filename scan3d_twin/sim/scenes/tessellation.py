@@ -85,10 +85,13 @@ def _arc_points(radius: float, first: float, last: float) -> FloatArray:
 
 def _revolve(profile: FloatArray, radius: float) -> FloatArray:
     """Return the surface of revolution about z of an upward ``profile`` (n, 2): radius, height."""
+    # Place rings of vertices
     n = _segment_count(radius, math.tau)
     angles = math.tau * np.arange(n) / n
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     rows = [np.column_stack([r * ring, np.full(n, z)]) for r, z in profile]
+
+    # Join neighbouring rings
     triangles = []
     for (r_low, _), (r_high, _), low, high in zip(
         profile[:-1], profile[1:], rows[:-1], rows[1:], strict=True
