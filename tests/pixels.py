@@ -1,4 +1,4 @@
-"""What colours a screenshot shows."""
+"""Test helper: the colours of views in a screenshot."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""Short experiments, and the processes they run in."""
+"""Test helper: short experiments for `twin bench`, and the processes they run in."""
 
 from __future__ import annotations
 

@@ -34,6 +34,7 @@ LONG = 100.0
 
 @contextmanager
 def dask(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a Dask command in a process of its own until the block ends."""
     command = [sys.executable, "-m", "distributed.cli." + arguments[0], *LOCAL, *arguments[1:]]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(command, **quiet) as process:  # type: ignore[call-overload]
@@ -60,6 +61,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, lis
 
 @pytest.fixture
 def engine(cluster: tuple[str, list[int]]) -> Iterator[ClusterEngine]:
+    """The engine on a cluster of two workers."""
     with cluster_engine(cluster[0], LONG) as opened:
         opened._client.wait_for_workers(2, timeout=60)
         yield opened
@@ -94,6 +96,7 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
     assert len(before) == 2
 
     def kill_one() -> None:
+        """Kill the worker that computes."""
         wait_for(lambda: any(busy(pid) > spent + BEGUN for pid, spent in before.items()))
         os.kill(max(before, key=lambda pid: busy(pid) - before[pid]), signal.SIGKILL)
 
@@ -140,8 +143,8 @@ def test_a_hanging_task_of_a_cluster_is_ended(cluster: tuple[str, list[int]]) ->
 
 def test_nobody_there_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scan3d_twin.bench.cluster.CONNECT_TIMEOUT", 1.0)
-    told = pytest.raises(LinkError, match="start one with `dask scheduler`")
-    with told, cluster_engine("tcp://127.0.0.1:9", LONG):
+    refused = pytest.raises(LinkError, match="start one with `dask scheduler`")
+    with refused, cluster_engine("tcp://127.0.0.1:9", LONG):
         pass
 
 

@@ -26,6 +26,7 @@ LONG = 100.0
 
 
 def workers() -> list[int]:
+    """Return the process ids of the pool's workers."""
     server = multiprocessing.forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
     return children(server) if server else []
 
@@ -51,6 +52,7 @@ def test_results_are_those_of_this_process_whichever_worker_made_them() -> None:
 
 def test_a_killed_worker_loses_only_its_task_and_that_is_begun_again() -> None:
     def kill_one() -> None:
+        """Kill the worker that computes."""
         wait_for(lambda: any(busy(pid) > BEGUN for pid in workers()))
         os.kill(max(workers(), key=busy), signal.SIGKILL)
 
@@ -62,6 +64,7 @@ def test_a_killed_worker_loses_only_its_task_and_that_is_begun_again() -> None:
 
 def test_a_hanging_worker_is_ended_and_its_task_begun_again() -> None:
     def stop_one() -> None:
+        """Stop the worker that computes, so that it hangs."""
         wait_for(lambda: any(busy(pid) > BEGUN for pid in workers()))
         os.kill(max(workers(), key=busy), signal.SIGSTOP)
 
@@ -98,7 +101,10 @@ def test_a_bug_loses_its_task_at_once_and_no_other() -> None:
     broken = replace(bad, settings=replace(bad.settings, config=None))  # type: ignore[arg-type]
 
     class Engine(LocalEngine):
+        """An engine whose task has a bug."""
+
         def submit(self, task: Task) -> Future[TaskResult]:
+            """Return a future that has failed."""
             return super().submit(broken if task is bad else task)
 
     engine = Engine(1, LONG)

@@ -39,6 +39,7 @@ def records(make):
 
 @pytest.fixture(scope="module")
 def report(records, tmp_path_factory) -> Path:
+    """The folder of a written report."""
     folder = tmp_path_factory.mktemp("report")
     write_parquet(records, folder / RESULTS_FILE)
     write_report(read_results(folder), "an example", folder, folder / "report")

@@ -41,6 +41,7 @@ first_seed = 1
 
 @pytest.fixture
 def example(tmp_path):
+    """The experiment of ``FILE``."""
     path = tmp_path / "example.toml"
     path.write_text(FILE)
     return read_experiment(path)
@@ -118,6 +119,7 @@ def test_a_changed_scene_file_is_another_task(tmp_path):
 
 
 def load_text(scene):
+    """Return the XML text of a built-in scene."""
     from scan3d_twin.sim.resources import find_resource_dir
 
     return (find_resource_dir("scenes") / f"{scene}.xml").read_text()

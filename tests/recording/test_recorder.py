@@ -174,7 +174,7 @@ def test_only_one_run_records_in_a_folder(tmp_path, session):
 
 
 class FullDisk:
-    """``os.write`` on a disk that has room for so many more bytes."""
+    """``os.write`` on a disk with room for a limited number of bytes."""
 
     def __init__(self, room):
         self.room = room

@@ -22,7 +22,7 @@ from scan3d_twin.sim.robot import open_sim
 
 
 class Noted:
-    """A base that writes down what it is told, and when."""
+    """A base that notes its velocity commands with their times."""
 
     def __init__(self, robot):
         self._base, self._clock, self.book = robot.base, robot.clock, []
@@ -31,11 +31,13 @@ class Noted:
         return getattr(self._base, name)
 
     def set_velocity(self, linear, angular):
+        """Note the command with its time and pass it on."""
         self.book.append((self._clock.now(), linear, angular))
         return self._base.set_velocity(linear, angular)
 
 
 def ride(robot):
+    """Turn and drive a little."""
     turn_by(robot, 0.7, MotionConfig())
     drive_to(robot, 0.3, 0.2, MotionConfig())
 
@@ -83,6 +85,7 @@ def test_a_twin_that_is_a_little_off_is_told(ridden):
 
 
 def make_robot():
+    """Return a robot on a clock that only jumps, with a lidar of one line."""
     base = KinematicBase()
     lidar = SimpleNamespace(spec=synthetic.spec(), read_line=lambda timeout: line(0.5))
     return Robot(base, lidar, JumpingClock(base))

@@ -22,6 +22,7 @@ def states(session):
 
 
 def records(history):
+    """Return the log's records of each session in ``history``."""
     log = SessionLog()
     return [list(log.changes(each, Mark(float(k)))) for k, each in enumerate(history)]
 

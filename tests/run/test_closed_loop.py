@@ -38,11 +38,13 @@ class StopsAfter(Unobserved):
         self.views = views
 
     def on_view(self, session: Session) -> None:
+        """Raise at the given number of views."""
         if len(session.views) == self.views:
             raise ScanError("enough")
 
 
 def looped(observer: Observer, settings: Settings) -> LoopOutcome:
+    """Return the result of a loop at three boxes in an ideal twin; time counts calls."""
     with open_sim("three_boxes", 0, TwinConfig.ideal()) as (robot, truth):
         return close_loop(robot, truth, settings, observer, itertools.count().__next__)
 

@@ -29,6 +29,7 @@ EVALUATION = Evaluation(
 
 
 def report(session, evaluation=EVALUATION):
+    """Return the report of ``session`` with a made-up journey and effort."""
     journey = Journey(path=2.5, turn=math.pi, duration=100.0)
     effort = Effort(wall_time=4.0, plan_time=0.5, peak_memory=2e8)
     return build_report("three_boxes", Settings(), session, journey, effort, 123, evaluation)

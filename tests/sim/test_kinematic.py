@@ -30,6 +30,7 @@ CONFIG = Config()
 
 
 def robot(seed=0, twin=None):
+    """Return a kinematic robot, by default without errors."""
     twin = TwinConfig.ideal() if twin is None else twin
     return KinematicRobot(SCENE, CASTER, seed, twin, CONFIG, Thinning())
 
@@ -83,13 +84,13 @@ def test_an_ideal_robot_only_slips():
 
 def test_it_errs_as_the_robot_of_the_physics_does():
     """The same robots, the same moves: what the wheels' errors explain is most of the error."""
-    told, errors = Pose2(0.0, 0.8, 0.9), {"physics": [], "kinematic": []}
+    goal, errors = Pose2(0.0, 0.8, 0.9), {"physics": [], "kinematic": []}
     for seed in range(8):
         drawn = draw_robot(SCENE, seed, TwinConfig().errors)
         with open_sim(SCENE, seed) as (real, truth):
             start = truth.pose_at(0.0)
-            drive_to(real, told.x, told.y, CONFIG.motion)
-            turn_to(real, told.yaw, CONFIG.motion)
+            drive_to(real, goal.x, goal.y, CONFIG.motion)
+            turn_to(real, goal.yaw, CONFIG.motion)
             real.clock.sleep(0.5)
             end = real.base.odometry().T_odom_base
             true = start.inverse() @ truth.pose_at(real.clock.now())

@@ -7,6 +7,7 @@ from scan3d_twin.sim.scenes.scene import load_scene, scene_names
 
 
 def rays(rng, count):
+    """Return origins and directions (n, 3) of random rays."""
     origins = rng.uniform([-1, -1, 0.1], [1, 1, 0.6], (count, 3))
     directions = rng.standard_normal((count, 3))
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)

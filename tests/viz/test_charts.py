@@ -7,6 +7,7 @@ from scan3d_twin.viz.charts import Chart, Dot, render_chart, round_up
 
 
 def chart(*dots, **options):
+    """Return a chart of ``dots`` with fixed axes."""
     return Chart("t < u", "x [s]", "y", (0.0, 10.0), (0.0, 1.0), dots, **options)
 
 

@@ -18,6 +18,7 @@ from scan3d_twin.viz.server import LOOPBACK, open_server
 
 @pytest.fixture
 def view():
+    """A live view of a twin without a speed limit."""
     with open_live_view(LOOPBACK, 0, "boxes", "unlimited", lambda _: None) as opened:
         yield opened
 
@@ -157,12 +158,12 @@ class Run(threading.Thread):
 
 @pytest.mark.timeout(300)
 def test_a_run_can_be_watched_paused_continued_and_stopped_in_a_browser(open_page):
-    told = []
-    with open_live_view(LOOPBACK, 0, "boxes", "unlimited", told.append) as view:
+    notes = []
+    with open_live_view(LOOPBACK, 0, "boxes", "unlimited", notes.append) as view:
         run = Run(view)
         view._set_pause(True)  # so that the page comes in time for the first view
         run.start()
-        shown = open_page(told[0].removeprefix("live view: "), **SMALL)
+        shown = open_page(notes[0].removeprefix("live view: "), **SMALL)
         page = shown.page
         page.get_by_text("paused", exact=True).wait_for(timeout=SOON)
         page.get_by_text("1 views").wait_for(timeout=SOON)

@@ -27,6 +27,7 @@ PNG = b"\x89PNG\r\n\x1a\n not a real picture"
 
 
 def page_of(session, evaluation=EVALUATION, scene="no EGL here", model=None):
+    """Return the page of ``session`` with a made-up journey and effort."""
     cloud = build_model(session)
     settings, effort = Settings(), Effort(4.0, 0.5, 2e8)
     journey = Journey(2.5, 3.1, 100.0)
@@ -42,11 +43,13 @@ def page_of(session, evaluation=EVALUATION, scene="no EGL here", model=None):
 
 @pytest.fixture(scope="module")
 def page(session):
+    """The page of the session."""
     return page_of(session)
 
 
 @pytest.fixture(scope="module")
 def url(page, tmp_path_factory):
+    """The address of the page as a file."""
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(page, encoding="utf-8")
     return path.as_uri()

@@ -13,6 +13,7 @@ VIEWPOINTS = (Pose2(0.0, 0.0, math.pi / 2), Pose2(0.5, 0.1, math.pi / 2), Pose2(
 
 
 def draw(n=3000, viewpoints=VIEWPOINTS, title="boxes", seed=0):
+    """Return the top view of ``n`` random points."""
     rng = np.random.default_rng(seed)
     points = rng.uniform((-0.5, 0.9, 0.0), (1.5, 1.1, 0.7), size=(n, 3))
     view = rng.integers(len(viewpoints), size=n)
@@ -21,6 +22,7 @@ def draw(n=3000, viewpoints=VIEWPOINTS, title="boxes", seed=0):
 
 
 def of_class(svg, name):
+    """Return the elements of a class."""
     return [each for each in ET.fromstring(svg).iter() if each.get("class") == name]
 
 

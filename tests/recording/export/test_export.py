@@ -14,15 +14,18 @@ from scan3d_twin.recording.export import CLOUDS, export_cloud, file_name, pieces
 
 @pytest.fixture(scope="module")
 def fused(session):
+    """The fused cloud as one piece."""
     return pieces(session, per_view=False, voxel=0.0)
 
 
 @pytest.fixture(scope="module")
 def parts(session):
+    """One piece per view."""
     return pieces(session, per_view=True, voxel=0.0)
 
 
 def written(pieces, name, tmp_path, *, per_view=False):
+    """Export ``pieces`` under the default name; return the files."""
     path = tmp_path / file_name(name, per_view=per_view)
     return export_cloud(pieces, name, path, per_view=per_view)
 
@@ -144,6 +147,7 @@ def test_a_missing_library_names_the_extra(name, library, fused, tmp_path, monke
     whole = builtins.__import__
 
     def without(wanted, *arguments, **options):
+        """Import as usual, except for the missing library."""
         if wanted.split(".")[0] == library:
             raise ImportError(wanted)
         return whole(wanted, *arguments, **options)

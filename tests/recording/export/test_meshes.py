@@ -16,6 +16,7 @@ from scan3d_twin.recording.export.meshes import (
 
 @pytest.fixture(scope="module")
 def mesh(session) -> Mesh:
+    """The mesh of the session."""
     return build_mesh(session, sightings(session))
 
 

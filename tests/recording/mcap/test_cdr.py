@@ -26,6 +26,7 @@ MESSAGES = {
 
 
 def decoded(message):
+    """Return ``message`` as rosbags decodes it."""
     return ros.typestore().deserialize_cdr(message.data, message.kind)
 
 

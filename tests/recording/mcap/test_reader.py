@@ -19,6 +19,7 @@ def killed(session, tmp_path_factory):
 
 
 def everything(path):
+    """Return all records that can be read from the file."""
     return list(read_contents(path))
 
 

@@ -16,6 +16,7 @@ FIVE = LidarModelConfig(sub_rays=5)
 
 
 def mixed(distances, power):
+    """Return distance, power and codes of one beam of five sub-rays."""
     result = mix(np.array(distances)[:, None], np.array(power)[:, None], FIVE)
     return float(result.distances[0]), float(result.power[0]), result.codes
 

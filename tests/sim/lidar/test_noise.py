@@ -71,6 +71,7 @@ def test_share_of_equal_neighbours(scene_of):
     """Independent noise of 4.6 mm repeats a millimetre in 6 %; a capture holds 26 to 34 %."""
 
     def share(lidar):
+        """Return the share of readings that repeat the one before."""
         rows = readings(scene_of(WALL.format(x=1.3)), lidar, 200)
         return (np.abs(np.diff(rows, axis=1)) < 1e-6).mean()
 

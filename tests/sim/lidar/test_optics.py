@@ -11,11 +11,13 @@ ONE = np.array([0])
 
 
 def surface(diffuse, specular, alpha):
+    """Return a material of one geom."""
     alpha2 = np.array([alpha**2])
     return Materials(np.array([diffuse / np.pi]), specular * alpha2 / np.pi, alpha2, None)
 
 
 def power(material, cosine, distance):
+    """Return the power of a hit on the material."""
     return float(material.power(ONE, np.array([cosine]), np.array([distance]))[0])
 
 
@@ -50,6 +52,7 @@ def test_detection_is_even_at_the_threshold_and_certain_far_from_it():
 
 
 def sigma_mm(distance, cosine=1.0, material=None):
+    """Return the range noise [mm] on a material."""
     wall = surface(0.6, 0.04, 0.36) if material is None else material
     at = np.array([distance])
     strength = np.array([power(wall, cosine, distance)])

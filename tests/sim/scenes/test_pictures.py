@@ -13,6 +13,7 @@ from scan3d_twin.sim.scenes.scene import load_scene
 
 
 def drawn(name):
+    """Return the picture of a built-in scene, or skip without OpenGL."""
     try:
         return render_scene(load_scene(name))
     except ConfigError as error:

@@ -21,6 +21,7 @@ from scan3d_twin.sim.world import RobotErrors, build_model
 
 
 def generator(seed):
+    """Return the generator of ``seed``."""
     return np.random.default_rng(seed)
 
 
