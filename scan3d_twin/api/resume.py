@@ -65,7 +65,7 @@ def resume_sim(folder: Path, out: Path | None, given: Options) -> ResumedRun:
     def place_robot(robot: Robot, notify: Notify) -> Robot:
         notify(f"driving through the first {recorded.mark.stamp:.0f} s again")
         if not reenact(robot, sent, recorded.mark):
-            notify("not quite where it was: this computer rounds otherwise than the one before")
+            notify("slightly off the recorded place: this computer rounds differently")
         return robot
 
     return ResumedRun(recorded, effective, place_robot)
@@ -81,7 +81,7 @@ def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
     stamp, T_odom_here = read_last_odometry(recorded.path)
 
     def place_robot(robot: Robot, notify: Notify) -> Robot:
-        notify("going on from where the robot was; it must not have been moved since")
+        notify("resuming where the robot stopped; it must not have been moved since")
         return continue_odometry(robot, T_odom_here, stamp)
 
     return ResumedRun(recorded, effective, place_robot)
@@ -89,7 +89,7 @@ def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
 
 def _load(folder: Path, out: Path | None) -> RecordedRun:
     if out is not None:
-        raise ConfigError("--resume goes on in its own folder; leave out --out")
+        raise ConfigError("--resume continues in the run's own folder; leave out --out")
     return load_session(folder)
 
 
@@ -99,8 +99,8 @@ def _settings(recorded: RecordedRun, given: Options) -> Settings:
     effective = build_settings([tomllib.loads(settings_toml(before)), given])
     if (effective.run, effective.twin) != (before.run, before.twin):
         raise ConfigError(
-            "--resume goes on with the run's own scene, seed, preset, world, robot, lidar link and "
-            "target; leave these out"
+            "--resume continues with the run's own scene, seed, preset, world, robot, lidar link "
+            "and target; leave these out"
         )
     return effective
 

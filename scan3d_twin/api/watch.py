@@ -44,7 +44,7 @@ class RunWatcher:
 
 @dataclass(frozen=True, slots=True)
 class WatchOptions:
-    """How a run is to be watched.
+    """Options of the live view of a run.
 
     Attributes:
         address: Host and TCP port at which the live view is served; None for no live view.

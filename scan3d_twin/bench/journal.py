@@ -54,7 +54,7 @@ def _row(path: Path, number: int, line: bytes) -> Record:
         return from_row(row)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FileError(
-            f"{path}, line {number} is no record ({error}); remove that line to go on"
+            f"{path}, line {number} is no record ({error}); remove that line to continue"
         ) from error
 
 

@@ -107,7 +107,7 @@ def undo_last_change(folder: Path) -> RecordedRun:
     """
     path, backup = find_session_file(folder), find_latest_backup(folder)
     if is_written(path):
-        raise FileError(f"{path} is being written by a run that goes on: stop that first")
+        raise FileError(f"a running program is writing to {path}; stop it first")
     back_up(path)
     name = SESSION_FILE + backup.name.split(".mcap", 1)[1]
     try:

@@ -85,7 +85,7 @@ def load_session(place: Path) -> RecordedRun:
             packed = message.json, message.data.tobytes()
             state.apply((message.kind, message.index, packed))
     if state.session is None or state.mark is None or "settings" not in texts:
-        raise FileError(f"no view was finished in {path}: there is nothing to go on from")
+        raise FileError(f"{path} holds no finished view: there is nothing to load or resume")
 
     # Return it with its settings
     described = texts["settings"]

@@ -177,7 +177,7 @@ class Recorder:
         """Write the final session and give the file its name.
 
         Raises:
-            FileError: The disk is full or gone; what was recorded before is kept.
+            FileError: The disk is full or gone; earlier data is kept.
         """
         self._follow()
         self._keep(session)

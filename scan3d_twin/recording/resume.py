@@ -57,8 +57,8 @@ def reenact(robot: Robot, commands: Iterable[Command], mark: Mark) -> bool:
         return True
     if here.distance(there) > MAX_DISTANCE_OFF or abs(wrap(here.yaw - there.yaw)) > MAX_HEADING_OFF:
         raise ScanError(
-            f"the twin now goes another way than recorded ({here.distance(there):.3f} m off): the "
-            "run cannot go on with this version; `twin session info` names the one that recorded it"
+            f"the twin ends {here.distance(there):.3f} m off the recorded path: this version "
+            "cannot resume the run; `twin session info` names the version that recorded it"
         )
     return False
 
@@ -165,14 +165,14 @@ def moved_warning(session: Session) -> str:
     try:
         found = register(*grids, prior=prior, starts=STARTS)
     except RegistrationError:
-        return "the first view after going on shows nothing known: was the robot moved?"
+        return "the first view after resuming matches no earlier one: was the robot moved?"
 
     # Measure the distance to odometry
     truly, points = Pose2.from_matrix(found.T_target_source), view.target.points
     off = max(truly.distance(move), rms(truly.apply(points) - move.apply(points)))
     if off > MOVED_DISTANCE:
         return (
-            f"the first view after going on lies {100 * off:.0f} cm from where the odometry has "
-            "it: was the robot moved?"
+            f"the first view after resuming lies {100 * off:.0f} cm off its odometry: was the "
+            "robot moved?"
         )
     return ""

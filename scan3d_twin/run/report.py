@@ -126,7 +126,7 @@ def failure_reason(session: Session) -> str:
     if known and min(known) > epsilon:
         return (
             f"no step was predicted to meet epsilon: {1e3 * min(known):.1f} mm at best, "
-            f"{1e3 * epsilon:.1f} mm wanted; the model is as it is, or allow a larger --epsilon"
+            f"{1e3 * epsilon:.1f} mm wanted; accept the model, or allow a larger --epsilon"
         )
     return ""
 

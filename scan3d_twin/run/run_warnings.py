@@ -53,7 +53,7 @@ def _check_fallbacks(session: Session) -> Iterator[str]:
             yield (
                 f"View {k + 1}: no overlap was predicted to meet "
                 f"{1e3 * session.config.planning.epsilon:g} mm{best}; the default of "
-                f"{plan.overlap:.0%} was taken. The surface has little to hold on to."
+                f"{plan.overlap:.0%} was taken. The surface has few features."
             )
 
 
@@ -64,22 +64,22 @@ def _check_registrations(session: Session) -> Iterator[str]:
             continue
         if not result.converged:
             why = "they do not overlap" if result.num_inliers == 0 else "it did not converge"
-            yield f"View {k} is not registered ({why}): odometry alone placed it."
+            yield f"View {k} is not registered ({why}): its pose is that of the odometry alone."
             continue
         if result.ambiguity_gap < MIN_AMBIGUITY_GAP:
             yield f"View {k}: another place fits almost as well; compare it with its neighbours."
         if len(result.degenerate_directions):
             yield (
                 f"View {k}: the surfaces leave {len(result.degenerate_directions)} direction(s) "
-                "open, along which odometry decides. A bare wall or a round thing?"
+                "open, in which only odometry determines the pose. A bare wall or a round object?"
             )
 
 
 def _check_misfits(session: Session) -> Iterator[str]:
     for k in session.misfits:
         yield (
-            f"View {k} does not fit the others: most of its links contradict them. Look at it, or "
-            "leave it out (alignment.misfits = drop)."
+            f"View {k} does not fit the others: most of its links contradict them. Inspect it, or "
+            "drop it (alignment.misfits = drop)."
         )
 
 

@@ -105,8 +105,8 @@ def test_a_finished_run_has_nothing_to_go_on_with(finished, twin, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--seed", "1"], "--resume goes on with the run's own scene, seed"),
-        (["--world", "harsh"], "--resume goes on with the run's own scene, seed"),
+        (["--seed", "1"], "--resume continues with the run's own scene, seed"),
+        (["--world", "harsh"], "--resume continues with the run's own scene, seed"),
         (["--out", "other"], "leave out --out"),
         (["--planner", "none"], "no planner 'none'"),
     ],

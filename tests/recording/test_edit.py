@@ -76,7 +76,7 @@ def test_a_run_in_progress_is_left_alone(three, tmp_path):
         import fcntl
 
         fcntl.flock(stream, fcntl.LOCK_EX)
-        with pytest.raises(FileError, match="is being written by a run that goes on"):
+        with pytest.raises(FileError, match="a running program is writing to"):
             drop_view(tmp_path, 1, lambda: 0.0)
     assert [path.name for path in tmp_path.iterdir()] == ["session.mcap.part"]
 

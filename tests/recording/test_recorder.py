@@ -205,7 +205,7 @@ def test_a_full_disk_stops_the_robot_and_keeps_what_was_before(
     recorder.describe("boxes", load_session(record(tmp_path / "other", session).path).settings)
     robot, seen = recorder.attach(make_robot()), [None]
     monkeypatch.setattr(mcap_file, "os", Os(FullDisk(room)))
-    with pytest.raises(FileError, match=r"cannot record to .*No space left on device; what was"):
+    with pytest.raises(FileError, match=r"cannot record to .*No space left on device; earlier"):
         seen += drive(recorder, robot, session)
     assert robot.base._base.speed == (0.0, 0.0)
     monkeypatch.undo()

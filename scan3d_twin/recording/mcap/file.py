@@ -126,8 +126,8 @@ class Sink:
 
 def _cannot_record(path: Path, error: OSError) -> FileError:
     return FileError(
-        f"cannot record to {path}: {error.strerror or error}; what was recorded before is kept, "
-        "make room and go on with --resume"
+        f"cannot record to {path}: {error.strerror or error}; earlier data is kept: free disk "
+        "space and continue with --resume"
     )
 
 

@@ -53,7 +53,7 @@ def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reo
         FileError: A run is writing to the file, it cannot be read, or the disk is full.
     """
     if is_written(path):
-        raise FileError(f"{path} is being written by a run that goes on: stop that first")
+        raise FileError(f"a running program is writing to {path}; stop it first")
 
     # Copy the content
     copy = path.with_name(f".{SESSION_FILE}.copy")

@@ -16,7 +16,7 @@ from scan3d_twin.sim.world import PREFIX, World
 BUMP_FORCE = 0.5
 """Force that presses the bumper [N]; assumption."""
 BUMPER_TRAVEL = 0.004
-"""How far the robot must back off before the springs release the bumper [m]; assumption."""
+"""Distance of backing off after which the springs release the bumper [m]; assumption."""
 WHEEL_DROP = -0.010
 """Drop of a wheel that opens its switch [m]; assumption, of 25 mm of travel."""
 CLIFF_DISTANCE = 0.05

@@ -84,7 +84,7 @@ class LidarModelConfig:
     stamp_step: float = number(0.001, 0.0, 0.01)
     """Resolution of the time stamp [s]; SCIP 2.0: milliseconds. 0: exact."""
     latency: float = number(0.101, 0.08, 1.0)
-    """From step 0 to the arrival of a line [s]; a capture of firmware 3.1.04 over USB."""
+    """Delay from step 0 to the arrival of a line [s]; a capture of firmware 3.1.04 over USB."""
 
     def __post_init__(self) -> None:
         check_options(self, "lidar")

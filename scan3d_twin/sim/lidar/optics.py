@@ -83,8 +83,8 @@ class Materials:
 
         Args:
             geoms: Geom ids (n,); -1 is the robot itself.
-            cosines: Of the incidence, in 0..1 (n,).
-            distances: (n,) [m]; inf for a miss.
+            cosines: Cosines of the incidence, in 0..1 (n,).
+            distances: Distances (n,) [m]; inf for a miss.
         """
         cos = np.maximum(cosines, 1e-3)
         alpha2 = self.alpha2.take(geoms)
