@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from scan3d_twin.core.model.fused_cloud import Model, voxel_thin
 from scan3d_twin.core.png import png_bytes
-from scan3d_twin.core.session import Session
+from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
 from scan3d_twin.recording.colours import view_colours_rgb
 
@@ -20,6 +20,8 @@ MAX_TARGET_POINTS = 300_000
 MAX_SURROUNDING_POINTS = 60_000
 SURROUNDINGS_VOXEL = 0.03
 """Side of the voxels to which the surroundings are thinned [m]."""
+LIDAR_HEIGHT = 0.30
+"""Height of the lidar, at which a viewpoint is drawn [m]."""
 GREY = "#8b949e"
 FIELD_OF_VIEW = math.radians(35.0)
 """Vertical field of view of the camera [rad]."""
@@ -87,21 +89,18 @@ def choose_camera(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
 
 def surrounding_points(session: Session) -> FloatArray:
     """Return the points of all views off the target, thinned (n, 3) in ``world`` [m]."""
-    clouds = [_points_off_target(session, k) for k in range(len(session.views))]
+    clouds = [view.T_world_scan.apply(points_off_target(view)) for view in session.views]
     if not clouds:
         return np.zeros((0, 3))
     thin = voxel_thin(np.concatenate(clouds), SURROUNDINGS_VOXEL)
     return thin[:: max(1, math.ceil(len(thin) / MAX_SURROUNDING_POINTS))]
 
 
-def _points_off_target(session: Session, k: int) -> FloatArray:
-    """Return the points of view ``k`` off the target, in ``world`` (n, 3) [m]."""
-    view = session.views[k]
+def points_off_target(view: View) -> FloatArray:
+    """Return the points of ``view`` off its target (n, 3) in ``scan`` [m]."""
     beams = view.image.spec.n_beams
-    ours = np.isin(
-        view.sweep.lines * beams + view.sweep.beams, view.target.lines * beams + view.target.beams
-    )
-    return view.T_world_scan.apply(view.sweep.points[~ours])
+    ours = view.target.lines * beams + view.target.beams
+    return view.sweep.points[~np.isin(view.sweep.lines * beams + view.sweep.beams, ours)]
 
 
 def shade_normals(normals: FloatArray, camera: Camera) -> FloatArray:

@@ -21,9 +21,6 @@ from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Report
 from scan3d_twin.viz import cloud, sections
 
-ROBOT_HEIGHT = 0.30
-"""Height of the lidar, at which a viewpoint is drawn [m]."""
-
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
@@ -158,12 +155,19 @@ def _viewpoint_lines(session: Session) -> list[float]:
         pose = view.T_world_scan
         rgb = [round(int(view_colour(k)[i : i + 2], 16) / 255, 3) for i in (1, 3, 5)]
         half = min(session.config.sweep.width, math.pi) / 2
-        tip = (pose.x, pose.y, ROBOT_HEIGHT)
+        tip = (pose.x, pose.y, cloud.LIDAR_HEIGHT)
         ends = [((pose.x, pose.y, 0.0), tip)]
         for turn in (half, -half):
             yaw = pose.yaw + turn
             ends.append(
-                (tip, (pose.x + 0.3 * math.cos(yaw), pose.y + 0.3 * math.sin(yaw), ROBOT_HEIGHT))
+                (
+                    tip,
+                    (
+                        pose.x + 0.3 * math.cos(yaw),
+                        pose.y + 0.3 * math.sin(yaw),
+                        cloud.LIDAR_HEIGHT,
+                    ),
+                )
             )
         ends.append((ends[1][1], ends[2][1]))
 

@@ -16,11 +16,9 @@ from scan3d_twin.core.model.fused_cloud import voxel_thin
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
 from scan3d_twin.recording.colours import view_colours_rgb
-from scan3d_twin.viz.cloud import choose_camera
+from scan3d_twin.viz.cloud import LIDAR_HEIGHT, choose_camera, points_off_target
 from scan3d_twin.viz.server import set_theme
 
-EYE_HEIGHT = 0.30
-"""Height of the lidar, at which a viewpoint is drawn [m]."""
 MAX_VIEW_POINTS = 25_000
 """Most points shown of a view: ten views stay fast on a phone."""
 BACKGROUND_VOXEL = 0.05
@@ -107,13 +105,13 @@ class Stage:
         self._cloud(f"{name}/target", target[::step], colour, POINT_SIZE)
 
         # Add the thinned background
-        around = voxel_thin(_background(view), BACKGROUND_VOXEL)
+        around = voxel_thin(points_off_target(view), BACKGROUND_VOXEL)
         self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT_SIZE))
 
         # Add the viewpoint's number
-        place = (0.0, 0.0, EYE_HEIGHT)
+        place = (0.0, 0.0, LIDAR_HEIGHT)
         scene.add_icosphere(f"{name}/place", 0.03, colour, subdivisions=2, position=place)
-        scene.add_label(f"{name}/number", f"{index}", position=(0.0, 0.0, EYE_HEIGHT + 0.06))
+        scene.add_label(f"{name}/number", f"{index}", position=(0.0, 0.0, LIDAR_HEIGHT + 0.06))
 
     def _cloud(self, name: str, points: FloatArray, colour: Any, size: float) -> Any:
         """Return a cloud of round points (n, 3) [m] of ``size`` [m]."""
@@ -143,7 +141,7 @@ class Stage:
     def _add_candidate(self, name: str, candidate: Candidate) -> None:
         """Add a candidate viewpoint with its predicted error."""
         scene, pose = self._server.scene, candidate.viewpoint
-        place, above = (pose.x, pose.y, EYE_HEIGHT), (pose.x, pose.y, EYE_HEIGHT + 0.03)
+        place, above = (pose.x, pose.y, LIDAR_HEIGHT), (pose.x, pose.y, LIDAR_HEIGHT + 0.03)
         self._plan.append(scene.add_icosphere(name, 0.02, GREY, subdivisions=2, position=place))
         if math.isfinite(candidate.predicted_rmse):
             words = f"{candidate.overlap:.0%}: {1e3 * candidate.predicted_rmse:.1f} mm"
@@ -162,7 +160,7 @@ class Stage:
         # Describe the predicted error
         known = math.isfinite(plan.predicted_rmse)
         error = f"{1e3 * plan.predicted_rmse:.1f} mm" if known else "error unknown"
-        place, above = (pose.x, pose.y, EYE_HEIGHT), (pose.x, pose.y, EYE_HEIGHT + 0.08)
+        place, above = (pose.x, pose.y, LIDAR_HEIGHT), (pose.x, pose.y, LIDAR_HEIGHT + 0.08)
         words = f"next: {plan.overlap:.0%}, {error}"
 
         # Add the objects
@@ -213,13 +211,6 @@ def add_look_controls(gui: Any, stage: Stage) -> None:
     background.on_update(lambda _: stage.show_background(background.value))
     dark = gui.add_checkbox("Dark", initial_value=False)
     dark.on_update(lambda _: stage.set_dark(dark.value))
-
-
-def _background(view: View) -> FloatArray:
-    """Return the points of a view off the target (n, 3) in ``scan`` [m]."""
-    beams = view.image.spec.n_beams
-    ours = view.target.lines * beams + view.target.beams
-    return view.sweep.points[~np.isin(view.sweep.lines * beams + view.sweep.beams, ours)]
 
 
 def _sector(width: float) -> FloatArray:
