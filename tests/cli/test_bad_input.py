@@ -148,13 +148,6 @@ def test_every_kind_of_error_has_its_code():
         assert exit_code(error) == code
 
 
-def test_a_run_without_a_second_view_has_failed(twin, tmp_path):
-    result = twin("sim", "--max-views", "1", "--out", "run")
-    assert result.code == 4
-    assert "error: 1 of 1 views registered" in result.err
-    assert (tmp_path / "run" / "report.json").is_file()
-
-
 def test_signals_are_heard_even_when_the_shell_muted_them(twin):
     twin("--version")
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
