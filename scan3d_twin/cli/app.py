@@ -5,7 +5,6 @@ Commands are imported when they are called, so that help and typing errors answe
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from scan3d_twin.cli.arithmetic import fix_arithmetic
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
+from scan3d_twin.cli.output import discard, say
 from scan3d_twin.core.errors import TwinError
 
 COMMANDS = {
@@ -87,13 +87,17 @@ app.command(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run ``twin`` with ``arguments``, by default the process's own, and return its exit code."""
+    """Run ``twin`` with ``arguments``, by default the process's own, and return its exit code.
+
+    A reader that closes the output early, such as ``head``, is no error.
+    """
     fix_arithmetic()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _interrupt)
     tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
         app(tokens, exit_on_error=False, print_error=False)
+        sys.stdout.flush()
     except CycloptsError as error:
         return _fail(f"{error} See `twin {_command(tokens)}--help`.", WRONG_OPTION)
     except TwinError as error:
@@ -101,7 +105,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         return _fail(str(error) or "interrupted", INTERRUPTED)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard(sys.stdout)
+    except SystemExit as error:
+        # This is how Rich, which prints the help, leaves when its reader has gone.
+        if not isinstance(error.__context__, BrokenPipeError):
+            raise
     return 0
 
 
@@ -114,5 +122,5 @@ def _command(tokens: Sequence[str]) -> str:
 
 
 def _fail(message: str, code: int) -> int:
-    print("error:", " ".join(message.split()), file=sys.stderr)
+    say("error: " + " ".join(message.split()))
     return code

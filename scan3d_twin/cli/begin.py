@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from scan3d_twin.cli.output import say
 from scan3d_twin.run.folder import claim_folder, default_folder, release_folder
 
 
@@ -21,7 +21,7 @@ def begun(scene: str, out: Path | None) -> Iterator[Path]:
     """
     folder = claim_folder(default_folder(scene) if out is None else out)
     try:
-        print(f"digitising {scene} into {folder}", file=sys.stderr, flush=True)
+        say(f"digitising {scene} into {folder}")
         yield folder
     finally:
         release_folder(folder)

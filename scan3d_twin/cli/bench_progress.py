@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,6 +17,8 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+
+from scan3d_twin.cli.output import say
 
 if TYPE_CHECKING:
     from scan3d_twin.bench.record import Record
@@ -59,15 +60,14 @@ class PlainProgress:
         self._total, self._before = total, before
         self._started = time.monotonic()
         if before:
-            print(f"{before} of {total} runs are done already", file=sys.stderr, flush=True)
+            say(f"{before} of {total} runs are done already")
 
     def done(self, record: Record) -> None:
         """See ``BenchProgress``."""
         self.count += 1
         each = (time.monotonic() - self._started) / (self.count - self._before)
         left = each * (self._total - self.count)
-        words = f"{self.count}/{self._total}, {_duration(left)} left: {run_words(record)}"
-        print(words, file=sys.stderr, flush=True)
+        say(f"{self.count}/{self._total}, {_duration(left)} left: {run_words(record)}")
 
 
 class LiveProgress:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 from scan3d_twin.api.run import RunResult, end, run_in
 from scan3d_twin.api.watch import Watch
+from scan3d_twin.cli.output import say
 from scan3d_twin.cli.progress import make_progress
 from scan3d_twin.cli.summary import summary
 from scan3d_twin.core.errors import ConfigError
@@ -61,12 +63,12 @@ def run_each(
                 one = _one(settings, place, robot, truth, name, folder, len(outcomes), watch, taps)
                 outcomes.append(one)
                 if not as_json:
-                    print(summary(one.report, one.folder), end="", flush=True)
+                    say(summary(one.report, one.folder), sys.stdout, end="")
                 if one.ended is not None:
                     break
     finally:
         if as_json and outcomes:
-            print(json.dumps({"targets": [one.report for one in outcomes]}, indent=2), flush=True)
+            say(json.dumps({"targets": [one.report for one in outcomes]}, indent=2), sys.stdout)
         release_folder(folder)
     end(outcomes[-1])
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from scan3d_twin.cli.output import say
 from scan3d_twin.core.model.fused_cloud import scanned_share
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.session import Session
@@ -85,7 +86,7 @@ class PlainProgress(Unobserved):
 
     def on_event(self, text: str) -> None:
         """See ``Observer``."""
-        print(text, file=sys.stderr, flush=True)
+        say(text)
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
