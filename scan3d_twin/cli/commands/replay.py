@@ -65,7 +65,7 @@ def replay(
     session = recorded.before_end
     planner = make_planner(effective.config.planner, None)
     with make_progress() as progress:
-        step = steps(progress, "replaying view", len(session.views))
+        step = steps(progress, "replayed view", len(session.views))
         again = run_again(session, effective.config, planner, step)
     found = _findings(recorded.session, session, again, recorded.settings, effective)
     print(json_module.dumps(found, indent=2) if options.json else _words(found))

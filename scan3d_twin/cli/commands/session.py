@@ -26,6 +26,7 @@ def info(folder: Path, *, json: bool = False) -> None:
         folder: Folder of a run, or a session file.
         json: Print one JSON document instead of lines.
     """
+    from scan3d_twin.cli.summary import count
     from scan3d_twin.recording.load import load_session
 
     found = _facts(load_session(folder))
@@ -35,8 +36,9 @@ def info(folder: Path, *, json: bool = False) -> None:
     print(f"{found['path']}: {found['state']}, {found['size_mb']} MB")
     print(f"{found['name']}, seed {found['seed']}, planner {found['planner']}")
     print(f"scan3d_twin {found['version']}, {found['started']}: {found['command']}")
+    views = count(len(found["views"]), "view")
     print(
-        f"{len(found['views'])} views, {found['lines']} lines, {found['duration_s']:.1f} s, "
+        f"{views}, {found['lines']} lines, {found['duration_s']:.1f} s, "
         f"{found['path_m']:.1f} m; {found['stop_reason'] or 'did not end'}"
     )
     for k, view in enumerate(found["views"]):
