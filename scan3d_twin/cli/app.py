@@ -5,13 +5,14 @@ Commands are imported when they are called, so that help and typing errors answe
 
 from __future__ import annotations
 
+import shlex
 import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
 from typing import NoReturn
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from scan3d_twin.cli.arithmetic import fix_arithmetic
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
@@ -21,14 +22,15 @@ from scan3d_twin.core.errors import TwinError
 COMMANDS = {
     "sim": "Digitise a scene with the twin.",
     "real": "Digitise with the real robot.",
-    "scan": "Take one 3D image from here.",
-    "calibrate": "Find out from scans where the lidar sits.",
-    "doctor": "Look for what is wrong with the robot.",
+    "scan": "Take one 3D image from where the robot stands.",
+    "calibrate": "Estimate the lidar's extrinsics from scans.",
+    "doctor": "Check the robot, its ports and the libraries.",
     "view": "Show a recorded run on a web page.",
-    "mesh": "Write a run's target as triangles.",
-    "export": "Write a run's model for other programs.",
-    "replay": "Register and plan on a recorded run.",
+    "mesh": "Write the surface of a run's target as a triangle mesh.",
+    "export": "Write the model of a run for other programs.",
+    "replay": "Repeat registration and planning on a recorded run.",
     "emulate": "Serve the twin's base and lidar on serial ports.",
+    "options": "List the options of the configuration, by section.",
 }
 """Commands that are a function of the module of the same name, and what they do."""
 
@@ -37,6 +39,13 @@ def _version() -> str:
     from scan3d_twin.run.versions import version_text
 
     return version_text()
+
+
+def _show_default(value: object) -> object:
+    """Return what help pages show as the default ``value`` of an option; None shows nothing."""
+    if value is None or value is False:
+        return None
+    return f"{value:g}" if isinstance(value, float) else value
 
 
 # The list of commands is plain text; the reader of Markdown would take as long as all the rest.
@@ -52,7 +61,7 @@ app = App(
     ),
     result_action="return_value",
     suppress_keyboard_interrupt=False,
-    default_parameter=Parameter(negative=(), show_env_var=False),
+    default_parameter=Parameter(negative=(), show_env_var=False, show_default=_show_default),
 )
 for _name, _help in COMMANDS.items():
     _place = f"scan3d_twin.cli.commands.{_name}:{_name}"
@@ -60,7 +69,7 @@ for _name, _help in COMMANDS.items():
 app.command(
     "scan3d_twin.cli.commands.session:app",
     name="session",
-    help="Look at and change what a run recorded.",
+    help="Look at, repair and change what a run recorded.",
 )
 app.command(
     "scan3d_twin.cli.commands.listing:scenes",
@@ -77,12 +86,12 @@ app.command(
 app.command(
     "scan3d_twin.cli.commands.bench:app",
     name="bench",
-    help="Run planners against planners in the twin.",
+    help="Compare planners on many seeds in the twin.",
 )
 app.command(
     "scan3d_twin.cli.commands.completion:install",
     name="--install-completion",
-    help="Complete commands and options in this shell.",
+    help="Install the completion of commands and options for this shell.",
 )
 
 
@@ -99,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         app(tokens, exit_on_error=False, print_error=False)
         sys.stdout.flush()
     except CycloptsError as error:
-        return _fail(f"{error} See `twin {_command(tokens)}--help`.", WRONG_OPTION)
+        return _fail(f"{_explain(error)} See `twin {_command(tokens)}--help`.", WRONG_OPTION)
     except TwinError as error:
         return _fail(str(error), exit_code(error))
     except KeyboardInterrupt as error:
@@ -115,6 +124,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def _explain(error: CycloptsError) -> str:
+    """Return what is wrong with the command line, as a sentence."""
+    if isinstance(error, UnusedCliTokensError):
+        return f"Unexpected argument {shlex.join(error.unused_tokens or ())}."
+    return str(error)
 
 
 def _command(tokens: Sequence[str]) -> str:

@@ -105,6 +105,11 @@ def test_a_misspelt_option_suggests_the_right_one(fails):
     assert "Did you mean --planning.trials?" in fails(OPTION, "sim", "--planning.trails", "3")
 
 
+def test_an_argument_too_many(fails):
+    error = fails(OPTION, "sim", "foo", "a b")
+    assert "Unexpected argument foo 'a b'. See `twin sim --help`." in error
+
+
 def test_a_misspelt_command(fails):
     assert "simm" in fails(OPTION, "simm")
 
@@ -119,7 +124,7 @@ def test_a_misspelt_command(fails):
         ("--lidar-link", "wifi", "usb"),
         ("--seed", "-1", "seed must be >= 0"),
         ("--max-views", "0", "max_views must be >= 1"),
-        ("--planning.eta_min", "1.5", "eta_min"),
+        ("--planning.eta-min", "1.5", "eta_min"),
         ("--registration.scope", "all", "target"),
         ("--mesh-scale", "0", "mesh_scale must be > 0"),
         ("--target", "1,2,3", "name or x,y"),

@@ -23,8 +23,8 @@ def unread(*arguments, stream="stdout"):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("--help",), ("sim", "--help"), ("session", "--help"), ("--version",), ("planners",),
-        ("scenes", "--json"),
+        ("--help",), ("sim", "--help"), ("session", "--help"), ("--version",), ("options",),
+        ("planners",), ("scenes", "--json"),
     ],
     ids=" ".join,
 )  # fmt: skip
@@ -38,14 +38,14 @@ def test_what_is_printed_of_a_run(finished):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("arguments", [("sim", "--epsilom", "3"), ("simm",)], ids=str)
+@pytest.mark.parametrize("arguments", [("sim", "--epsilom", "3"), ("options", "planing")], ids=str)
 def test_an_error_that_nobody_reads_keeps_its_code(arguments):
     done = unread(*arguments, stream="stderr")
     assert (done.returncode, done.stdout) == (2, "")
 
 
 def test_a_run_goes_on_when_nobody_reads_its_progress(tmp_path):
-    arguments = ("sim", "--max-views", 1, "--sweep.yaw_rate", 0.5, "--out", tmp_path / "run")
+    arguments = ("sim", "--max-views", 1, "--sweep.yaw-rate", 0.5, "--out", tmp_path / "run")
     done = unread(*arguments, stream="stderr")
     assert done.returncode == 0
     assert "1 view, " in done.stdout
