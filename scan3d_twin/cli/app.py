@@ -15,6 +15,7 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from scan3d_twin.cli.arithmetic import fix_arithmetic
+from scan3d_twin.cli.environment import refuse_unknown_variables
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
 from scan3d_twin.cli.output import discard, say
 from scan3d_twin.core.errors import TwinError
@@ -62,6 +63,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(negative=(), show_env_var=False, show_default=_show_default),
+    config=(refuse_unknown_variables,),
 )
 for _name, _help in COMMANDS.items():
     _place = f"scan3d_twin.cli.commands.{_name}:{_name}"
