@@ -20,20 +20,29 @@ from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
 from scan3d_twin.cli.output import discard, say
 from scan3d_twin.core.errors import TwinError
 
+ABOUT = "Digitise things in 3D with a vacuum-cleaner robot and a small laser scanner."
 COMMANDS = {
-    "sim": "Digitise a scene with the twin.",
-    "real": "Digitise with the real robot.",
-    "scan": "Take one 3D image from where the robot stands.",
-    "calibrate": "Estimate the lidar's extrinsics from scans.",
-    "doctor": "Check the robot, its ports and the libraries.",
-    "view": "Show a recorded run on a web page.",
-    "mesh": "Write the surface of a run's target as a triangle mesh.",
-    "export": "Write the model of a run for other programs.",
-    "replay": "Repeat registration and planning on a recorded run.",
-    "emulate": "Serve the twin's base and lidar on serial ports.",
-    "options": "List the options of the configuration, by section.",
+    "sim": ("sim:sim", "Digitise a scene with the twin."),
+    "real": ("real:real", "Digitise with the real robot."),
+    "scan": ("scan:scan", "Take one 3D image from where the robot stands."),
+    "view": ("view:view", "Show a recorded run on a web page."),
+    "export": ("export:export", "Write the model of a run for other programs."),
+    "mesh": ("mesh:mesh", "Write the surface of a run's target as a triangle mesh."),
+    "session": ("session:app", "Look at, repair and change what a run recorded."),
+    "replay": ("replay:replay", "Repeat registration and planning on a recorded run."),
+    "bench": ("bench:app", "Compare planners on many seeds in the twin."),
+    "scenes": ("listing:scenes", "List the scenes."),
+    "planners": ("listing:planners", "List the planners."),
+    "options": ("options:options", "List the options of the configuration, by section."),
+    "doctor": ("doctor:doctor", "Check the robot, its ports and the libraries."),
+    "calibrate": ("calibrate:calibrate", "Estimate the lidar's extrinsics from scans."),
+    "emulate": ("emulate:emulate", "Serve the twin's base and lidar on serial ports."),
+    "--install-completion": ("completion:install", "Complete commands and options in this shell."),
 }
-"""Commands that are a function of the module of the same name, and what they do."""
+"""The commands by name: where each is defined, and what it does."""
+EXIT_CODES = """\
+Exit codes: 0 ok, 1 a bug, 2 wrong option, name, key or value, 3 port or file,
+4 scan failed, 5 safety stop, 130 interrupted."""
 
 
 def _version() -> str:
@@ -49,52 +58,20 @@ def _show_default(value: object) -> object:
     return f"{value:g}" if isinstance(value, float) else value
 
 
-# The list of commands is plain text; the reader of Markdown would take as long as all the rest.
 app = App(
     name="twin",
     version=_version,
     version_format="plaintext",
-    help="Digitise things in 3D with a vacuum-cleaner robot and a small laser scanner.",
-    help_format="plaintext",
-    help_epilogue=(
-        "Exit codes: 0 ok, 1 a bug, 2 wrong option, name, key or value, 3 port or file, "
-        "4 scan failed, 5 safety stop, 130 interrupted."
-    ),
+    help=ABOUT,
+    help_format="markdown",
+    help_epilogue=EXIT_CODES,
     result_action="return_value",
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(negative=(), show_env_var=False, show_default=_show_default),
     config=(refuse_unknown_variables,),
 )
-for _name, _help in COMMANDS.items():
-    _place = f"scan3d_twin.cli.commands.{_name}:{_name}"
-    app.command(_place, name=_name, help=_help, help_format="markdown")
-app.command(
-    "scan3d_twin.cli.commands.session:app",
-    name="session",
-    help="Look at, repair and change what a run recorded.",
-)
-app.command(
-    "scan3d_twin.cli.commands.listing:scenes",
-    name="scenes",
-    help="List the scenes.",
-    help_format="markdown",
-)
-app.command(
-    "scan3d_twin.cli.commands.listing:planners",
-    name="planners",
-    help="List the planners.",
-    help_format="markdown",
-)
-app.command(
-    "scan3d_twin.cli.commands.bench:app",
-    name="bench",
-    help="Compare planners on many seeds in the twin.",
-)
-app.command(
-    "scan3d_twin.cli.commands.completion:install",
-    name="--install-completion",
-    help="Install the completion of commands and options for this shell.",
-)
+for _name, (_place, _help) in COMMANDS.items():
+    app.command(f"scan3d_twin.cli.commands.{_place}", name=_name, help=_help)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -107,7 +84,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, _interrupt)
     tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        app(tokens, exit_on_error=False, print_error=False)
+        if tokens in ([], ["--help"], ["-h"]):
+            print(_overview())
+        else:
+            app(tokens, exit_on_error=False, print_error=False)
         sys.stdout.flush()
     except CycloptsError as error:
         return _fail(f"{_explain(error)} See `twin {_command(tokens)}--help`.", WRONG_OPTION)
@@ -122,6 +102,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not isinstance(error.__context__, BrokenPipeError):
             raise
     return 0
+
+
+def _overview() -> str:
+    """Return the help page of the program; Rich would take as long as all the rest."""
+    flags = {"--help": "Show this page, or that of a command.", "--version": "Show the versions."}
+    rows = {**{name: text for name, (_, text) in COMMANDS.items()}, **flags}
+    lines = [f"  {name:<20}  {text}" for name, text in rows.items()]
+    return "\n".join(["Usage: twin COMMAND", "", ABOUT, "", *lines, "", EXIT_CODES])
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:

@@ -33,6 +33,14 @@ def test_the_pages_are_those_of_all_commands():
     assert {page[0] for page in PAGES if page} == {n for n in app if not n.startswith("-")}
 
 
+def test_the_overview_names_all_commands(twin):
+    page = twin("--help").out
+    rows = [line.split()[0] for line in page.splitlines() if line.startswith("  ")]
+    assert {*rows} == {*app} - {"-h"}
+    assert rows[:2] == ["sim", "real"]
+    assert twin().out == twin("-h").out == page
+
+
 @pytest.mark.parametrize("page", PAGES, ids=" ".join)
 def test_each_page_fits_on_a_screen(twin, page):
     result = twin(*page, "--help")

@@ -42,6 +42,12 @@ def test_help_needs_nothing_heavy(arguments):
     assert done.stdout.splitlines()[-1] == "[] 0"
 
 
+def test_the_overview_is_printed_without_rich():
+    command = [sys.executable, "-c", PROGRAM.format(heavy=("rich",)), "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[] 0"
+
+
 @pytest.mark.parametrize(("asked", "used"), [(None, "1"), ("3", "3")])
 def test_a_run_computes_on_one_thread_unless_told_otherwise(monkeypatch, asked, used):
     name = "OPENBLAS_NUM_THREADS"
