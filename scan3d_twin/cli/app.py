@@ -10,7 +10,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn, get_args
 
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
@@ -18,7 +18,10 @@ from scan3d_twin.cli.arithmetic import fix_arithmetic
 from scan3d_twin.cli.environment import refuse_unknown_variables
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
 from scan3d_twin.cli.output import discard, say
-from scan3d_twin.core.errors import TwinError
+from scan3d_twin.core.errors import ConfigError, TwinError
+
+if TYPE_CHECKING:
+    from cyclopts import ArgumentCollection
 
 ABOUT = "Digitise things in 3D with a vacuum-cleaner robot and a small laser scanner."
 COMMANDS = {
@@ -58,6 +61,21 @@ def _show_default(value: object) -> object:
     return f"{value:g}" if isinstance(value, float) else value
 
 
+def _refuse_fractions(_: App, command: tuple[str, ...], arguments: ArgumentCollection) -> None:
+    """Refuse a fraction where a whole number is wanted, which cyclopts would round.
+
+    Raises:
+        ConfigError: There is one.
+    """
+    for argument in arguments:
+        if int not in (argument.hint, *get_args(argument.hint)):
+            continue
+        for token in argument.tokens:
+            if "." in token.value:
+                name = token.keyword or argument.name
+                raise ConfigError(f"{name} must be a whole number, got {token.value!r}")
+
+
 app = App(
     name="twin",
     version=_version,
@@ -68,7 +86,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(negative=(), show_env_var=False, show_default=_show_default),
-    config=(refuse_unknown_variables,),
+    config=(refuse_unknown_variables, _refuse_fractions),
 )
 for _name, (_place, _help) in COMMANDS.items():
     app.command(f"scan3d_twin.cli.commands.{_place}", name=_name, help=_help)

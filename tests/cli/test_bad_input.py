@@ -66,6 +66,15 @@ def test_an_epsilon_that_is_not_a_number(fails):
     assert "--epsilon" in fails(OPTION, "sim", "--epsilon", "10mm")
 
 
+def test_a_fraction_is_no_whole_number(fails, monkeypatch):
+    words = "must be a whole number, got '1.5'"
+    assert f"--max-views {words}" in fails(OPTION, "sim", "--max-views", "1.5")
+    assert f"--planning.trials {words}" in fails(OPTION, "sim", "--planning.trials=1.5")
+    assert f"VIEW {words}" in fails(OPTION, "session", "drop-view", "run", "1.5")
+    monkeypatch.setenv("TWIN_SEED", "1.5")
+    assert f"TWIN_SEED {words}" in fails(OPTION, "sim")
+
+
 def test_epsilon_stated_twice(fails):
     error = fails(OPTION, "sim", "--epsilon", "5", "--planning.epsilon", "0.005")
     assert "--epsilon [mm] and --planning.epsilon [m]" in error
