@@ -1,12 +1,14 @@
-"""A run as the command line shows it: progress while it goes on, then its report."""
+"""A run as the command line shows it: its progress, then its report."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from scan3d_twin.api.resume import ResumedRun
 from scan3d_twin.api.run import raise_if_failed, run_in_folder
 from scan3d_twin.api.watch import UNWATCHED, WatchOptions
+from scan3d_twin.cli.output import say
 from scan3d_twin.cli.progress import make_progress
 from scan3d_twin.cli.summary import summary
 from scan3d_twin.recording.recorder import SerialTaps
@@ -37,5 +39,5 @@ def run(
             settings, name, opening, folder, progress, taps=taps, resume=resume, watch=watch
         )
     report = outcome.report
-    print(report_json(report) if as_json else summary(report, folder), end="", flush=True)
+    say(report_json(report) if as_json else summary(report, folder), sys.stdout, end="")
     raise_if_failed(outcome)

@@ -108,14 +108,15 @@ def report_schema() -> dict[str, Any]:
 def failure_reason(session: Session) -> str:
     """Return why ``session`` failed as a scan; an empty string when it did not.
 
-    A scan fails when fewer than two views are registered, or when no step was predicted to meet
-    epsilon.
+    A scan fails when fewer than two views are registered, unless only one was wanted, or when no
+    step was predicted to meet epsilon.
     """
     # Count the registered views
     registered = sum(v.registration is None or v.registration.converged for v in session.views)
-    if registered < 2:
+    needed = min(2, session.config.max_views)
+    if registered < needed:
         return (
-            f"{registered} of {len(session.views)} views registered, a model needs 2; "
+            f"{registered} of {len(session.views)} views registered, a model needs {needed}; "
             "try a smaller standoff, more views or another target"
         )
 

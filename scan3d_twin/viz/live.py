@@ -151,8 +151,8 @@ class LiveView:
         # Show the progress
         share = measure_scanned_share(session)
         self._bar.value = 100.0 * share
-        what = "front" if session.config.tour == "front" else "contour"
-        self._share.content = f"{share:.0%} of the {what} scanned, {count} views"
+        what = "front outline" if session.config.tour == "front" else "outline all round"
+        self._share.content = f"{what} in top view: {share:.0%} scanned, {count} views"
         self._timeline.max, self._timeline.disabled = max(1, count), False
         self._timeline.value = count
 

@@ -53,7 +53,7 @@ def _quality(report: Report) -> list[tuple[str, str, str]]:
     if report["coverage_20mm"] is None:
         return []
     figures = [
-        ("Covered (20 mm)", f"{report['coverage_20mm']:.0%}", ""),
+        ("Surface covered (20 mm)", f"{report['coverage_20mm']:.0%}", ""),
         ("Accuracy (median)", f"{report['accuracy_mm']['median']:.1f}", "mm"),
     ]
     worst = report["max_registration_error_mm"]
@@ -225,15 +225,15 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
     # Compute coverage after each view
     if evaluation is not None:
         shares: Sequence[float] = evaluation.coverage_by_view
-        what = "Share of the coverable surface with a model point within 20 mm"
+        title, label = "Surface coverage", "covered"
+        what = "Share of the surface in reach of the lidar that lies within 20 mm of the model"
     else:
         shares = [
             measure_scanned_share(replace(session, views=session.views[: k + 1]))
             for k in range(len(session.views))
         ]
-        what = "Share of the target's outline, as far as the robot knows it, that was scanned"
-
-    # Make one dot per view
+        title, label = "Outline", "scanned"
+        what = "Share of the target's outline in top view, as far as the robot knows it, scanned"
     times = [float(view.observation.image.stamps.max()) for view in session.views]
     scale, unit = (1.0, "s") if times[-1] < 600 else (60.0, "min")
     dots = [
@@ -241,9 +241,9 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
         for k, (time, share) in enumerate(zip(times, shares, strict=True))
     ]
     chart = Chart(
-        "Coverage against time",
+        f"{title} against time",
         f"time on the robot's clock [{unit}]",
-        "covered",
+        label,
         (0.0, round_up(1.05 * times[-1] / scale)),
         (0.0, 1.0),
         dots,
@@ -254,8 +254,8 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
 
     # Return the chart with caption
     return (
-        f'<h2>Coverage</h2><figure class="wide">{render_chart(chart)}<figcaption>{what}, '
-        "at the end of each view, which is numbered.</figcaption></figure>"
+        f'<h2>{title}</h2><figure class="wide">{render_chart(chart)}<figcaption>{what}, at the end of each '
+        "view, which is numbered.</figcaption></figure>"
     )
 
 

@@ -52,5 +52,8 @@ class SessionView:
         self._bar.value = 100.0 * share
         last = len(whole.views) - 1
         ended = f": {whole.stop_reason}" if count > last and whole.stop_reason else ""
-        self._words.content = f"**view {count - 1} of {last}**, {share:.0%} scanned{ended}"
+        self._words.content = (
+            f"**view {count - 1} ({count} of {len(whole.views)} views)**, outline in top view "
+            f"{share:.0%} scanned{ended}"
+        )
         self._plan.content = format_plan(past) if past.plans else ""

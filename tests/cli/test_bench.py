@@ -100,7 +100,7 @@ def test_ctrl_c_keeps_what_is_done_and_leaves_no_worker(tmp_path):
         _, rest = process.communicate(timeout=60)
     assert process.returncode == 130
     assert rest.splitlines()[-1].startswith("error: interrupted; ")
-    assert "the same command goes on" in rest
+    assert "repeat the command to continue" in rest
     assert "Traceback" not in rest
     wait_for(lambda: not any(map(_alive, server)))
 
@@ -120,7 +120,7 @@ def test_more_seeds_are_added_to_what_there_is(whole, twin, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), "nothing to run; give a FILE, --suite smoke"),
+        ((), "no experiment: give a FILE, --suite smoke"),
         (("--suite", "smok"), "no suite 'smok'; known: "),
         (("--suite", "smoke", "--planners", "fisher"), "give one of FILE, --suite"),
         (("--planners", "fishr"), "no planner 'fishr'; known: "),

@@ -38,5 +38,8 @@ def test_on_a_terminal_a_bar_moves_and_lost_runs_are_told(lost):
 
 def test_a_run_is_told_by_its_views_and_worst_error(lost):
     done = replace(lost, status="done", views=4, max_error=0.0042, coverage=0.871)
-    assert run_words(done) == "three_boxes best seed 0: 4 views, worst error 4.2 mm, 87% covered"
+    assert (
+        run_words(done)
+        == "three_boxes best seed 0: 4 views, worst error 4.2 mm, surface 87% covered"
+    )
     assert "worst error -," in run_words(replace(done, max_error=None))

@@ -62,7 +62,7 @@ def test_it_says_what_to_write_into_the_configuration(
     out = capsys.readouterr().out
     assert "[mount]" in out
     assert "lateral = 0.0" in out
-    assert "time_offset  not known: scan to both sides" in out
+    assert "time_offset  unknown: scan in both directions" in out
 
 
 def test_a_folder_without_scans_is_refused(

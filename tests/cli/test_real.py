@@ -109,8 +109,8 @@ def test_two_views_over_pseudo_terminals(ports, tmp_path):
         "sys.exit(code)"
     )
     # A narrow sweep and a quick look around keep the robot's own time short.
-    quick = ["--sweep.width", "0.8", "--sweep.yaw_rate", "0.3", "--sweep.look_rate", "1.2"]
-    quick += ["--motion.turn_rate", "1.5", "--motion.speed", "0.4"]
+    quick = ["--sweep.width", "0.8", "--sweep.yaw-rate", "0.3", "--sweep.look-rate", "1.2"]
+    quick += ["--motion.turn-rate", "1.5", "--motion.speed", "0.4"]
     more = ["--max-views", "2", "--epsilon", "100", "--json", "--out", tmp_path / "run"]
     command = [sys.executable, "-c", program, "real", *ports, *quick, *map(str, more)]
     result = subprocess.run(command, capture_output=True, text=True, timeout=240)

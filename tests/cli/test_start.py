@@ -23,10 +23,27 @@ print([name for name in {heavy} if name in sys.modules], code)
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["sim", "--help"], ["bench", "--help"], ["--version"], []], ids=str
+    "arguments",
+    [
+        ["--help"],
+        ["sim", "--help"],
+        ["real", "--help"],
+        ["bench", "--help"],
+        ["replay", "--help"],
+        ["options"],
+        ["--version"],
+        [],
+    ],
+    ids=str,
 )
 def test_help_needs_nothing_heavy(arguments):
     command = [sys.executable, "-c", PROGRAM.format(heavy=HEAVY), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[] 0"
+
+
+def test_the_overview_is_printed_without_rich():
+    command = [sys.executable, "-c", PROGRAM.format(heavy=("rich",)), "--help"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.splitlines()[-1] == "[] 0"
 
@@ -98,7 +115,8 @@ def test_importing_the_package_imports_nothing_heavy():
 def test_a_run_of_the_twin_tells_what_it_does_before_it_loads_what_it_computes_with(tmp_path):
     program = """
 import sys
-from scan3d_twin.cli import main, sim
+from scan3d_twin.cli import main
+from scan3d_twin.cli.commands import sim
 def begun(scene, out):
     print(scene, *sys.modules)
     sys.exit()

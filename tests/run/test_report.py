@@ -95,6 +95,12 @@ def test_one_registered_view_is_a_failure(session):
     assert failure_reason(replace(session, views=views[:1])).startswith("1 of 1 views registered")
 
 
+def test_one_registered_view_is_enough_where_one_was_wanted(session):
+    one = replace(session, config=replace(session.config, max_views=1))
+    assert failure_reason(replace(one, views=one.views[:1], plans=())) == ""
+    assert failure_reason(replace(one, views=(), plans=())).startswith("0 of 0 views registered")
+
+
 def test_only_predictions_above_epsilon_are_a_failure(session):
     above, below = (replace(session.plans[0], predicted_rmse=e) for e in (0.0101, 0.0099))
     assert "10.1 mm at best, 10.0 mm wanted" in failure_reason(

@@ -1,19 +1,27 @@
-"""``twin scenes`` and ``twin planners``: what there is to choose from, a line each."""
+"""``twin scenes`` and ``twin planners``: the choices, one line each."""
 
 from __future__ import annotations
 
 import json as json_module
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from scan3d_twin.core.errors import ConfigError
 
 
-def scenes(*, show: str | None = None, out: Path | None = None, json: bool = False) -> None:
+def scenes(
+    *,
+    show: str | None = None,
+    out: Annotated[Path | None, Parameter(show_default="NAME.png")] = None,
+    json: bool = False,
+) -> None:
     """List the scenes that come with the package, or draw one.
 
     Args:
-        show: Write a picture of this scene, a name or a file as for `twin sim --scene`, instead.
-        out: Where the picture goes (default NAME.png).
+        show: Draw this scene, a name or a file as for `twin sim --scene`, instead of listing.
+        out: File for the picture.
         json: Print one JSON document instead of lines.
     """
     from scan3d_twin.sim.scenes.scene import load_scene, scene_names

@@ -1,4 +1,4 @@
-"""``twin replay``: registration and planning once more on recorded images."""
+"""``twin replay``: repeat registration and planning on recorded sweeps."""
 
 from __future__ import annotations
 
@@ -27,38 +27,43 @@ else:
     DottedOptions = dotted_options(Config)
 
 
+AS_RECORDED = Parameter(show_default=lambda _: "as recorded")
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReplayOptions:
-    """What may be other than it was; None is as recorded."""
+    """Options that replace recorded ones; None is as recorded."""
 
-    epsilon: float | None = None
+    epsilon: Annotated[float | None, AS_RECORDED] = None
     """Wanted registration error, root mean square [mm]."""
-    tour: Literal["front", "full"] | None = None
-    """Scan the front only, or all round."""
-    planner: str | None = None
-    """Name of the planner, see `twin planners`."""
-    preset: str | None = None
+    tour: Annotated[Literal["front", "full"] | None, AS_RECORDED] = None
+    """Scan the front or all round."""
+    planner: Annotated[str | None, AS_RECORDED] = None
+    """Viewpoint planner (`twin planners`)."""
+    preset: Annotated[str | None, AS_RECORDED] = None
     """Named set of options: paper or best."""
     config: Path | None = None
-    """TOML file with options; the command line wins over it."""
+    """TOML file of options; the command line overrides it."""
     json: bool = False
     """Print one JSON document instead of a table."""
 
 
 def replay(
     folder: Path,
+    /,
     *,
     options: Annotated[ReplayOptions, Parameter(name="*")] = ReplayOptions(),
     dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
 ) -> None:
-    """Register and plan once more on what a run has recorded, and say what comes out otherwise.
+    """Repeat registration and planning on a recorded run, and list what differs.
 
-    With the recorded options every pose and plan is the same bit by bit. With others, the robot
-    still goes where it went; the table shows where the views would lie and where it would be sent.
+    With the recorded options all poses and plans are identical, bit by bit. With other options
+    the robot's path stays as recorded; the table shows the poses and plans that would have come of
+    it. The default of each option is the recorded value.
 
     Args:
-        folder: Folder of a run, or a session file.
-        options: What may be other than it was.
+        folder: Folder of a run, or its session file.
+        options: Options that replace recorded ones.
         dotted: Likewise, by section.
     """
     from scan3d_twin.cli.progress import make_progress, steps
@@ -71,7 +76,7 @@ def replay(
     session = recorded.before_end
     planner = make_planner(effective.config.planner, None)
     with make_progress() as progress:
-        step = steps(progress, "replaying view", len(session.views))
+        step = steps(progress, "replayed view", len(session.views))
         again = run_again(session, effective.config, planner, step)
     found = _findings(recorded.session, session, again, recorded.settings, effective)
     print(json_module.dumps(found, indent=2) if options.json else _words(found))
@@ -144,10 +149,10 @@ def _words(found: dict[str, Any]) -> str:
         mark = "" if row["identical"] else "  differs"
         lines.append("  ".join(f"{cell:>9}" for cell in cells) + mark)
     lines.append(
-        "all poses and plans are the same, bit by bit"
+        "all poses and plans are identical, bit by bit"
         if found["identical"]
         else f"{sum(not row['identical'] for row in found['views'])} of "
-        f"{len(found['views'])} views come out otherwise"
+        f"{len(found['views'])} views differ"
     )
     return "\n".join(lines)
 

@@ -25,21 +25,22 @@ if TYPE_CHECKING:
 class OneScanOptions(PortOptions):
     """What is scanned, and how finely."""
 
-    scene: Annotated[str | None, env("SCENE")] = None
-    """Scan a scene of the twin instead of what stands in front of the real robot."""
+    scene: Annotated[str | None, env("SCENE", "none, the real robot")] = None
+    """Scene of the twin (`twin scenes`) in which to scan."""
     width: float = 60.0
-    """Horizontal angle of the image, around where the robot looks [deg]."""
+    """Horizontal angle of the image, centred on the robot's heading [deg]."""
     rate: float = 5.0
-    """Speed of the turn [deg/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
+    """Turn rate [deg/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
     lidar_link: Annotated[str, env("LIDAR_LINK")] = "usb"
     """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
     (682 steps, 5 Hz)."""
     back: bool = False
-    """Sweep back to the other side too, for `twin calibrate lidar`; the width must be below 350."""
+    """Sweep back in the other direction too, for `twin calibrate lidar`; needs a width below
+    350 deg."""
     seed: int = 0
-    """Of the twin's noise."""
-    out: Annotated[Path | None, env("OUT")] = None
-    """Folder for the results, new or empty (default runs/scan-TIME)."""
+    """Seed of the twin's errors and noise."""
+    out: Annotated[Path | None, env("OUT", "runs/scan-TIME")] = None
+    """Folder for the results, new or empty."""
     json: bool = False
     """Print one line of JSON."""
 
@@ -51,7 +52,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     scan.npz, the raw range image; with --back also scan_back.npz.
 
     Raises:
-        TwinError: Whatever keeps the image from being taken; the robot is stopped.
+        TwinError: The image could not be taken; the robot is stopped.
     """
     from scan3d_twin.core.config import Config, SweepConfig
     from scan3d_twin.core.scanning.sweep import sweep
@@ -63,7 +64,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     if options.lidar_link not in LINKS:
         raise UnknownNameError("lidar link", options.lidar_link, LINKS)
     if options.scene and (options.port or options.lidar_port):
-        raise ConfigError("--scene is the twin's, --port and --lidar-port the real robot's")
+        raise ConfigError("--scene is for the twin, --port and --lidar-port for the real robot")
     wanted = SweepConfig(
         width=math.radians(options.width), margin=0.0, yaw_rate=math.radians(options.rate)
     )

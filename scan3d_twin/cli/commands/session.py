@@ -1,4 +1,4 @@
-"""``twin session``: what a run has recorded, saved and changed."""
+"""``twin session``: look at, repair and change what a run recorded."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ if TYPE_CHECKING:
     from scan3d_twin.run.report import Report
 
 app = App(
-    name="session", help_format="markdown", help="Look at, save and change what a run has recorded."
+    name="session", help_format="markdown", help="Look at, repair and change what a run recorded."
 )
 
 
 @app.command
-def info(folder: Path, *, json: bool = False) -> None:
-    """Say what a session holds; also while its run goes on.
+def info(folder: Path, /, *, json: bool = False) -> None:
+    """Show what a session holds, even while its run goes on.
 
     Args:
-        folder: Folder of a run, or a session file.
+        folder: Folder of a run, or its session file.
         json: Print one JSON document instead of lines.
     """
+    from scan3d_twin.cli.summary import count
     from scan3d_twin.recording.load import load_session
 
     found = _facts(load_session(folder))
@@ -35,8 +36,9 @@ def info(folder: Path, *, json: bool = False) -> None:
     print(f"{found['path']}: {found['state']}, {found['size_mb']} MB")
     print(f"{found['name']}, seed {found['seed']}, planner {found['planner']}")
     print(f"scan3d_twin {found['version']}, {found['started']}: {found['command']}")
+    views = count(len(found["views"]), "view")
     print(
-        f"{len(found['views'])} views, {found['lines']} lines, {found['duration_s']:.1f} s, "
+        f"{views}, {found['lines']} lines, {found['duration_s']:.1f} s, "
         f"{found['path_m']:.1f} m; {found['stop_reason'] or 'did not end'}"
     )
     for k, view in enumerate(found["views"]):
@@ -79,11 +81,11 @@ def _facts(recorded: RecordedRun) -> dict[str, Any]:
 
 
 @app.command
-def recover(folder: Path, *, json: bool = False) -> None:
-    """Make a session file whole that a killed run or a bad disk has left.
+def recover(folder: Path, /, *, json: bool = False) -> None:
+    """Repair the session file of a run that was killed.
 
-    Twin's own commands read such a file as it is; others' programs want it whole. The old file is
-    kept beside the new one.
+    `twin` itself reads such a file as it is; other programs need it repaired. The old file is kept
+    beside the new one.
 
     Args:
         folder: Folder of a run.
@@ -97,18 +99,18 @@ def recover(folder: Path, *, json: bool = False) -> None:
     if json:
         print(json_module.dumps({"path": str(path), "kept": backup and str(backup)}))
     elif backup is None:
-        print(f"{path} is whole: nothing to do")
+        print(f"{path} is intact: nothing to do")
     else:
-        print(f"{path} is whole now; as it was: {backup}")
+        print(f"{path} is repaired; the old file: {backup}")
 
 
 @app.command(name="drop-view")
-def drop_view(folder: Path, view: int, *, json: bool = False) -> None:
-    """Leave a view out and place the others anew; `twin session undo` takes it back.
+def drop_view(folder: Path, view: int, /, *, json: bool = False) -> None:
+    """Remove a view and register the others again; `twin session undo` takes it back.
 
     Args:
         folder: Folder of a run.
-        view: The view's number in the report, counted from 0.
+        view: Number of the view, counted from 0 as in the report.
         json: Print the new report as JSON.
     """
     from scan3d_twin.recording.edit import drop_view as drop
@@ -117,8 +119,8 @@ def drop_view(folder: Path, view: int, *, json: bool = False) -> None:
 
 
 @app.command
-def undo(folder: Path, *, json: bool = False) -> None:
-    """Take back the last drop-view, recover or --resume; doing it twice does it again.
+def undo(folder: Path, /, *, json: bool = False) -> None:
+    """Take back the last drop-view, recover or --resume; a second undo takes back the first.
 
     Args:
         folder: Folder of a run.

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
-from scan3d_twin.cli.options import ScanOptions, env, stated_options
+from scan3d_twin.cli.options import ScanOptions, SceneOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
@@ -30,22 +30,12 @@ else:
 
 
 SPEED = "10x"
-"""Of a twin that is watched, at first: a run of three minutes takes twenty seconds."""
+"""Initial speed of a twin that is watched: a run of three minutes takes twenty seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimOptions(ViewOptions, ScanOptions):
-    """What only the twin has a choice of; None is not stated."""
-
-    scene: Annotated[str | None, env("SCENE")] = None
-    """Name of a scene (`twin scenes`), random:SEED for one drawn by SEED, or an .xml, .stl, .ply,
-    .obj or .glb file (default three_boxes)."""
-    mesh_scale: Annotated[float | None, env("MESH_SCALE")] = None
-    """Metres per unit of a mesh file (default 1)."""
-    robot: Annotated[str | None, env("ROBOT")] = None
-    """Robot profile: create1 or create2 (default create2)."""
-    world: Annotated[str | None, env("WORLD")] = None
-    """Named errors of robot, lidar and floor: ideal, typical or harsh (default typical)."""
+class SimOptions(ViewOptions, ScanOptions, SceneOptions):
+    """The options of the twin; None is not stated."""
 
 
 def sim(
@@ -56,11 +46,11 @@ def sim(
     """Digitise a scene with the twin.
 
     Drives the simulated robot round the target, scans it, and writes model.ply, report.json,
-    top_view.svg, config.toml and views/NNN.npz. Later ones win: defaults, scene, preset, --config
-    FILE, environment (TWIN_EPSILON, TWIN_PLANNING_TRIALS, ...), command line.
+    top_view.svg, config.toml and views/NNN.npz. Later sources take precedence: defaults, scene,
+    preset, --config FILE, environment (TWIN_EPSILON, TWIN_PLANNING_TRIALS, ...), command line.
 
     Raises:
-        TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
+        TwinError: The scan failed or was stopped; the views finished by then are saved.
     """
     given = {} if dotted is None else stated(dotted)
     if options.resume is None:
