@@ -1,6 +1,6 @@
 # Needs only python3 (3.11 to 3.13) with its venv module, make and git; all else goes into .venv.
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format mutate build docs clean
+.PHONY: help setup demo quick test check format mutate build pythons docs clean
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -23,7 +23,12 @@ setup: $(SETUP)  ## set up .venv
 demo: $(SETUP)  ## digitise the paper's scene of three boxes in the twin
 	$(BIN)/twin sim --scene three_boxes
 
-test: $(SETUP)  ## run the tests
+quick: $(SETUP)  ## run the tests that take no simulator, in a minute
+	@echo "the tests of the core, the codecs and the settings: under a minute on 2 cores"
+	$(BIN)/pytest -n 2 -m "not slow" tests/core tests/devices tests/run tests/recording
+
+test: $(SETUP)  ## run all tests
+	@echo "all tests: 8 to 10 minutes on 2 cores; make quick takes one"
 	$(BIN)/pytest -n 2
 
 check: $(SETUP)  ## format, lint, types, import rules, spelling
@@ -42,6 +47,9 @@ mutate: $(SETUP)  ## break the codecs and drivers in small ways; list what no te
 
 build: $(SETUP)  ## build the wheel, install it into an empty environment and run it
 	sh tools/build.sh
+
+pythons: $(SETUP)  ## build the wheel and run it on each Python that can be found
+	sh tools/pythons.sh
 
 docs: $(SETUP)  ## build the documentation as a site in build/docs; runs the examples (a minute)
 	$(BIN)/uv sync --quiet --locked --inexact --group docs

@@ -4,7 +4,7 @@ A step is a move of about half a metre, a sweep of 60 deg at 5 deg/s, registrati
 in ``three_boxes`` with the grid engine on whole sweeps.
 
 Per fidelity: the median over steps of 1 / CPU time, on one core, resets not counted. The vector
-environments run ``kinematic`` on 16 random scenes and are timed by the wall, in turns, resets
+environments run ``kinematic`` in 16 such scenes and are timed by the wall, in turns, resets
 counted; their figure is the ratio of the medians.
 
 Against another build of this repository, which has its own ``.venv``: the steps per second of this

@@ -17,6 +17,11 @@ fail() {
     exit 1
 }
 
+# Says what comes next and how long that usually takes, for it may take a while in silence.
+step() {
+    echo "set-up: $1 ($2)"
+}
+
 # Why a download failed, from the log of the program that tried.
 download_failed() {
     if grep -qiE 'no space left' "$log"; then
@@ -38,6 +43,7 @@ create_venv() {
     esac
     "$python" -c 'import ensurepip, venv' 2>/dev/null ||
         fail "$python has no venv module; install it (Debian, Ubuntu: apt install python3-venv)"
+    step "making .venv" "about 4 s"
     "$python" -m venv .venv >"$log" 2>&1 || {
         rm -rf .venv
         fail "cannot create .venv in $PWD: $(tail -n 1 "$log" 2>/dev/null)"
@@ -46,6 +52,7 @@ create_venv() {
 
 install_uv() {
     [ "$(.venv/bin/uv --version 2>/dev/null | cut -d' ' -f2)" = "$UV_VERSION" ] && return
+    step "installing uv $UV_VERSION, which installs the rest" "about 2 s"
     .venv/bin/python -m pip install --quiet "uv==$UV_VERSION" >"$log" 2>&1 || download_failed "uv $UV_VERSION"
 }
 
@@ -66,8 +73,15 @@ install_from_own_index() {
         $pip install --quiet --no-deps -e . >"$log" 2>&1
 }
 
+install_locked() {
+    step "installing the packages of uv.lock" "about 20 s, longer for what has to be downloaded"
+    .venv/bin/uv sync --locked --quiet --no-install-project >"$log" 2>&1 || return
+    step "compiling the engine of the registration" "about 7 s"
+    .venv/bin/uv sync --locked --quiet >"$log" 2>&1
+}
+
 install_project() {
-    .venv/bin/uv sync --locked --quiet >"$log" 2>&1 && return
+    install_locked && return
     if grep -qE 'needs to be updated|unsatisfiable' "$log" && ! own_uv_index; then
         fail "uv.lock does not fit pyproject.toml; run .venv/bin/uv lock and then make again"
     fi

@@ -6,13 +6,17 @@ from pathlib import Path
 
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
+from scan3d_twin.recording.image import NONE
 from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.folder import write_file
 from scan3d_twin.run.settings import Settings, settings_toml
 
 
 class ViewSaver(Unobserved):
-    """Saves each finished view, the settings with the first, and saves memory if wanted."""
+    """Saves each finished view, the settings with the first, and saves memory if wanted.
+
+    The files are compressed at the end of the run, when they are written once more.
+    """
 
     def __init__(self, folder: Path, settings: Settings) -> None:
         self._folder = folder
@@ -25,6 +29,6 @@ class ViewSaver(Unobserved):
         if not self._settings_saved:
             write_file(self._folder / "config.toml", settings_toml(self._settings))
             self._settings_saved = True
-        write_file(view_path(self._folder, index), view_bytes(session.views[index]))
+        write_file(view_path(self._folder, index), view_bytes(session.views[index], NONE))
         if session.config.optimize_for == "memory":
             session.compress()

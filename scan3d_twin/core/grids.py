@@ -1,4 +1,7 @@
-"""Yes-or-no grids of square cells: grown and shrunk by a disc, and the ways across them."""
+"""Yes-or-no grids of square cells: grown and shrunk by a disc, and the ways across them.
+
+``native/grids.h`` has the loops.
+"""
 
 from __future__ import annotations
 
@@ -6,37 +9,38 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy import ndimage, sparse
+from scipy import sparse
 from scipy.sparse import csgraph
 
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
-
-_EIGHT = np.ones((3, 3))
-"""A cell's neighbours, the four at its corners included."""
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray, read_only
 
 
 def dilated(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
     """Return the cells (nx, ny) within ``radius`` of one of ``grid``, from middle to middle.
 
-    The same as a threshold on the distance transform, in a tenth of its time for small discs.
+    The same as a threshold on the distance transform, in a hundredth of its time for small discs.
 
     Args:
         grid: (nx, ny).
         radius: In the unit of ``cell``.
         cell: Side of a cell.
     """
-    result = np.zeros_like(grid)
-    wide = grid.copy()
-    half = 0
-    for rows, width in _disc(radius, cell):
-        while half < width:
-            half += 1
-            wide[:, half:] |= grid[:, :-half]
-            wide[:, :-half] |= grid[:, half:]
-        result[rows:] |= wide[: max(0, len(wide) - rows)]
-        if rows:
-            result[:-rows] |= wide[rows:]
+    disc, result = _disc(radius, cell), np.empty(grid.shape, dtype=bool)
+    if engine.dilated(np.ascontiguousarray(grid), *grid.shape, disc, len(disc), result) < 0:
+        raise MemoryError
     return result
+
+
+def labelled(grid: BoolArray) -> SmallIntArray:
+    """Return a number (nx, ny) for each cell: 0 outside of ``grid`` (nx, ny).
+
+    Cells that hang together, if only by their corners, share one. They are counted from 1.
+    """
+    labels = np.empty(grid.shape, dtype=np.int32)
+    if engine.labels(np.ascontiguousarray(grid), *grid.shape, labels) < 0:
+        raise MemoryError
+    return labels
 
 
 def eroded(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
@@ -62,18 +66,18 @@ def _occupied(grid: BoolArray) -> tuple[slice, slice]:
 
 
 @lru_cache(64)
-def _disc(radius: float, cell: float) -> tuple[tuple[int, int], ...]:
-    """Return (rows away, half width) of the rows of a disc to one side, the narrowest first."""
+def _disc(radius: float, cell: float) -> IntArray:
+    """Return (rows away, half width) (k, 2) of the rows of a disc to one side, both in cells."""
     reach = max(0, math.floor(radius / cell) + 1)
     away = np.hypot(*np.indices((reach + 1, reach + 1))) * cell <= radius
     rows = [(i, int(row.sum()) - 1) for i, row in enumerate(away) if row[0]]
-    return tuple(reversed(rows))
+    return read_only(np.array(rows).reshape(-1, 2), np.int64)
 
 
 def connected(grid: BoolArray, start: tuple[int, int]) -> BoolArray:
     """Return the cells (nx, ny) of ``grid`` that can be reached from ``start``, one of them."""
     part = _occupied(grid)
-    labels, _ = ndimage.label(grid[part], structure=_EIGHT)
+    labels = labelled(grid[part])
     reached = np.zeros_like(grid)
     reached[part] = labels == labels[start[0] - part[0].start, start[1] - part[1].start]
     return reached

@@ -9,7 +9,7 @@ devices and raise ``HazardError`` within 50 ms of a hazard.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -109,6 +109,18 @@ class Lidar(Protocol):
         Raises:
             LinkTimeoutError: No line within ``timeout``.
             HazardError: As for ``Clock.sleep``.
+        """
+        ...
+
+
+@runtime_checkable
+class BunchingLidar(Lidar, Protocol):
+    """A lidar that takes less for several lines than for one at a time: the twin's."""
+
+    def read_waiting(self, since: float) -> tuple[ScanLine, ...]:
+        """Return the lines that have arrived and were not yet returned, oldest first.
+
+        Those measured before the time ``since`` [s] are left out, and never returned.
         """
         ...
 

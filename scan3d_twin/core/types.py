@@ -96,9 +96,10 @@ class Pose2:
     def apply(self, points: FloatArray) -> FloatArray:
         """Map ``points`` (..., 2 or 3) [m] from b to a; z is kept."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
+        x, y = points[..., 0], points[..., 1]
         result = np.array(points, dtype=np.float64)
-        result[..., 0] = self.x + c * points[..., 0] - s * points[..., 1]
-        result[..., 1] = self.y + s * points[..., 0] + c * points[..., 1]
+        np.subtract(self.x + c * x, s * y, out=result[..., 0])
+        np.add(self.y + s * x, c * y, out=result[..., 1])
         return result
 
     def rotate(self, vectors: FloatArray) -> FloatArray:
@@ -247,7 +248,7 @@ class RangeImage:
     def directions(self) -> FloatArray:
         """Beam directions in ``scan`` (n_lines, n_beams, 3); made anew, as a session keeps many."""
         yaws = self.yaws
-        return np.stack(_rotated(self._beams, np.cos(yaws), np.sin(yaws)), axis=-1)
+        return np.stack(_rotated(self.beams, np.cos(yaws), np.sin(yaws)), axis=-1)
 
     @property
     def points(self) -> FloatArray:
@@ -255,31 +256,38 @@ class RangeImage:
 
         Made anew each time: a session keeps its images, and points take six times their room.
         """
-        yaws, ranges = self.yaws, self.ranges
-        c, s = np.cos(yaws), np.sin(yaws)
-        result = np.empty((*yaws.shape, 3))
-        levers, beams = _rotated(self.T_base_lidar[:3, 3], c, s), _rotated(self._beams, c, s)
-        for i, (lever, beam) in enumerate(zip(levers, beams, strict=True)):
-            np.add(lever, ranges * beam, out=result[..., i])
-        return result
+        return self._placed(self.ranges, self.beams, self.yaws)
+
+    @property
+    def heights(self) -> FloatArray:
+        """Heights of the ``points`` (n_lines, n_beams) [m]; the turns do not change them."""
+        return np.asarray(self.T_base_lidar[2, 3] + self.ranges * self.beams[:, 2])
 
     def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``points`` of some readings (n, 3) [m], by their lines (n,) and beams (n,)."""
-        c, s = np.cos(yaws := self.yaws[lines, beams]), np.sin(yaws)
-        lever = np.stack(_rotated(self.T_base_lidar[:3, 3], c, s), axis=-1)
-        return np.asarray(lever + self.ranges[lines, beams, None] * self._turned(beams, c, s))
+        yaws, ranges = self.yaws[lines, beams], self.ranges[lines, beams]
+        return self._placed(ranges, self.beams[beams], yaws)
 
     def directions_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``directions`` of some readings (n, 3), by their lines (n,) and beams (n,)."""
         yaws = self.yaws[lines, beams]
         return self._turned(beams, np.cos(yaws), np.sin(yaws))
 
+    def _placed(self, ranges: FloatArray, beams: FloatArray, yaws: FloatArray) -> FloatArray:
+        """Return points (..., 3) at ``ranges`` along ``beams`` (..., 3), the base at ``yaws``."""
+        c, s = np.cos(yaws), np.sin(yaws)
+        result = np.empty((*yaws.shape, 3))
+        levers, turned = _rotated(self.T_base_lidar[:3, 3], c, s), _rotated(beams, c, s)
+        for i, (lever, beam) in enumerate(zip(levers, turned, strict=True)):
+            np.add(lever, ranges * beam, out=result[..., i])
+        return result
+
     def _turned(self, beams: IntArray, c: FloatArray, s: FloatArray) -> FloatArray:
         """Return directions (n, 3) of ``beams`` (n,), the base turned by angles of c and s (n,)."""
-        return np.stack(_rotated(self._beams[beams], c, s), axis=-1)
+        return np.stack(_rotated(self.beams[beams], c, s), axis=-1)
 
     @property
-    def _beams(self) -> FloatArray:
+    def beams(self) -> FloatArray:
         """Beam directions in ``base`` (n_beams, 3)."""
         e = self.spec.elevations
         beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)

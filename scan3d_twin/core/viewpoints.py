@@ -96,7 +96,7 @@ def line_means(scan: Scan3D) -> FloatArray:
     """Return the mean top-view point (n, 2) of each occupied line [m]."""
     count = np.bincount(scan.lines, minlength=scan.n_lines)
     sums = [np.bincount(scan.lines, scan.points[:, i], scan.n_lines) for i in (0, 1)]
-    lines = scan.occupied_lines
+    lines = np.flatnonzero(count)
     return np.stack([total[lines] / count[lines] for total in sums], axis=1)
 
 

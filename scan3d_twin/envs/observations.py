@@ -74,7 +74,7 @@ def topdown(session: Session, costmap: Costmap) -> Image:
     known = costmap.cells.ravel().take(i * ny + j, mode="clip")
     free, obstacle = inside & (known == FREE), inside & (known == OBSTACLE)
     layers = (free, obstacle, _target(session), ~(free | obstacle))
-    return np.stack([255 * layer.astype(np.uint8) for layer in layers])
+    return np.stack([layer.view(np.uint8) for layer in layers]) * np.uint8(255)
 
 
 def _target(session: Session) -> BoolArray:
@@ -82,7 +82,7 @@ def _target(session: Session) -> BoolArray:
     back = session.views[-1].T_world_scan.inverse()
     parts = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
     local = back.apply(np.concatenate([session.hint, *parts]))
-    i, j = np.floor(SIDE / 2 - local / RESOLUTION).astype(np.int64).T
+    i, j = np.floor(SIDE / 2 - np.ascontiguousarray(local.T) / RESOLUTION).astype(np.int64)
     inside = (i >= 0) & (i < SIDE) & (j >= 0) & (j < SIDE)
     shown = np.zeros((SIDE, SIDE), dtype=bool)
     shown[i[inside], j[inside]] = True

@@ -7,21 +7,16 @@ of computed anew. It enters rewards and metrics, never an observation.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from scan3d_twin.core.model.evaluation import (
-    COVERAGE_DISTANCE,
-    Truth,
-    displacement,
-    surface_distance,
-    true_pose,
-)
+from scan3d_twin.core.model.evaluation import COVERAGE_DISTANCE, Truth, displacement, true_pose
 from scan3d_twin.core.model.fused_cloud import supported, voxel_thin
-from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.registration.clouds import is_near
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
-from scan3d_twin.envs.stage import SPACING, Stage, coverable
+from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.envs.stage import Stage, coverable
 
+JUST_WITHIN = 1 + 1e-9
+"""Factor on a distance that is itself to count as near enough."""
 MOST_POINTS = 500
 """Points over which a registration error is taken."""
 
@@ -32,7 +27,10 @@ class Score:
     def __init__(self, stage: Stage, truth: Truth, session: Session) -> None:
         self._truth, self._stage = truth, stage
         wanted = coverable(stage, session.config)
-        self._surface, self._covered = stage.surface[wanted], np.zeros(int(wanted.sum()), bool)
+        self._surface, self._covered = (
+            stage.surface.points[wanted],
+            np.zeros(int(wanted.sum()), bool),
+        )
         self._placed: list[Pose2] = []
         self._true: list[Pose2] = []
         self.errors: list[float] = []
@@ -66,32 +64,22 @@ class Score:
             return 0.0
         T_map_world = self._true[0] @ session.views[0].T_world_scan.inverse()
         thin = voxel_thin(T_map_world.apply(model), distance / 2)
-        off = surface_distance(thin, self._stage.surface, self._stage.normals, SPACING)
-        precision, recall = float(np.mean(off <= distance)), self._recall(thin, distance)
+        precision = float(np.mean(self._stage.surface.within(thin, distance)))
+        recall = self._recall(thin, distance)
         return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
     def _recall(self, model: FloatArray, distance: float) -> float:
         if not len(self._surface):
             return 1.0
-        return float(np.mean(nearest(cKDTree(model), self._surface)[0] <= distance))
+        return float(np.mean(is_near(self._surface, model, distance * JUST_WITHIN)))
 
     def _cover(self, points: FloatArray) -> None:
         """Mark the samples near ``points`` (n, 3) in ``map``."""
         open_ = np.flatnonzero(~self._covered)
         if len(points) == 0 or len(open_) == 0:
             return
-        near = self._near(points, self._surface[open_])
+        near = is_near(self._surface[open_], points, COVERAGE_DISTANCE * JUST_WITHIN)
         self._covered[open_[near]] = True
-
-    @staticmethod
-    def _near(points: FloatArray, samples: FloatArray) -> BoolArray:
-        within = COVERAGE_DISTANCE * (1 + 1e-9)
-        low, high = points.min(axis=0) - within, points.max(axis=0) + within
-        inside = (samples >= low) & (samples <= high)
-        near = inside[:, 0] & inside[:, 1] & inside[:, 2]  # a fraction of all(axis=1)
-        tree = cKDTree(points, balanced_tree=False, compact_nodes=False)  # built in a third
-        near[near] = np.isfinite(nearest(tree, samples[near], within)[0])
-        return np.asarray(near)
 
     def _error(self, session: Session, k: int) -> float:
         """Return the registration error of view ``k`` [m]; over its sweep without a target."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import pairwise
@@ -12,18 +11,15 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import find_path
-from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.model.evaluation import Truth
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extended
 from scan3d_twin.core.navigation.motion_control import follow
-from scan3d_twin.core.scanning.sweep import read_lines, sweep, take_panorama
+from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, LidarSpec, Observation, Pose2, ScanLine
 from scan3d_twin.envs.stage import Stage
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import KinematicRobot, Thinning
-from scan3d_twin.sim.lidar.lidar import SimLidar
-from scan3d_twin.sim.lidar.scanner import CHUNK
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.world import Solver
 
@@ -127,22 +123,11 @@ class PhysicsScout(EpisodeScout):
         self._open.close()
 
     def _look(self) -> Observation:
-        return take_panorama(self._robot, self.config, _unseen, _read_bunches)
+        return take_panorama(self._robot, self.config, _unseen)
 
     def _go(self, path: FloatArray, yaw: float) -> Observation:
         follow(self._robot, path, self.config.motion)
-        return sweep(self._robot, yaw, self.config, _unseen, _read_bunches)
-
-
-def _read_bunches(robot: Robot, since: float, until: float) -> Iterator[ScanLine]:
-    """Yield the lines that ``read_lines`` does, computed a dozen at a time as nobody watches."""
-    lidar, clock = robot.lidar, robot.clock
-    if isinstance(lidar, SimLidar):
-        period = lidar.spec.line_period
-        while (left := until - clock.now()) > period:
-            clock.sleep(min(CHUNK * period, left))
-            yield from (line for line in lidar.read_waiting() if line.stamp >= since)
-    yield from read_lines(robot, since, until)
+        return sweep(self._robot, yaw, self.config, _unseen)
 
 
 def _unseen(line: ScanLine) -> None:

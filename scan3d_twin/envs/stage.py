@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.model.evaluation import coverable_surface
-from scan3d_twin.core.types import BoolArray, FloatArray
+from scan3d_twin.core.model.evaluation import Surface, coverable_surface
+from scan3d_twin.core.types import BoolArray
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import RayCaster, choose_caster
 from scan3d_twin.sim.scenes.random_scenes import SceneRanges, random_scene
@@ -25,26 +25,24 @@ counts as covered; ``evaluate`` takes a quarter of it."""
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A scene, its ray caster, and samples of its target's surface in ``map``.
+    """A scene, its ray caster, and its target's surface in ``map``.
 
     Attributes:
         scene: The scene.
         caster: The faster one.
-        surface: (n, 3) [m].
-        normals: (n, 3).
+        surface: By samples every ``SPACING``.
     """
 
     scene: Scene
     caster: RayCaster
-    surface: FloatArray
-    normals: FloatArray
+    surface: Surface
 
     @staticmethod
     def of(scene: Scene) -> Stage:
         """Return the stage of ``scene``."""
         caster = choose_caster(scene.model)
-        surface, normals = _truth(scene, caster).surface(SPACING)
-        return Stage(scene, caster, surface, normals)
+        surface = Surface.of(*_truth(scene, caster).surface(SPACING), SPACING)
+        return Stage(scene, caster, surface)
 
 
 @lru_cache(KEPT)
@@ -67,7 +65,7 @@ def coverable(stage: Stage, config: Config) -> BoolArray:
 @lru_cache(KEPT)
 def _coverable(stage: Stage, config: Config) -> BoolArray:
     truth = _truth(stage.scene, stage.caster)
-    return coverable_surface(stage.surface, stage.normals, truth, config)
+    return coverable_surface(stage.surface.points, stage.surface.normals, truth, config)
 
 
 def _truth(scene: Scene, caster: RayCaster) -> Truth:

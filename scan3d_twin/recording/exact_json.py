@@ -114,6 +114,15 @@ _WRONG = (ValueError, TypeError, KeyError, IndexError, AttributeError)
 """What values of another shape than the hint's run into."""
 
 
+def is_array(hint: Any) -> bool:
+    """Tell whether a hint is that of an array.
+
+    Since NumPy 2.5 ``NDArray`` is an alias on Python 3.12 and later: what it stands for is asked.
+    """
+    origin = get_origin(hint)
+    return np.ndarray in (hint, origin, get_origin(getattr(origin, "__value__", None)))
+
+
 class _Unpacker:
     """Gives values back; an array that was stored once is one array again."""
 
@@ -123,9 +132,8 @@ class _Unpacker:
 
     def value(self, hint: Any, tree: Any) -> Any:
         """Return what ``tree`` stands for as a ``hint``."""
-        hint = _expanded(hint)
         origin = get_origin(hint)
-        if hint is np.ndarray or origin is np.ndarray:
+        if is_array(hint):
             return self._array(tree)
         if origin in (Union, types.UnionType):
             (inner,) = (each for each in get_args(hint) if each is not types.NoneType)
@@ -162,12 +170,6 @@ class _Unpacker:
             array.flags.writeable = False
             self._arrays[str(place)] = array
         return self._arrays[str(place)]
-
-
-def _expanded(hint: Any) -> Any:
-    """Return what a type alias stands for: from NumPy 2.5 on, ``NDArray`` is one on Python 3.12."""
-    alias = getattr(hint, "__origin__", hint)
-    return getattr(alias, "__value__", hint)
 
 
 def _narrowed(array: Array) -> Array:

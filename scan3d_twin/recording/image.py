@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from scan3d_twin.core.types import Observation, RangeImage
 
-FAST = 1
-"""Level of compression."""
+FAST, NONE = 1, 0
+"""Levels of compression."""
 
 
 def image_bytes(observation: Observation) -> bytes:
@@ -26,13 +26,13 @@ def image_bytes(observation: Observation) -> bytes:
     return npz_bytes(**image_arrays(image), points=image.points)
 
 
-def npz_bytes(**arrays: npt.NDArray[Any]) -> bytes:
-    """Return ``arrays`` as a compressed .npz; equal arrays give equal bytes.
+def npz_bytes(level: int = FAST, /, **arrays: npt.NDArray[Any]) -> bytes:
+    """Return ``arrays`` as an .npz compressed at ``level``; equal arrays give equal bytes.
 
     Compressed fast: half the time of NumPy's own level for 4 % more bytes.
     """
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=FAST) as archive:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=level) as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, array, allow_pickle=False)

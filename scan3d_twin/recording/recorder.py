@@ -23,6 +23,9 @@ from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS
 from scan3d_twin.recording.session_log import Mark, SessionLog
 from scan3d_twin.run.settings import Settings, settings_toml
 
+FRAMES_PERIOD = 0.1
+"""Time between two statements of where the frames are, at most [s]: a line of the lidar."""
+
 
 class SerialTaps:
     """Passes the bytes on the robot's serial lines on to whoever listens, if anybody."""
@@ -105,6 +108,7 @@ class Recorder:
         self._robot: Robot | None = None
         self._T_world_odom = Pose2() if earlier is None else _odom_in_world(earlier.session)
         self._last: Odometry | None = None
+        self._framed = 0.0
         self._kept = False
         self._failure: FileError | None = None
         self._file.metadata("provenance", provenance)
@@ -142,9 +146,10 @@ class Recorder:
         self._file.write("/rosout", self._now(), ros_records.log(self._now(), text))
 
     def on_line(self, line: ScanLine) -> None:
-        """See ``Observer``."""
+        """See ``Observer``; told when the line was complete, for several may come at once."""
         self._follow()
-        self._file.write(SCANS, self._now(), cdr.scan(line, self._attached().lidar.spec))
+        spec = self._attached().lidar.spec
+        self._file.write(SCANS, line.stamp + spec.line_period, cdr.scan(line, spec))
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
@@ -225,10 +230,11 @@ class Recorder:
         fresh = [s for s in samples if self._last is None or s.stamp > self._last.stamp]
         for sample in fresh:
             self._file.write(ODOMETRY, sample.stamp, cdr.odometry(sample, self._last))
+            if sample is fresh[-1] or sample.stamp >= self._framed + FRAMES_PERIOD:
+                frames = cdr.frames(sample.stamp, self._T_world_odom, sample.T_odom_base)
+                self._file.write("/tf", sample.stamp, frames)
+                self._framed = sample.stamp
             self._last = sample
-        if fresh and self._last is not None:
-            stamp, T_odom_base = self._last.stamp, self._last.T_odom_base
-            self._file.write("/tf", stamp, cdr.frames(stamp, self._T_world_odom, T_odom_base))
 
     def _on_command(self, linear: float, angular: float) -> None:
         now = self._now()

@@ -8,7 +8,7 @@ import numpy as np
 
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.recording.image import image_arrays, npz_bytes
+from scan3d_twin.recording.image import FAST, image_arrays, npz_bytes
 
 
 def view_path(folder: Path, index: int) -> Path:
@@ -16,8 +16,8 @@ def view_path(folder: Path, index: int) -> Path:
     return folder / "views" / f"{index:03d}.npz"
 
 
-def view_bytes(view: View) -> bytes:
-    """Return ``view`` as a compressed .npz; equal views give equal bytes.
+def view_bytes(view: View, level: int = FAST) -> bytes:
+    """Return ``view`` as an .npz compressed at ``level``; equal views give equal bytes.
 
     Its arrays, by the names and with the units of ``RangeImage``, ``LidarSpec`` and ``View``:
     ``stamps, yaws, ranges, codes, elevations, beam_times, T_base_lidar, T_odom_scan, T_world_scan``
@@ -25,6 +25,7 @@ def view_bytes(view: View) -> bytes:
     and ``target_beams``.
     """
     return npz_bytes(
+        level,
         **image_arrays(view.observation.image),
         T_odom_scan=_row(view.observation.T_odom_scan),
         T_world_scan=_row(view.T_world_scan),

@@ -52,7 +52,9 @@ class SimClock:
         """
         world, devices = self._world, self._devices
         while world.steps < step:
-            due = min([step, *[device.next_step for device in devices]])
+            due = step
+            for device in devices:
+                due = min(due, device.next_step)
             world.advance(max(1, due - world.steps))
             for device in devices:
                 if device.next_step <= world.steps:

@@ -6,16 +6,17 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import viser
 
-from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.hal import Lidar, Robot
 from scan3d_twin.core.model.fused_cloud import scanned_share
 from scan3d_twin.core.observer import Command, attended
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Pose2, ScanLine
+from scan3d_twin.core.types import LidarSpec, Pose2, ScanLine
 from scan3d_twin.viz.server import open_server
 from scan3d_twin.viz.stage import Stage, add_looks
 
@@ -87,9 +88,9 @@ class LiveView:
         self._pace = _Pace(SPEEDS[name])
 
     def attach(self, robot: Robot) -> Robot:
-        """Return ``robot`` so that it is watched, and stopped, while it drives."""
+        """Return ``robot`` so that it is watched, and stopped, while it drives and scans."""
         self._robot = robot
-        return attended(robot, self.attend)
+        return attended(replace(robot, lidar=_LineByLine(robot.lidar)), self.attend)
 
     def attend(self) -> None:
         """Show where the robot is; stop it if it is to be stopped.
@@ -182,6 +183,19 @@ class LiveView:
                     last = time.monotonic()
         except KeyboardInterrupt:
             return
+
+
+class _LineByLine:
+    """A ``Lidar`` that gives each line as it arrives, so that the button stops within a line."""
+
+    def __init__(self, lidar: Lidar) -> None:
+        self._lidar = lidar
+        self.read_line = lidar.read_line
+
+    @property
+    def spec(self) -> LidarSpec:
+        """See ``Lidar.spec``."""
+        return self._lidar.spec
 
 
 class _Pace:

@@ -7,12 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from scan3d_twin.bench.store import read_results
 
 
-@pytest.mark.timeout(600)
 def test_the_smoke_suite_runs_through(tmp_path: Path) -> None:
     """Under 60 s on two quiet processors, of which it says so itself: its processor time counts."""
     program = [sys.executable, "-m", "scan3d_twin.cli", "bench"]

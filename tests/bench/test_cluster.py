@@ -24,7 +24,6 @@ from scan3d_twin.bench.work import code_hash, perform
 from scan3d_twin.core.errors import ConfigError, LinkError
 
 pytest.importorskip("distributed")
-pytestmark = pytest.mark.timeout(300)  # a cluster begins slowly on a crowded computer
 
 LOCAL = ["--host", "127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
 BEGUN = 0.2

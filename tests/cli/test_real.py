@@ -101,7 +101,6 @@ def test_only_one_process_may_hold_a_port(ports):
     assert f"is in use by {os.getpid()} (" in result.stderr
 
 
-@pytest.mark.timeout(300)
 def test_two_views_over_pseudo_terminals(ports, tmp_path):
     """End to end; also how much memory it takes and what it imports."""
     program = (

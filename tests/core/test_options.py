@@ -6,7 +6,6 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import pytest
 
-from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.run.settings import Settings, settings
 
@@ -49,4 +48,3 @@ def test_names_of_older_files_are_read_as_those_of_today():
     assert read.optimize_for == "speed"
     assert read.planning.corner_model == "silhouette"
     assert read.alignment.mode == "loop_closure"
-    assert read != Config()

@@ -1,5 +1,7 @@
 import math
 from dataclasses import dataclass, field, make_dataclass, replace
+from types import GenericAlias, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from same import same
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, Plan, Pose2
-from scan3d_twin.recording.exact_json import pack, pack_fields, unpack, unpack_fields
+from scan3d_twin.recording.exact_json import is_array, pack, pack_fields, unpack, unpack_fields
 
 
 def test_a_session_comes_back_bit_by_bit(session):
@@ -23,6 +25,15 @@ def test_arrays_refuse_writes_and_are_shared_as_before(session):
     assert view.image.yaws is view.observation.image.yaws
     with pytest.raises(ValueError, match="read-only"):
         view.image.yaws[0, 0] = 1.0
+
+
+def test_an_array_is_told_by_its_hint_also_where_that_is_an_alias() -> None:
+    """As NDArray is on Python 3.12 and later with numpy 2.5: it only stands for the class."""
+    alias = SimpleNamespace(__value__=np.ndarray[Any, np.dtype[Any]])
+    assert is_array(GenericAlias(alias, (np.float64,)))  # type: ignore[arg-type]
+    assert is_array(FloatArray)
+    assert not is_array(tuple[float, ...])
+    assert not is_array(float)
 
 
 @given(st.floats(), st.floats(), st.integers(), st.text(st.characters(exclude_categories=["Cs"])))

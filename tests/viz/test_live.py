@@ -159,7 +159,6 @@ class Run(threading.Thread):
         self.view.finish("over")
 
 
-@pytest.mark.timeout(300)
 def test_a_run_can_be_watched_paused_continued_and_stopped_in_a_browser(open_page):
     told = []
     with open_live_view(LOOPBACK, 0, "boxes", "unlimited", told.append) as view:

@@ -1,11 +1,9 @@
-import pytest
 from pixels import SMALL, SOON, drawn
 
 from scan3d_twin.viz.server import LOOPBACK, open_server
 from scan3d_twin.viz.session_view import SessionView
 
 
-@pytest.mark.timeout(300)
 def test_a_session_is_shown_by_view_back_and_forth_light_and_dark(session, open_page):
     with open_server(LOOPBACK, 0, "boxes") as (server, address):
         SessionView(server, "boxes", session)

@@ -2,7 +2,6 @@
 
 import json
 
-import pytest
 from lockstep import far_drivers
 
 from scan3d_twin.devices.create.emulator import CreateEmulator
@@ -39,7 +38,6 @@ def digitised(folder, options):
     return json.loads(ended.stdout), ended.stderr.splitlines()[-1]
 
 
-@pytest.mark.timeout(300)
 def test_twenty_views_stay_under_200_mb(tmp_path):
     report, loaded = digitised(tmp_path / "run", QUICK + TWENTY)
     assert report["views"] == 20
@@ -48,7 +46,6 @@ def test_twenty_views_stay_under_200_mb(tmp_path):
     assert not [name for name in HEAVY if name in loaded]
 
 
-@pytest.mark.timeout(300)
 def test_sweeps_as_fine_as_usual_and_their_plans_stay_under_200_mb(tmp_path):
     report, _ = digitised(tmp_path / "run", "max_views = 2")
     assert report["views"] == 2

@@ -25,7 +25,6 @@ from scan3d_twin.run.settings import Settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import HazardFreeClock
 
-pytestmark = pytest.mark.timeout(300)
 SWEEP = paper_sweep(width=0.9, yaw_rate=0.3, look_rate=1.0)
 SETTINGS = Settings(config=replace(paper_config(max_views=2), sweep=SWEEP))
 

@@ -35,7 +35,6 @@ def digitised(opener, link, config, seed=0, start=0.0):
         )
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("link", ["usb", "115200"])
 def test_three_boxes_through_the_drivers_is_as_good_as_without(link):
     """From the same instant on, so that both see the same noise; benchmarks/links.py has more."""

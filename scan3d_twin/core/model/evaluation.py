@@ -156,6 +156,21 @@ class Surface:
         The patches are flat, so that the sampling adds no distance of its own.
         """
         _, index = nearest(self.tree, points)
+        return self._off(points, index)
+
+    def within(self, points: FloatArray, distance: float) -> BoolArray:
+        """Tell which ``points`` (m, 3) are no farther away than ``distance`` [m].
+
+        Nobody looks for samples so far off that their patches cannot reach; that is quicker.
+        """
+        reach = (distance + self.spacing / np.sqrt(2)) * (1 + 1e-9)
+        found, index = nearest(self.tree, points, reach)
+        near = np.isfinite(found)
+        near[near] = self._off(points[near], index[near]) <= distance
+        return near
+
+    def _off(self, points: FloatArray, index: IntArray) -> FloatArray:
+        """Return the distance (m,) [m] of ``points`` (m, 3) to the patches ``index`` (m,)."""
         offset, normals = points - self.points[index], self.normals[index]
         along = np.sum(offset * normals, axis=1)
         across = np.linalg.norm(offset - along[:, None] * normals, axis=1)

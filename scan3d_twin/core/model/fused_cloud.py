@@ -11,11 +11,12 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.neighbours import nearest
 from scan3d_twin.core.registration.clouds import Tree
+from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.scan_noise import estimate_range_noise
-from scan3d_twin.core.scanning.mixed_pixels import steepest_step
+from scan3d_twin.core.scanning.mixed_pixels import NOISE, STEEPEST
 from scan3d_twin.core.scanning.smoothing import smooth
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RangeImage
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, read_only
 
 SEEN_DISTANCE = 0.10
 """What the look around found counts as scanned with a model point this near [m]."""
@@ -27,13 +28,6 @@ SUPPORT = 3
 """A reading is an outlier when fewer of the eight beside it can lie on one surface with it."""
 GRAZING = math.radians(85.0)
 """Incidence beyond which the spread of a beam on the surface grows no more; keeps it finite."""
-_PAIRS = (
-    (np.s_[:, 1:], np.s_[:, :-1]),
-    (np.s_[1:, :], np.s_[:-1, :]),
-    (np.s_[1:, 1:], np.s_[:-1, :-1]),
-    (np.s_[1:, :-1], np.s_[:-1, 1:]),
-)
-"""A grid and itself moved by one: four of the eight neighbours, each way."""
 
 
 @dataclass(frozen=True)
@@ -114,27 +108,17 @@ def supported(view: View) -> BoolArray:
     """Tell which target points (n,) of a view are no outliers.
 
     Those are not the points that lie far apart, which are what a flat view of a surface gives, but
-    those of which no surface passes through their neighbours on the grid of lines and beams.
+    those of which no surface passes through their neighbours on the grid of lines and beams; see
+    ``native/readings.h``.
     """
-    enough = _neighbours_on_surface(view.image) >= SUPPORT
-    return np.asarray(enough[view.target.lines, view.target.beams])
-
-
-def _neighbours_on_surface(image: RangeImage) -> IntArray:
-    """Return how many of the eight readings around each can lie on its surface (n_lines, n_beams).
-
-    They can where a surface from the one to the other is no steeper than a lidar measures.
-    """
-    yaws, elevations = image.yaws, np.broadcast_to(image.spec.elevations, image.yaws.shape)
-    count = np.zeros(image.ranges.shape, dtype=np.int64)
-    for a, b in _PAIRS:
-        r, s = image.ranges[a], image.ranges[b]
-        angle = np.hypot(yaws[a] - yaws[b], elevations[a] - elevations[b])
-        with np.errstate(invalid="ignore"):
-            near = np.abs(r - s) <= steepest_step(np.minimum(r, s), angle)
-        count[a] += near
-        count[b] += near
-    return count
+    image, target = view.image, view.target
+    ranges, counts = read_only(image.ranges), np.empty(len(target), dtype=np.int64)
+    engine.neighbours(
+        ranges, read_only(image.yaws), read_only(image.spec.elevations), *ranges.shape,
+        np.ascontiguousarray(target.lines), np.ascontiguousarray(target.beams), len(target),
+        NOISE, math.tan(STEEPEST), counts,
+    )  # fmt: skip
+    return np.asarray(counts >= SUPPORT)
 
 
 def sight(view: View, index: int = 0) -> Sighting:

@@ -15,6 +15,8 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.grids import connected, eroded, shortest_ways
+from scan3d_twin.core.readings import Placed
+from scan3d_twin.core.registration.native import ByteArray, engine
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -31,6 +33,9 @@ FLOOR_STEP = 0.45
 height two beams of 0.35 deg hit the floor 0.33 m apart."""
 HEIGHT_MARGIN = 0.05
 """Things less than this above the robot's top are still obstacles [m]."""
+
+FLOOR, SOLID = 1, 2
+"""What a reading that looks ahead can be of."""
 
 UNKNOWN, FREE, OBSTACLE, TOUCHED = 0, 1, 2, 3
 """What a cell can be; what was touched stays so, for the lidar does not see it."""
@@ -204,16 +209,18 @@ def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config:
     image, pose = observation.image, observation.T_odom_scan
     points, reach, yaws = _floor(image, config)
     window = _window(pose, yaws, reach, origin, cells.shape)
-    local = pose.inverse().apply(_centres(origin, window))
     part = cells[window]
-    part[_swept(local, yaws, reach) & (part != TOUCHED)] = FREE
+    part[_swept(*_centres(pose.inverse(), origin, window), yaws, reach) & (part != TOUCHED)] = FREE
     _put(cells, origin, pose.apply(points), OBSTACLE)
     _put(cells, origin, np.array(observation.touched).reshape(-1, 2), TOUCHED)
 
 
 def _put(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> None:
     """Write ``what`` at ``points`` (n, 2) [m] into ``cells``, but not over what was touched."""
-    i, j = np.floor((points - origin) / RESOLUTION).astype(np.int64).T
+    if len(points) == 0:
+        return
+    columns = np.ascontiguousarray(points.T)
+    i, j = np.floor((columns - origin[:, None]) / RESOLUTION).astype(np.int64)
     inside = (i >= 0) & (i < cells.shape[0]) & (j >= 0) & (j < cells.shape[1])
     i, j = i[inside], j[inside]
     cells[i, j] = np.where(cells[i, j] == TOUCHED, TOUCHED, what)
@@ -248,60 +255,48 @@ def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, F
     """
     key = ("floor", config.target, config.motion)
     if key not in image.derived:
-        points = image.points
-        distance = np.hypot(points[..., 0], points[..., 1])
+        top = config.motion.robot_height + HEIGHT_MARGIN
+        heights = image.heights
         with np.errstate(invalid="ignore"):
-            near = (image.ranges <= config.target.max_range) & (
-                distance > config.motion.self_radius
-            )
-            solid = near & _solid(points[..., 2], config)
-            floor = near & (np.abs(points[..., 2]) <= config.target.floor_height)
-        reach = _free_reach(image, distance, solid, floor, config)
+            low = (heights >= -config.target.floor_height) & (heights < top)
+            low &= image.ranges <= config.target.max_range
+        points, lines, beams, distance = Placed.of(image, low)
+        outside = distance > config.motion.self_radius
+        solid = outside & (points[:, 2] > config.target.floor_height)
+        ahead = outside & (np.abs(image.spec.elevations) < np.pi / 2)[beams]
+        kinds = np.where(ahead, np.where(solid, SOLID, FLOOR), 0).astype(np.uint8)
+        reach = _free_reach(lines, distance, kinds, image.n_lines, config)
         yaws = image.yaws[:, image.spec.n_beams // 2].copy()
-        image.derived[key] = (points[solid][:, :2].copy(), reach, yaws)
+        image.derived[key] = (points[solid, :2], reach, yaws)
     points, reach, yaws = image.derived[key]
     return points, reach, yaws
 
 
-def _solid(height: FloatArray, config: Config) -> BoolArray:
-    """Tell which heights [m] are those of things the robot could run into."""
-    top = config.motion.robot_height + HEIGHT_MARGIN
-    return np.asarray((height > config.target.floor_height) & (height < top))
-
-
 def _free_reach(
-    image: RangeImage, distance: FloatArray, solid: BoolArray, floor: BoolArray, config: Config
+    lines: IntArray, distance: FloatArray, kinds: ByteArray, n_lines: int, config: Config
 ) -> FloatArray:
     """Return how far each line (n_lines,) sees an unbroken floor with nothing on it [m].
 
     Args:
-        image: Says which beams look ahead.
-        distance: Of the readings in the top view (n_lines, n_beams) [m].
-        solid: Which of them are things.
-        floor: Which are floor.
-        config: See ``_unbroken``.
+        lines: Of some readings (n,), ascending.
+        distance: Theirs in the top view (n,) [m].
+        kinds: ``FLOOR``, ``SOLID`` or 0 for what says nothing of the way ahead (n,).
+        n_lines: Number of lines.
+        config: Says from where on the floor has to be seen.
     """
-    forward = np.abs(image.spec.elevations) < np.pi / 2
-    floor = floor & forward
-    reach = _unbroken(np.where(floor, distance, np.inf)[:, floor.any(axis=0)], config)
-    blocked = np.where(solid & forward, distance, np.inf).min(axis=1)
-    return np.asarray(np.minimum(reach, blocked - RESOLUTION))
+    reach = np.empty(n_lines)
+    done = engine.free_reach(
+        lines, distance, kinds, len(lines), n_lines, config.motion.self_radius, FLOOR_STEP,
+        RESOLUTION, reach,
+    )  # fmt: skip
+    if done < 0:
+        raise MemoryError
+    return reach
 
 
-def _unbroken(hits: FloatArray, config: Config) -> FloatArray:
-    """Return the farthest of each row of ``hits`` (n_lines, k) [m], inf for none, before a hole."""
-    start = np.full((len(hits), 1), config.motion.self_radius)
-    hits = np.concatenate([start, np.sort(hits, axis=1), np.full_like(start, np.inf)], axis=1)
-    hole = ~np.isfinite(hits[:, 1:])
-    np.greater(hits[:, 1:] - np.where(hole, 0.0, hits[:, :-1]), FLOOR_STEP, out=hole, where=~hole)
-    last = np.argmax(hole, axis=1)
-    return np.where(last > 0, hits[np.arange(len(hits)), last], 0.0)
-
-
-def _swept(local: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
-    """Tell which places ``local`` (nx, ny, 2) lie between two lines and within their reach."""
-    bearing = np.arctan2(local[..., 1], local[..., 0])
-    distance = np.hypot(local[..., 0], local[..., 1])
+def _swept(x: FloatArray, y: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
+    """Tell which places ``x``, ``y`` (nx, ny) lie between two lines and within their reach."""
+    bearing, distance = np.arctan2(y, x), np.hypot(x, y)
     middle = (yaws[0] + yaws[-1]) / 2
     bearing = middle + (bearing - middle + np.pi) % (2 * np.pi) - np.pi
     left = np.searchsorted(-yaws, -bearing, side="right") - 1
@@ -311,9 +306,12 @@ def _swept(local: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
     return np.asarray(between & (distance <= both))
 
 
-def _centres(origin: FloatArray, window: tuple[slice, slice]) -> FloatArray:
-    """Return the middles of the cells of a window (nx, ny, 2) [m]."""
+def _centres(
+    T_scan_odom: Pose2, origin: FloatArray, window: tuple[slice, slice]
+) -> tuple[FloatArray, FloatArray]:
+    """Return x and y in ``scan`` of the middles of the cells of a window (nx, ny) [m]."""
     i, j = (np.arange(part.start, part.stop) for part in window)
-    return np.asarray(
-        origin + (np.stack(np.meshgrid(i, j, indexing="ij"), axis=-1) + 0.5) * RESOLUTION
-    )
+    x = (origin[0] + (i + 0.5) * RESOLUTION)[:, None]
+    y = origin[1] + (j + 0.5) * RESOLUTION
+    c, s = math.cos(T_scan_odom.yaw), math.sin(T_scan_odom.yaw)
+    return T_scan_odom.x + c * x - s * y, T_scan_odom.y + s * x + c * y

@@ -48,7 +48,7 @@ class DeadReckoning:
         if way or turn:
             self._covariance = _grown(self._covariance, self._pose.yaw, way, turn)
             xx, xy, xt, yy, yt, tt = self._covariance
-            self._told = np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+            self._told = np.array([xx, xy, xt, xy, yy, yt, xt, yt, tt]).reshape(3, 3)
             self._told.flags.writeable = False
             self._pose = self._pose @ arc(way, turn)
         return Odometry(stamp, self._pose, self._told)

@@ -75,7 +75,8 @@ class PlanningContext:
     @cached_property
     def P(self) -> Scan3D:
         """The paper's P: the target in the latest view, up to where it is seen too flat."""
-        return self._seen.first_lines(well_seen(self._whole))
+        lines = well_seen(self._whole)
+        return self._seen if lines == len(self._whole.points) else self._seen.first_lines(lines)
 
     @cached_property
     def _seen(self) -> Scan3D:
@@ -94,7 +95,7 @@ class PlanningContext:
     @cached_property
     def contour(self) -> Contour:
         """The contour of P."""
-        return contour_of(self.P)
+        return self._whole if self.P is self._seen else contour_of(self.P)
 
     @cached_property
     def ends(self) -> bool:

@@ -59,7 +59,7 @@ class VoxelMap:
     @cached_property
     def may_hold_more(self) -> BoolArray:
         """Unknown voxels in which the target's surface may go on (nx, ny, nz)."""
-        near = ndimage.binary_dilation(self.target, np.ones((3, 3, 3), dtype=bool), BESIDE)
+        near = ndimage.maximum_filter(self.target, 1 + 2 * BESIDE, mode="constant")
         return np.asarray(near & (self.labels == UNKNOWN))
 
     def indices(self, points: FloatArray) -> IntArray:
@@ -167,8 +167,11 @@ def _reach(image: RangeImage, spacing: float) -> FloatArray:
     """Return how far each beam saw (n_lines, n_beams) [m]; NaN where a single one saw nothing."""
     beams = float(np.median(np.diff(image.spec.elevations)))
     hole = np.isnan(image.ranges)
-    wide = np.ones([max(1, round(VOID / step)) for step in (spacing, beams)], dtype=bool)
-    void = ndimage.binary_dilation(ndimage.binary_erosion(hole, wide, border_value=1), wide)
+    # An opening by a box; along one axis after the other takes a quarter of the time.
+    wide = [max(1, round(VOID / step)) for step in (spacing, beams)]
+    mirrored = [n % 2 - 1 for n in wide]
+    eroded = ndimage.minimum_filter(hole, wide, mode="constant", cval=1)
+    void = ndimage.maximum_filter(eroded, wide, mode="constant", cval=0, origin=mirrored)
     return np.where(hole & void, image.spec.max_range, image.ranges)
 
 

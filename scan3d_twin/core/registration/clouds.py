@@ -38,7 +38,13 @@ from scan3d_twin.core.registration.pose_prior import (
     displaced,
     spread,
 )
-from scan3d_twin.core.types import FloatArray, RegistrationResult, SmallIntArray, read_only
+from scan3d_twin.core.types import (
+    BoolArray,
+    FloatArray,
+    RegistrationResult,
+    SmallIntArray,
+    read_only,
+)
 
 NEIGHBOURS = 20
 """Points a plane is fitted to; the default of small_gicp and of PCL's tutorials."""
@@ -115,6 +121,18 @@ def _check_neighbours(k: int) -> None:
     """Refuse what the engine has no room for."""
     if not 1 <= k <= MOST_NEIGHBOURS:
         raise ConfigError(f"1 to {MOST_NEIGHBOURS} neighbours can be asked for, got {k}")
+
+
+def is_near(places: FloatArray, points: FloatArray, within: float) -> BoolArray:
+    """Tell which of ``places`` (m, 3) have one of ``points`` (n, 3) closer than ``within`` [m].
+
+    ``native/near.h`` looks for it: where only that matters, a tree of distances is not worth it.
+    """
+    near = np.empty(len(places), dtype=bool)
+    places, points = np.ascontiguousarray(places), np.ascontiguousarray(points)
+    if engine.near(points, len(points), places, len(places), within, near) < 0:
+        raise MemoryError
+    return near
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ def spread_starts(problem: Problem, init: FloatArray, starts: int) -> FloatArray
     half = np.linalg.cholesky(problem.prior.covariance[np.ix_(dims, dims)])
     offsets = np.zeros((starts - 1, 6))
     offsets[:, dims] = spread_normal(starts - 1, len(dims)) @ half.T
-    return np.stack([init, *(displaced(problem.prior.T, offset) for offset in offsets)])
+    return np.concatenate([init[None], displaced(problem.prior.T, offsets)])
 
 
 @cache

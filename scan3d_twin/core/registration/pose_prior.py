@@ -77,6 +77,8 @@ def positive_definite(rows: list[list[float]]) -> bool:
         if not 0.0 < rows[k][k] < math.inf:
             return False
         for i in range(k + 1, n):
+            if rows[i][k] == 0.0:
+                continue
             factor = rows[i][k] / rows[k][k]
             for j in range(k + 1, n):
                 rows[i][j] -= factor * rows[k][j]
@@ -91,9 +93,12 @@ def deviation(T: FloatArray, mean: FloatArray) -> FloatArray:
 
 
 def displaced(T: FloatArray, step: FloatArray) -> FloatArray:
-    """Return ``T`` (4, 4) after a small motion (6,) of the source about its own origin."""
-    moved = np.empty((4, 4))
-    engine.displaced(np.ascontiguousarray(T), np.ascontiguousarray(step), moved)
+    """Return ``T`` (4, 4) after small motions (..., 6) of the source about its own origin.
+
+    Each starts from ``T``; the result has the shape (..., 4, 4).
+    """
+    moved, steps = np.empty((*step.shape[:-1], 4, 4)), np.ascontiguousarray(step)
+    engine.displaced(np.ascontiguousarray(T), steps, steps.size // 6, moved)
     return moved
 
 

@@ -144,12 +144,9 @@ class SurfelGrid:
         n_lines, n_beams = self.index.shape
         room = min(self.count, (n_lines // stride + 1) * (n_beams // stride + 1))
         columns, yaws, lines = np.empty((8, room)), np.empty(room), np.empty(room, np.int32)
-        n = engine.sample(
-            self.index, n_lines, n_beams, stride, self.rows, self.yaws, room, columns, yaws, lines
-        )
-        value = native.Sample(
-            count=n, stride=stride, room=room, columns=columns, yaws=yaws, lines=lines
-        )
+        value = native.Sample(stride=stride, room=room, columns=columns, yaws=yaws, lines=lines)
+        engine.sample(self.index, n_lines, n_beams, self.rows, self.yaws, value)
+        n = value.count
         return Sample(columns[:, :n], yaws[:n], lines[:n], stride, value)
 
     @property

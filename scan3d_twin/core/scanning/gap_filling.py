@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from scan3d_twin.core.config import GapConfig
-from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.types import RangeImage, read_only
 
 
 def fill_gaps(image: RangeImage, config: GapConfig) -> RangeImage:
@@ -15,32 +14,12 @@ def fill_gaps(image: RangeImage, config: GapConfig) -> RangeImage:
 
     A gap is filled when it is narrower than ``config.max_angle`` and the readings on its two sides
     differ by less than ``config.depth_edge``, so never across a depth edge. Measured readings are
-    kept as they are; filled ones keep their error code.
+    kept as they are; filled ones keep their error code. ``native/readings.h`` fills them.
     """
-    columns = np.broadcast_to(image.spec.elevations, image.ranges.shape)
-    ranges = _fill_rows(image.ranges, columns, config)
-    ranges = _fill_rows(ranges.T, -image.yaws.T, config).T
-    return replace(image, ranges=read_only(ranges))
-
-
-def _fill_rows(ranges: FloatArray, angles: FloatArray, config: GapConfig) -> FloatArray:
-    """Fill NaN runs of each row of ``ranges`` (m, n); ``angles`` (m, n) [rad] rise along a row."""
-    valid = np.isfinite(ranges)
-    columns = np.broadcast_to(np.arange(ranges.shape[1]), ranges.shape)
-    before = _running_max(np.where(valid, columns, -1))
-    after = _running_max(np.where(valid, -columns, -ranges.shape[1])[:, ::-1])[:, ::-1] * -1
-    bounded = ~valid & (before >= 0) & (after < ranges.shape[1])
-    row, column = np.nonzero(bounded)
-    a, b = (row, before[bounded]), (row, after[bounded])
-    width = angles[b] - angles[a]
-    narrow = (width <= config.max_angle) & (np.abs(ranges[b] - ranges[a]) <= config.depth_edge)
-    share = (angles[row, column] - angles[a]) / np.where(width > 0, width, 1.0)
-    filled = ranges.copy()
-    filled[row[narrow], column[narrow]] = (ranges[a] + share * (ranges[b] - ranges[a]))[narrow]
-    return filled
-
-
-def _running_max(values: IntArray) -> IntArray:
-    """Return the largest value so far along each row."""
-    running: IntArray = np.maximum.accumulate(values, axis=1)
-    return running
+    ranges, elevations = image.ranges.copy(), read_only(image.spec.elevations)
+    engine.gaps(
+        ranges, elevations, read_only(image.yaws), *ranges.shape, config.max_angle,
+        config.depth_edge,
+    )  # fmt: skip
+    ranges.flags.writeable = False
+    return replace(image, ranges=ranges)

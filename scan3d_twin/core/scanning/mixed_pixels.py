@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from scan3d_twin.core.config import GapConfig
-from scan3d_twin.core.types import MIXED, BoolArray, FloatArray, RangeImage, read_only
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.types import MIXED, RangeImage, read_only
 
 STEEPEST = math.radians(80.0)
 """Incidence from which on a UBG-04LX-F01 returns gross errors: steeper steps are no surface."""
@@ -28,32 +29,14 @@ def without_mixed_pixels(image: RangeImage, config: GapConfig) -> RangeImage:
         image: As it came from the robot.
         config: Steps up to ``depth_edge`` may be noise.
     """
-    columns = np.broadcast_to(image.spec.elevations, image.ranges.shape)
-    mixed = _between(image.ranges, columns, config.depth_edge)
-    mixed |= _between(image.ranges.T, -image.yaws.T, config.depth_edge).T
+    elevations, yaws = read_only(image.spec.elevations), read_only(image.yaws)
+    mixed = np.zeros(image.ranges.shape, dtype=bool)
+    engine.mixed(
+        read_only(image.ranges), elevations, yaws, *mixed.shape, config.depth_edge,
+        math.tan(STEEPEST), mixed,
+    )  # fmt: skip
+    if not mixed.any():
+        return image
     ranges = np.where(mixed, np.nan, image.ranges)
     codes = np.where(mixed, MIXED, image.codes)
     return replace(image, ranges=read_only(ranges), codes=read_only(codes, np.int64))
-
-
-def steepest_step(nearer: FloatArray, angle: FloatArray, noise: float = NOISE) -> FloatArray:
-    """Return by how much two readings of one surface differ at most [m].
-
-    Args:
-        nearer: The nearer of the two [m].
-        angle: Between their beams [rad].
-        noise: What two readings of the same place may differ by [m].
-    """
-    return np.asarray(np.maximum(noise, nearer * angle * math.tan(STEEPEST)))
-
-
-def _between(ranges: FloatArray, angles: FloatArray, noise: float) -> BoolArray:
-    """Tell which readings of each row (m, n) lie between those before and after, far from both."""
-    rise = np.diff(ranges, axis=1)
-    with np.errstate(invalid="ignore"):
-        nearer = np.minimum(ranges[:, 1:], ranges[:, :-1])
-        step = steepest_step(nearer, np.diff(angles, axis=1), noise)
-        up, down = rise > step, rise < -step
-    mixed = np.zeros(ranges.shape, dtype=bool)
-    mixed[:, 1:-1] = (up[:, :-1] & up[:, 1:]) | (down[:, :-1] & down[:, 1:])
-    return mixed

@@ -7,14 +7,14 @@ did not arrive are scanned again (the data-loss check of the paper's Fig. 5).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import DataLossError, LinkTimeoutError
-from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.hal import BunchingLidar, Robot
 from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
 from scan3d_twin.core.scanning.extrinsics import corrected
 from scan3d_twin.core.types import (
@@ -38,7 +38,8 @@ PATIENCE = 20
 OUTAGE = 60.0
 """A lidar that is away for longer ends the sweep [s]: time to plug it in again, and for the 3 s
 its motor takes to get up to speed; assumption."""
-
+BUNCH = 8
+"""Lines that are read at once where that takes less than one by one."""
 HOLE = 10
 """So many sample periods without odometry are a hole, in which nobody knows how the robot turned:
 the lines in it are lost."""
@@ -47,17 +48,18 @@ Lines = list[tuple[ScanLine, FloatArray]]
 """Lines with each beam's heading relative to the middle of the sweep (n_beams,) [rad]."""
 
 
-Reader = Callable[[Robot, float, float], Iterable[ScanLine]]
-"""Gives the lines of the time between two times [s], the first one after it included."""
-
-
 def read_lines(robot: Robot, since: float, until: float) -> Iterator[ScanLine]:
-    """Yield the lines of the time from ``since`` to ``until`` [s], each as it arrives.
+    """Yield the lines of the time from ``since`` to ``until`` [s], and the first one after it.
 
-    A line arrives a turn of the mirror or more after it was measured, so its own time counts.
+    A line arrives a turn of the mirror or more after it was measured, so its own time counts. Each
+    comes as it arrives, or a few at a time from a lidar that likes it better.
     """
-    timeout = PATIENCE * robot.lidar.spec.line_period
-    stamp = -math.inf
+    period = robot.lidar.spec.line_period
+    if isinstance(robot.lidar, BunchingLidar):
+        while (left := until - robot.clock.now()) > period:
+            robot.clock.sleep(min(BUNCH * period, left))
+            yield from robot.lidar.read_waiting(since)
+    timeout, stamp = PATIENCE * period, -math.inf
     while stamp < until and robot.clock.now() < until + timeout:
         line = robot.lidar.read_line(timeout)
         stamp = line.stamp
@@ -70,7 +72,6 @@ def sweep(
     yaw: float,
     config: Config,
     on_line: Callable[[ScanLine], None],
-    read: Reader = read_lines,
 ) -> Observation:
     """Scan ``config.sweep.width`` and margins around the heading ``yaw`` in ``odom`` [rad].
 
@@ -80,7 +81,7 @@ def sweep(
     """
     half, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
     started = robot.clock.now()
-    lines = _scan(robot, _Sector(yaw, half, rate, LOST_LINE), config, on_line, read)
+    lines = _scan(robot, _Sector(yaw, half, rate, LOST_LINE), config, on_line)
     spacing = rate * robot.lidar.spec.line_period
     kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
     return corrected(_observation(robot, kept, yaw, started), config.mount)
@@ -90,7 +91,6 @@ def take_panorama(
     robot: Robot,
     config: Config,
     on_line: Callable[[ScanLine], None],
-    read: Reader = read_lines,
 ) -> Observation:
     """Scan one full turn coarsely from where the robot stands; a few lost lines do not matter.
 
@@ -103,7 +103,7 @@ def take_panorama(
     started = robot.clock.now()
     yaw = robot.base.odometry().T_odom_base.yaw
     sector = _Sector(yaw, math.pi, config.sweep.look_rate, LOOK_GAP, rightwards=False)
-    lines = _scan(robot, sector, config, on_line, read)
+    lines = _scan(robot, sector, config, on_line)
     turn_by(robot, -math.pi, config.motion)
     turn_to(robot, yaw, config.motion)
     return corrected(_observation(robot, lines, yaw, started), config.mount)
@@ -149,20 +149,19 @@ def _scan(
     sector: _Sector,
     config: Config,
     on_line: Callable[[ScanLine], None],
-    read: Reader,
 ) -> Lines:
     """Return the lines of ``sector`` and somewhat beyond, those that were lost scanned again."""
     half, spacing = sector.half, sector.rate * robot.lidar.spec.line_period
     heading = wrap(robot.base.odometry().T_odom_base.yaw - sector.yaw)
     rightwards = heading >= 0 if sector.rightwards is None else sector.rightwards
     ends = (half, -half) if rightwards else (-half, half)
-    lines = _pass(robot, sector, ends, config, on_line, read)
+    lines = _pass(robot, sector, ends, config, on_line)
     for _ in range(config.sweep.retries):
         missing = find_missing(_front_yaws(lines), half, spacing, sector.gap)
         if not missing:
             break
         for left, right in missing:
-            again = _pass(robot, sector, (left, right), config, on_line, read)
+            again = _pass(robot, sector, (left, right), config, on_line)
             inside = [item for item in again if right < _front_yaw(item[1]) < left]
             lines.extend(inside)
     missing = find_missing(_front_yaws(lines), half, spacing, sector.gap)
@@ -180,7 +179,6 @@ def _pass(
     ends: tuple[float, float],
     config: Config,
     on_line: Callable[[ScanLine], None],
-    read: Reader,
 ) -> Lines:
     """Turn from ``ends[0]`` to ``ends[1]`` (relative to the sector's middle); return the lines.
 
@@ -199,7 +197,7 @@ def _pass(
     with stopping(robot.base):
         robot.base.set_velocity(0.0, direction * rate)
         try:
-            for line in read(robot, started, started + duration):
+            for line in read_lines(robot, started, started + duration):
                 on_line(line)
                 lines.append(line)
         except LinkTimeoutError:
@@ -220,15 +218,14 @@ def _deskew(robot: Robot, lines: list[ScanLine], started: float, yaw: float, fir
     stamps = np.array([sample.stamp for sample in odometry])
     headings = np.unwrap([sample.T_odom_base.yaw for sample in odometry])
     headings += first + wrap(float(headings[0]) - yaw - first) - headings[0]
-    times = robot.lidar.spec.beam_times
+    if not lines:
+        return []
+    times = np.array([line.stamp for line in lines])[:, None] + robot.lidar.spec.beam_times
     holes = np.flatnonzero(np.diff(stamps) > HOLE * robot.base.spec.sample_period)
-    return [
-        (line, np.interp(line.stamp + times, stamps, headings))
-        for line in lines
-        if not np.any(
-            (line.stamp + times[0] < stamps[holes + 1]) & (line.stamp + times[-1] > stamps[holes])
-        )
-    ]
+    after, before = times[:, :1] < stamps[holes + 1], times[:, -1:] > stamps[holes]
+    whole = ~np.any(after & before, axis=1)
+    yaws = np.interp(times, stamps, headings)
+    return [pair for pair, kept in zip(zip(lines, yaws, strict=True), whole, strict=True) if kept]
 
 
 def _front_yaw(yaws: FloatArray) -> float:

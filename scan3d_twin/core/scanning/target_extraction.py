@@ -11,14 +11,23 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.grids import dilated
+from scan3d_twin.core.grids import dilated, labelled
 from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Observation, RangeImage, Scan3D
+from scan3d_twin.core.readings import Placed
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Observation,
+    RangeImage,
+    Scan3D,
+    read_only,
+)
 
 CELL = 0.05
 """Cell of the top view in which points are grouped [m]; a quarter of the default cluster_gap."""
@@ -33,14 +42,13 @@ COMPACT = 3.5
 
 def all_points(image: RangeImage, config: Config) -> Scan3D:
     """Return every trusted point of the sweep except the floor and the robot itself."""
-    points = image.points
-    radius = np.hypot(points[..., 0], points[..., 1])
     with np.errstate(invalid="ignore"):
         keep = image.ranges <= config.target.max_range
-        keep &= points[..., 2] > config.target.floor_height
-        keep &= radius > config.motion.self_radius
-    lines, beams = np.nonzero(keep)
-    return Scan3D(points[keep], lines, beams, image.n_lines)
+        keep &= image.heights > config.target.floor_height
+    points, lines, beams, distance = Placed.of(image, keep)
+    sweep = Scan3D(points, lines, beams, image.n_lines)
+    outside = distance > config.motion.self_radius
+    return sweep if outside.all() else sweep.select(outside)
 
 
 def extract_target(
@@ -204,13 +212,14 @@ def _nearest_per_line(points: FloatArray, lines: IntArray, n_lines: int) -> Floa
 
 def _group_top_view(points: FloatArray, gap: float) -> IntArray:
     """Label ``points`` (n, 2) so that things closer than about ``gap`` [m] share a label (n,)."""
-    cells = np.floor((points - points.min(axis=0)) / CELL).astype(np.int64)
+    columns = np.ascontiguousarray(points.T)
+    cells = np.floor((columns - columns.min(axis=1, keepdims=True)) / CELL).astype(np.int64)
     margin = math.ceil(gap / CELL / 2)
-    grid = np.zeros(cells.max(axis=0) + 1 + 2 * margin, dtype=bool)
-    grid[cells[:, 0] + margin, cells[:, 1] + margin] = True
-    near = dilated(grid, (gap / CELL - 1) / 2)
-    labels, _ = ndimage.label(near, structure=np.ones((3, 3)))
-    return np.asarray(labels[cells[:, 0] + margin, cells[:, 1] + margin], dtype=np.int64)
+    i, j = cells + margin
+    grid = np.zeros((i.max() + 1 + margin, j.max() + 1 + margin), dtype=bool)
+    grid[i, j] = True
+    labels = labelled(dilated(grid, (gap / CELL - 1) / 2))
+    return np.asarray(labels[i, j], dtype=np.int64)
 
 
 def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: float) -> BoolArray:
@@ -219,17 +228,20 @@ def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: floa
     Two points whose cells are so near that no two of theirs can be farther apart are near; for most
     groups that settles it. Distances are worked out for the others alone, where they can be small.
     """
-    low = points.min(axis=0) - gap - 2 * CELL
-    size = np.floor((points.max(axis=0) + gap + 2 * CELL - low) / CELL).astype(np.int64) + 1
-    i, j = np.floor((known - low) / CELL).astype(np.int64).T
+    columns, (x, y) = np.ascontiguousarray(points.T), np.ascontiguousarray(known.T)
+    low = columns.min(axis=1) - gap - 2 * CELL
+    size = np.floor((columns.max(axis=1) + gap + 2 * CELL - low) / CELL).astype(np.int64) + 1
+    i = np.floor((x - low[0]) / CELL).astype(np.int64)
+    j = np.floor((y - low[1]) / CELL).astype(np.int64)
     inside = (i >= 0) & (i < size[0]) & (j >= 0) & (j < size[1])
     grid = np.zeros(size, dtype=bool)
     grid[i[inside], j[inside]] = True
-    row, column = np.floor((points - low) / CELL).astype(np.int64).T
+    row, column = np.floor((columns - low[:, None]) / CELL).astype(np.int64)
+    cell = row * size[1] + column
     diagonal = math.sqrt(2.0) * CELL
-    near = dilated(grid, gap - 1.01 * diagonal, CELL)[row, column]
+    near = dilated(grid, gap - 1.01 * diagonal, CELL).take(cell)
     touching = np.bincount(groups[near], minlength=int(groups.max()) + 1) > 0
-    possible = dilated(grid, gap + 1.01 * diagonal, CELL)[row, column] & ~touching[groups]
+    possible = dilated(grid, gap + 1.01 * diagonal, CELL).take(cell) & ~touching[groups]
     if possible.any():
         distance, _ = nearest(cKDTree(known), points[possible])
         touching[groups[possible][distance <= gap]] = True
@@ -239,24 +251,11 @@ def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: floa
 def _piece_sizes(image: RangeImage, scan: Scan3D) -> IntArray:
     """Return for each point the size (n,) of its piece of the range image, cut at depth edges.
 
-    Readings lie on every second place of a grid, and on those between them what joins two.
+    ``native/grids.h`` finds them.
     """
-    if len(scan) == 0:
-        return np.zeros(0, dtype=np.int64)
-    line, beam = int(scan.lines[0]), int(scan.beams.min())
-    lines, beams = scan.lines - line, scan.beams - beam
-    n, m = int(lines[-1]) + 1, int(beams.max()) + 1
-    ranges = image.ranges[line : line + n, beam : beam + m]
-    there = np.zeros((n, m), dtype=bool)
-    there[lines, beams] = True
-    grid = np.zeros((2 * n - 1, 2 * m - 1), dtype=bool)
-    grid[::2, ::2] = there
-    for between, a, b in (
-        (np.s_[1::2, ::2], np.s_[:-1, :], np.s_[1:, :]),
-        (np.s_[::2, 1::2], np.s_[:, :-1], np.s_[:, 1:]),
-    ):
-        with np.errstate(invalid="ignore"):
-            joined = np.abs(ranges[a] - ranges[b]) < DEPTH_EDGE
-        grid[between] = joined & there[a] & there[b]
-    labels = ndimage.label(grid)[0][2 * lines, 2 * beams]
-    return np.asarray(np.bincount(labels)[labels], dtype=np.int64)
+    sizes = np.empty(len(scan), dtype=np.int64)
+    lines, beams = np.ascontiguousarray(scan.lines), np.ascontiguousarray(scan.beams)
+    ranges = read_only(image.ranges)
+    if engine.pieces(ranges, *ranges.shape, lines, beams, len(scan), DEPTH_EDGE, sizes) < 0:
+        raise MemoryError
+    return sizes

@@ -39,7 +39,8 @@ class SimBase:
         names = [f"{PREFIX}{side}" for side in ("left", "right")]
         self._drives = [int(model.actuator(name + "_drive").id) for name in names]
         self._wheels = [int(model.joint(name + "_wheel").qposadr[0]) for name in names]
-        self._ramp = ACCELERATION * spec.sample_period / (spec.wheel_diameter / 2)
+        self._qpos, self._radius = data.qpos, spec.wheel_diameter / 2
+        self._ramp = ACCELERATION * spec.sample_period / self._radius
         self._feelers = Feelers(world, spec.sample_period, errors.battery_life)
         self._target = (0.0, 0.0)
         self._driven = (0.0, 0.0)
@@ -92,7 +93,7 @@ class SimBase:
         """
         self._samples += 1
         self.next_step = self._due(self._samples + 1)
-        time, qpos, radius = self._world.time, self._world.data.qpos, self.spec.wheel_diameter / 2
+        time, qpos, radius = self._world.time, self._qpos, self._radius
         left = qpos.item(self._wheels[0]) - self._zero[0]
         right = qpos.item(self._wheels[1]) - self._zero[1]
         sent = (self._driven[0] * radius, self._driven[1] * radius)
@@ -114,8 +115,7 @@ class SimBase:
         del self._history[: max(0, len(self._history) - HISTORY) // SURPLUS * SURPLUS]
 
     def _accelerate(self) -> None:
-        radius, step = self.spec.wheel_diameter / 2, self._ramp
-        wanted = (self._target[0] / radius, self._target[1] / radius)
+        step, wanted = self._ramp, (self._target[0] / self._radius, self._target[1] / self._radius)
         if wanted == self._driven:
             return
         left, right = (

@@ -49,7 +49,10 @@ class Feelers:
         self._forces = data.sensordata[first : first + 2]  # left and right
         self._drops = [int(model.joint(f"{PREFIX}{side}_drop").qposadr[0]) for side in _SIDES]
         self._wheels = [int(model.joint(f"{PREFIX}{side}_wheel").dofadr[0]) for side in _SIDES]
-        self._cliffs = [data.site(PREFIX + name).xpos for name in _CLIFFS]
+        self._qpos, self._qvel = data.qpos, data.qvel
+        sites = [int(model.site(PREFIX + name).id) for name in _CLIFFS]
+        self._sites = data.site_xpos[min(sites) : max(sites) + 1]
+        self._cliffs = [site - min(sites) for site in sites]
         self._wall = data.site(PREFIX + "wall")
         self._place = data.body(PREFIX + "base").xpos
         self._body = model.body(PREFIX + "base").id
@@ -60,14 +63,17 @@ class Feelers:
 
     def hazards(self, driven: tuple[float, float]) -> Hazards:
         """Return the hazards now; ``driven`` is the wheels' commanded speed [rad/s]."""
-        qpos = self._world.data.qpos
-        bumps = [self._bumped(side, force) for side, force in enumerate(self._forces.tolist())]
-        cliffs = [self._over_cliff(site) for site in self._cliffs]
-        drops = [qpos.item(drop) < WHEEL_DROP for drop in self._drops]
-        stalls = [self._stalls(side, speed) for side, speed in enumerate(driven)]
-        flags = (*bumps, *cliffs, *drops, *stalls)
+        (left, right), sites, qpos = self._forces.tolist(), self._sites.tolist(), self._qpos
+        flags = (
+            self._bumped(0, left),
+            self._bumped(1, right),
+            *[self._over_cliff(*sites[site]) for site in self._cliffs],
+            *[qpos.item(drop) < WHEEL_DROP for drop in self._drops],
+            self._stalls(0, driven[0]),
+            self._stalls(1, driven[1]),
+        )
         battery = self.battery
-        if any(flags):
+        if True in flags:
             return Hazards(**dict(zip(_FLAGS, flags, strict=True)), battery=battery)
         if battery != self._calm.battery:
             self._calm = Hazards(battery=battery)
@@ -94,18 +100,18 @@ class Feelers:
 
     def _stalls(self, side: int, driven: float) -> bool:
         """Return whether a wheel has stood still although it is driven."""
-        if driven and abs(self._world.data.qvel.item(self._wheels[side])) < STALL * abs(driven):
+        if driven and abs(self._qvel.item(self._wheels[side])) < STALL * abs(driven):
             self._stalled[side] += self._period
         else:
             self._stalled[side] = 0.0
         return self._stalled[side] > STALL_TIME
 
-    def _over_cliff(self, site: FloatArray) -> bool:
-        """Return whether a cliff sensor at ``site`` (3,) sees no floor near by."""
-        x, y, z = site.tolist()
-        if 0 < z <= CLIFF_DISTANCE and max(abs(x), abs(y)) < self._plane:
+    def _over_cliff(self, x: float, y: float, z: float) -> bool:
+        """Return whether a cliff sensor at a place [m] sees no floor near by."""
+        reach = self._plane
+        if 0 < z <= CLIFF_DISTANCE and -reach < x < reach and -reach < y < reach:
             return False
-        return not 0 <= self._distance(site, _DOWN) <= CLIFF_DISTANCE
+        return not 0 <= self._distance(np.array([x, y, z]), _DOWN) <= CLIFF_DISTANCE
 
     def _distance(self, point: FloatArray, direction: FloatArray) -> float:
         """Return the distance from ``point`` (3,) to the scene [m]; -1 where there is none.

@@ -108,12 +108,12 @@ class SimLidar:
         self._last = turns[-1]
         return tuple(self._lines(turns))
 
-    def read_waiting(self) -> tuple[ScanLine, ...]:
-        """Return the lines that have arrived, computed at once: the same bits as by ``read_line``.
+    def read_waiting(self, since: float = 0.0) -> tuple[ScanLine, ...]:
+        """See ``BunchingLidar.read_waiting``: the same bits as by ``read_line``.
 
         Only the last ``UNREAD_LINES`` wait.
         """
-        turns = list(self._unread)
+        turns = [turn for turn in self._unread if self._stamp(turn.start) >= since]
         self._unread.clear()
         self._last = turns[-1] if turns else self._last
         return tuple(self._lines(turns))

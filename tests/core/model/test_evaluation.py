@@ -16,6 +16,7 @@ from scan3d_twin.core.model.evaluation import (
     Distances,
     Evaluation,
     Reference,
+    Surface,
     coverable_surface,
     displacement,
     evaluate_model,
@@ -193,6 +194,17 @@ def test_distance_to_a_sampled_plane_has_no_share_of_the_sampling() -> None:
     distance = surface_distance(points, surface, normals, 0.02)
     assert distance[0] == pytest.approx(0.003)
     assert distance[1] == pytest.approx(1.2 - 0.98 - 0.02 / math.sqrt(2), abs=1e-6)
+
+
+def test_within_tells_what_distances_would() -> None:
+    rng = np.random.default_rng(0)
+    surface = Surface.of(rng.uniform(0, 1, (400, 3)), np.tile([0.0, 0.0, 1.0], (400, 1)), 0.02)
+    points = rng.uniform(-0.2, 1.2, (500, 3))
+    for distance in (0.0, 0.02, 0.1):
+        wanted = surface.distance(points) <= distance
+        assert np.array_equal(surface.within(points, distance), wanted)
+    assert wanted.any()
+    assert not wanted.all()
 
 
 def test_statistics() -> None:

@@ -17,19 +17,24 @@ import reference.algebra
 import reference.edges
 import reference.free_space
 import reference.gauss_newton
+import reference.grids
 import reference.point_to_plane
 import reference.pose_prior
 import reference.projection
+import reference.readings
 import reference.scan_arrays
 import reference.scan_noise
 import reference.surfels
 import reference.survey
 import synthetic
 
+from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.grids import dilated, labelled
+from scan3d_twin.core.readings import Placed
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
-from scan3d_twin.core.registration.clouds import Tree, prepare_cloud
+from scan3d_twin.core.registration.clouds import Tree, is_near, prepare_cloud
 from scan3d_twin.core.registration.edges import Edges, edge_equations
 from scan3d_twin.core.registration.free_space import _violations
 from scan3d_twin.core.registration.gauss_newton import Criteria, Problem, align, follow_starts
@@ -40,6 +45,7 @@ from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displ
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid, prepare
 from scan3d_twin.core.registration.surfels import Beams, fit_surfels, sweep_of
+from scan3d_twin.core.scanning.extrinsics import mounted
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
 
 FIRST, SECOND = Pose2(0.0, 0.15, -0.05), Pose2(0.02, -0.15, 0.10)
@@ -294,6 +300,7 @@ def test_small_motions() -> None:
     for step in rng.normal(size=(20, 6)) * 0.4:
         T = displaced(np.eye(4), rng.normal(size=6))
         moved = displaced(T, step)
+        assert np.array_equal(displaced(T, np.stack([-step, step]))[1], moved)
         assert moved == pytest.approx(reference.pose_prior.displaced(T, step), abs=1e-14)
         assert deviation(moved, T) == pytest.approx(step, abs=1e-12)
     assert deviation(T, T) == pytest.approx(np.zeros(6), abs=1e-15)
@@ -335,6 +342,103 @@ def test_planes_of_a_cloud_are_those_of_its_neighbours() -> None:
     assert cloud.centroids == pytest.approx(points[nearest].mean(axis=1), abs=1e-12)
     assert np.abs(np.sum(cloud.normals * vectors[..., 0], axis=1)) == pytest.approx(1.0, abs=1e-6)
     assert cloud.tilt == pytest.approx(1 / (20 * np.maximum(values[:, 1] - values[:, 0], 1e-9)))
+
+
+@pytest.mark.parametrize("within", [0.01, 0.2, 10.0])
+def test_what_is_near_is_what_a_full_search_finds(within: float) -> None:
+    rng = np.random.default_rng(0)
+    points, places = rng.normal(size=(300, 3)), rng.normal(size=(200, 3))
+    places[:20] = points[:20] + 0.005
+    near = is_near(places, points, within)
+    assert np.array_equal(near, reference.readings.is_near(places, points, within))
+    assert near.any()
+    assert not is_near(places, points[:0], within).any()
+
+
+def readings(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ranges that step and have gaps, elevations and yaws."""
+    rng = np.random.default_rng(seed)
+    ranges = np.cumsum(rng.normal(0.0, 0.05, (40, 30)), axis=1) + 2.0
+    ranges[rng.random(ranges.shape) < 0.3] = math.nan
+    elevations = np.linspace(-1.0, 0.7, 30)
+    yaws = np.linspace(0.5, -0.5, 40)[:, None] + rng.normal(0.0, 0.001, (40, 30))
+    return ranges, elevations, yaws
+
+
+def test_mixed_pixels() -> None:
+    for seed in range(5):
+        given = readings(seed)
+        found = np.zeros(given[0].shape, dtype=bool)
+        engine.mixed(*given, *found.shape, 0.04, 0.3, found)
+        assert found.any()
+        assert np.array_equal(found, reference.readings.mixed(*given, 0.04, 0.3))
+
+
+def test_gaps() -> None:
+    for seed in range(5):
+        given = readings(seed)
+        ranges = given[0].copy()
+        engine.gaps(ranges, *given[1:], *ranges.shape, 0.15, 0.1)
+        wanted = reference.readings.filled(*given, 0.15, 0.1)
+        assert np.isfinite(ranges).sum() > np.isfinite(given[0]).sum()
+        assert np.array_equal(ranges, wanted, equal_nan=True)
+
+
+def test_neighbours_on_a_surface() -> None:
+    ranges, elevations, yaws = readings(0)
+    lines, beams = (np.ascontiguousarray(part) for part in np.nonzero(np.isfinite(ranges)))
+    counts, n = np.empty(len(lines), dtype=np.int64), len(lines)
+    engine.neighbours(
+        ranges, yaws, elevations, *ranges.shape, lines, beams, n, 0.04, 0.3, counts
+    )  # fmt: skip
+    wanted = reference.readings.neighbours(ranges, elevations, yaws, 0.04, 0.3)
+    assert len(np.unique(counts)) > 5
+    assert np.array_equal(counts, wanted[lines, beams])
+
+
+def test_placed_readings() -> None:
+    sweep = image(1)
+    leaning = replace(sweep, T_base_lidar=mounted(sweep.T_base_lidar, MountConfig(0.01, 0.02, 0.1)))
+    for seen in (sweep, leaning):
+        wanted = seen.ranges < 3.0
+        for found, plain in zip(
+            Placed.of(seen, wanted), reference.readings.placed(seen, wanted), strict=True
+        ):
+            assert len(found) > 1000
+            assert np.array_equal(found, plain)
+
+
+def test_free_reach() -> None:
+    rng = np.random.default_rng(0)
+    distance, kinds = rng.uniform(0.1, 3.0, (50, 25)), rng.choice([0, 1, 1, 1, 2], (50, 25))
+    kinds[:, -3:][rng.random((50, 3)) < 0.9] = 1
+    kinds[kinds == 2] *= rng.random((kinds == 2).sum()) < 0.1
+    lines, reach = np.repeat(np.arange(50), 25), np.empty(50)
+    assert not engine.free_reach(
+        lines, distance.ravel(), kinds.ravel().astype(np.uint8), 1250, 50, 0.2, 0.45, 0.05, reach
+    )
+    floor, solid = (np.where(kinds == kind, distance, np.inf) for kind in (1, 2))
+    assert len(np.unique(reach)) > 10
+    assert np.array_equal(reach, reference.readings.free_reach(floor, solid, 0.2, 0.45, 0.05))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.4, 1.0])
+def test_grids(share: float) -> None:
+    grid = np.random.default_rng(0).random((40, 30)) < share
+    assert np.array_equal(labelled(grid), reference.grids.labelled(grid))
+    for radius in (-1.0, 0.0, 1.5, 4.0, 100.0):
+        assert np.array_equal(dilated(grid, radius), reference.grids.dilated(grid, radius))
+
+
+def test_pieces() -> None:
+    for seed in range(5):
+        ranges, rng = readings(seed)[0], np.random.default_rng(seed)
+        there = np.isfinite(ranges) & (rng.random(ranges.shape) < 0.9)
+        lines, beams = (np.ascontiguousarray(part) for part in np.nonzero(there))
+        sizes = np.empty(len(lines), dtype=np.int64)
+        assert not engine.pieces(ranges, *ranges.shape, lines, beams, len(lines), 0.05, sizes)
+        assert len(np.unique(sizes)) > 5
+        assert np.array_equal(sizes, reference.grids.piece_sizes(ranges, there, 0.05))
 
 
 # --- lines and beams that are on no grid ---
@@ -435,6 +539,12 @@ def test_both_sides_agree_on_the_values() -> None:
     sizes = np.empty(len(native.VALUES), dtype=np.int64)
     engine.sizes(sizes)
     assert sizes.tolist() == [ctypes.sizeof(each) for each in native.VALUES]
+
+
+def test_the_address_of_an_array_is_that_of_its_first_number() -> None:
+    numbers = np.arange(12.0).reshape(3, 4)
+    for array in (numbers, numbers[1:], read_only(numbers), np.zeros(0), np.zeros(3, np.bool_)):
+        assert native.address_of(array) == array.ctypes.data
 
 
 def test_arrays_of_another_type_or_layout_are_refused() -> None:

@@ -45,7 +45,6 @@ PROFILES = {
 }
 
 
-@pytest.mark.timeout(180)
 @pytest.mark.skipif(
     not (shutil.which("rawlog-grabber") and shutil.which("rawlog-edit")),
     reason="needs rawlog-grabber and rawlog-edit (apt install mrpt-apps)",

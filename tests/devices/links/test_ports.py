@@ -132,7 +132,6 @@ def test_without_a_client_the_bytes_are_lost(pty):
     os.close(fd)
 
 
-@pytest.mark.timeout(20)
 def test_a_client_that_does_not_read_loses_bytes_and_does_not_hang_the_device(pty):
     port, clock = pty
     fd = open_raw(port.path)

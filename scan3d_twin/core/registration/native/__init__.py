@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import math
+from collections.abc import Callable
 from ctypes import c_double, c_int64
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -35,10 +37,21 @@ MOST_NEIGHBOURS = 64
 """Nearest neighbours that can be asked for."""
 
 
+HEAD = object.__basicsize__
+"""Bytes of an array object before the address of its numbers: that is the first field of NumPy's
+``PyArrayObject``. ``array.ctypes.data`` is the same, but describes the whole array first, which
+takes longer than some of the functions here."""
+
+
+def address_of(array: npt.NDArray[Any]) -> int:
+    """Return where the numbers of ``array`` are."""
+    return ctypes.c_size_t.from_address(id(array) + HEAD).value
+
+
 class Array(ctypes.c_void_p):
     """Address of a contiguous array of ``dtype``; None is no array."""
 
-    dtype: ClassVar[npt.DTypeLike]
+    dtype: ClassVar[np.dtype[Any]]
 
     @classmethod
     def from_param(cls, array: npt.NDArray[Any] | None) -> Array:
@@ -50,64 +63,71 @@ class Array(ctypes.c_void_p):
         if array is None:
             return cls(None)
         if array.dtype != cls.dtype or not array.flags.c_contiguous:
-            raise TypeError(f"{cls.__name__} takes contiguous arrays of {np.dtype(cls.dtype)}")
-        return cls(array.ctypes.data)
+            raise TypeError(f"{cls.__name__} takes contiguous arrays of {cls.dtype}")
+        return cls(address_of(array))
 
 
 class Doubles(Array):
     """Of float64."""
 
-    dtype = np.float64
+    dtype = np.dtype(np.float64)
 
 
 class Ints(Array):
     """Of int32."""
 
-    dtype = np.int32
+    dtype = np.dtype(np.int32)
 
 
 class Longs(Array):
     """Of int64."""
 
-    dtype = np.int64
+    dtype = np.dtype(np.int64)
 
 
 class Flags(Array):
     """Of bool."""
 
-    dtype = np.bool_
+    dtype = np.dtype(np.bool_)
 
 
 class Bytes(Array):
     """Of uint8."""
 
-    dtype = np.uint8
+    dtype = np.dtype(np.uint8)
 
 
 class Value(ctypes.Structure):
     """A value of ``engine.h``; it keeps the arrays alive that it points to."""
 
-    kinds: ClassVar[dict[str, Any]]
+    converters: ClassVar[dict[str, Callable[[Any], Any]]]
 
     def __init_subclass__(cls) -> None:
-        cls.kinds = {name: kind for name, kind, *_ in cls._fields_}
+        cls.converters = {
+            name: kind.from_param if issubclass(kind, Array) else partial(_filled, kind)
+            for name, kind, *_ in cls._fields_
+            if issubclass(kind, (Array, ctypes.Array))
+        }
 
     def __init__(self, **fields: Any) -> None:
         """Set ``fields``: arrays by their address, numbers of a field of several one by one."""
         super().__init__()
         self.alive = fields
         for name, value in fields.items():
-            kind = self.kinds[name]
-            if issubclass(kind, Array):
-                value = kind.from_param(value)
-            elif issubclass(kind, ctypes.Array):
-                value = kind(*(value.flat if isinstance(value, np.ndarray) else value))
-            setattr(self, name, value)
+            convert = self.converters.get(name)
+            setattr(self, name, convert(value) if convert else value)
 
     def numbers(self, name: str, *shape: int) -> npt.NDArray[np.float64]:
         """Return a copy of the first numbers of a field, in ``shape``."""
-        size = int(np.prod(shape))
-        return np.array(getattr(self, name)[:size], dtype=np.float64).reshape(shape)
+        first = int(getattr(type(self), name).offset)
+        return np.frombuffer(bytes(self), np.float64, math.prod(shape), first).reshape(shape).copy()
+
+
+def _filled(kind: Any, numbers: Any) -> Any:
+    """Return a field of several numbers; those that are not given are 0."""
+    if isinstance(numbers, np.ndarray):
+        return kind.from_buffer_copy(np.ascontiguousarray(numbers, kind._type_))
+    return kind(*numbers)
 
 
 class Sweep(Value):
@@ -231,9 +251,7 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "yaw_jitter": (c_double, Doubles, c_int64),
     "surfels": (c_int64, Sweep, Flags, Flags, Doubles, Longs, c_int64, Doubles, Doubles, Ints),
     "survey": (c_int64, Sweep, Longs, Flags, Survey),
-    "sample": (
-        c_int64, Ints, c_int64, c_int64, c_int64, Doubles, Doubles, c_int64, Doubles, Doubles, Ints,
-    ),
+    "sample": (None, Ints, c_int64, c_int64, Doubles, Doubles, Sample),
     "known": (c_int64, Ints, Flags, c_int64, c_int64, Bytes),
     "edges": (c_int64, Sweep, Doubles, Ints, Flags, c_double, Doubles, c_int64),
     "edge_equations": (
@@ -252,12 +270,29 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     ),
     "inverse": (None, Doubles, c_int64, c_double, Doubles),
     "marginal": (None, Doubles, c_int64, c_int64, Doubles, Doubles),
-    "displaced": (None, Doubles, Doubles, Doubles),
+    "displaced": (None, Doubles, Doubles, c_int64, Doubles),
     "deviation": (None, Doubles, Doubles, Doubles),
     "displacement": (c_double, Doubles, Doubles, Doubles),
     "tree": (None, Doubles, c_int64, Doubles, Ints, Bytes),
     "nearest": (None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_int64, Doubles, Ints),
     "neighbourhoods": (None, Doubles, Ints, Bytes, c_int64, c_int64, Doubles, Doubles, Doubles),
+    "near": (c_int64, Doubles, c_int64, Doubles, c_int64, c_double, Flags),
+    "mixed": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double, Flags),
+    "gaps": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double),
+    "placed": (
+        None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Longs,
+        Longs, Doubles,
+    ),
+    "free_reach": (
+        c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
+    ),
+    "neighbours": (
+        None, Doubles, Doubles, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double,
+        c_double, Longs,
+    ),
+    "dilated": (c_int64, Flags, c_int64, c_int64, Longs, c_int64, Flags),
+    "labels": (c_int64, Flags, c_int64, c_int64, Ints),
+    "pieces": (c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs),
     "sizes": (None, Longs),
 }  # fmt: skip
 """What each function of ``engine.c`` returns and takes."""

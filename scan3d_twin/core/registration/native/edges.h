@@ -30,24 +30,27 @@ static Beams carrying_beams(const int32_t *index, int64_t n_beams) {
 
 /* Mark at which beams the surface on line `near` ends towards `side`; return how many there are. */
 static int64_t mark_jumps(const Sweep *sweep, const int32_t *index, const uint8_t *valid,
-                          int64_t near, int64_t side, Beams beams, uint8_t *jumps) {
-    int64_t n = 0, stride = sweep->stride;
-    const int32_t *carried = index + (near - INWARDS * side) * stride;
+                          int64_t near, int64_t side, Beams beams, uint8_t *restrict jumps) {
+    const int64_t step = side * sweep->stride, at = near * sweep->stride;
+    const int64_t last = near + NOTHING * side;
+    const int ends = last < 0 || last >= sweep->n_lines;    /* too few lines to say so */
+    const double *here = sweep->ranges + at, *next = here + step;
+    const uint8_t *valid_here = valid + at, *valid_next = valid_here + step;
+    const int32_t *carried = index + at - INWARDS * step;
+    int32_t n = 0;
     for (int64_t j = beams.low; j < beams.high; j++) {
-        jumps[j] = 0;
-        if (!valid[near * stride + j] || carried[j] < 0) continue;
-        int64_t next = near + side;
-        if (valid[next * stride + j]) {
-            jumps[j] = sweep->ranges[next * stride + j] - sweep->ranges[near * stride + j] > JUMP;
-        } else {
-            int64_t k = 2;
-            for (; k <= NOTHING; k++) {
-                int64_t line = near + k * side;
-                if (line < 0 || line >= sweep->n_lines || valid[line * stride + j]) break;
-            }
-            jumps[j] = k > NOTHING;
-        }
+        jumps[j] = valid_here[j] & (carried[j] >= 0)
+                 & ((valid_next[j] & (next[j] - here[j] > JUMP)) | (!valid_next[j] & !ends));
         n += jumps[j];
+    }
+    /* nothing there only where the lines after the next saw nothing, either */
+    for (int64_t k = 2; k <= NOTHING && n > 0 && !ends; k++) {
+        const uint8_t *beyond = valid_here + k * step;
+        n = 0;
+        for (int64_t j = beams.low; j < beams.high; j++) {
+            jumps[j] &= valid_next[j] | !beyond[j];
+            n += jumps[j];
+        }
     }
     return n;
 }

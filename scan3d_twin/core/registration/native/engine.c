@@ -3,7 +3,7 @@
  * All of it is compiled once for each level of the processor (build.py), as the names of the exported
  * functions say; the levels differ in speed only, not in a bit of the results: there is no fused
  * multiplication and no sum whose order depends on the width of the registers. */
-#include "clouds.h"
+#include "grids.h"
 
 #define JOIN(name, level) name##_##level
 #define NAMED(name, level) JOIN(name, level)
@@ -36,10 +36,9 @@ int64_t EXPORT(survey)(const Sweep *sweep, const int64_t *codes, const uint8_t *
     return make_survey(sweep, codes, keep, out);
 }
 
-int64_t EXPORT(sample)(const int32_t *index, int64_t n_lines, int64_t n_beams, int64_t stride,
-                       const double *rows, const double *of_rows, int64_t room, double *columns,
-                       double *yaws, int32_t *lines) {
-    return take_sample(index, n_lines, n_beams, stride, rows, of_rows, room, columns, yaws, lines);
+void EXPORT(sample)(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
+                    const double *of_rows, Sample *out) {
+    take_sample(index, n_lines, n_beams, rows, of_rows, out);
 }
 
 int64_t EXPORT(known)(const int32_t *index, const uint8_t *valid, int64_t n_lines, int64_t n_beams,
@@ -147,8 +146,8 @@ void EXPORT(marginal)(const double *information, int64_t size, int64_t pose, con
     tighten(reduced.H, (int)pose, out);
 }
 
-void EXPORT(displaced)(const double *T, const double *step, double *out) {
-    displace(T, step, out);
+void EXPORT(displaced)(const double *T, const double *steps, int64_t n, double *out) {
+    for (int64_t k = 0; k < n; k++) displace(T, steps + 6 * k, out + 16 * k);
 }
 
 void EXPORT(deviation)(const double *T, const double *mean, double *off) {
@@ -180,6 +179,60 @@ void EXPORT(neighbourhoods)(double *sorted, int32_t *order, uint8_t *axes, int64
                             double *centroids, double *normals, double *variances) {
     Tree tree = {n, sorted, order, axes};
     fit_neighbourhoods(&tree, k, centroids, normals, variances);
+}
+
+int64_t EXPORT(near)(const double *points, int64_t n, const double *places, int64_t m, double within,
+                     uint8_t *near) {
+    return find_near(points, n, places, m, within, near);
+}
+
+/* mixed_pixels.py, gaps.py, readings.py, costmap.py and model.py */
+
+void EXPORT(mixed)(const double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
+                   int64_t n_beams, double noise, double steepest, uint8_t *mixed) {
+    mark_mixed(ranges, elevations, yaws, n_lines, n_beams, noise, steepest, mixed);
+}
+
+void EXPORT(gaps)(double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
+                  int64_t n_beams, double max_angle, double depth_edge) {
+    fill_gaps(ranges, elevations, yaws, n_lines, n_beams, max_angle, depth_edge);
+}
+
+void EXPORT(placed)(const int64_t *index, int64_t n, int64_t n_beams, const double *ranges,
+                    const double *c, const double *s, const double *rays, const double *lever,
+                    double *points, int64_t *lines, int64_t *beams, double *distance) {
+    place_readings(index, n, n_beams, ranges, c, s, rays, lever, points, lines, beams, distance);
+}
+
+int64_t EXPORT(free_reach)(const int64_t *lines, const double *distance, const uint8_t *kinds, int64_t n,
+                           int64_t n_lines, double start, double most, double margin, double *reach) {
+    double *scratch = malloc(sizeof *scratch * (size_t)(n + 1));
+    if (!scratch) return -1;
+    find_free_reach(lines, distance, kinds, n, n_lines, start, most, margin, scratch, reach);
+    free(scratch);
+    return 0;
+}
+
+void EXPORT(neighbours)(const double *ranges, const double *yaws, const double *elevations,
+                        int64_t n_lines, int64_t n_beams, const int64_t *lines, const int64_t *beams,
+                        int64_t n, double noise, double steepest, int64_t *counts) {
+    count_neighbours(ranges, yaws, elevations, n_lines, n_beams, lines, beams, n, noise, steepest, counts);
+}
+
+/* grids.py and target.py */
+
+int64_t EXPORT(dilated)(const uint8_t *grid, int64_t nx, int64_t ny, const int64_t *disc, int64_t n_rows,
+                        uint8_t *out) {
+    return dilate(grid, nx, ny, disc, n_rows, out);
+}
+
+int64_t EXPORT(labels)(const uint8_t *grid, int64_t nx, int64_t ny, int32_t *labels) {
+    return label(grid, nx, ny, labels);
+}
+
+int64_t EXPORT(pieces)(const double *ranges, int64_t n_lines, int64_t n_beams, const int64_t *lines,
+                       const int64_t *beams, int64_t n, double most, int64_t *sizes) {
+    return measure_pieces(ranges, n_lines, n_beams, lines, beams, n, most, sizes);
 }
 
 /* Sizes of the values that cross the border, in the order of engine.h: both sides must agree. */

@@ -74,9 +74,9 @@ typedef struct {
 typedef struct {
     int64_t count, stride;
     int64_t room;           /* doubles from one column to the next */
-    const double *columns;  /* surfels, column by column (SURFEL, room), sorted by line */
-    const double *yaws;
-    const int32_t *lines;   /* of each, ascending */
+    double *columns;        /* surfels, column by column (SURFEL, room), sorted by line */
+    double *yaws;
+    int32_t *lines;         /* of each, ascending */
 } Sample;
 
 /* What the iteration lays on the target. */

@@ -127,10 +127,12 @@ static void sum_line_residuals(const Sweep *sweep, const double *rows, const int
     memset(sums, 0, sizeof *sums * 2 * (size_t)sweep->n_lines);
     for (int64_t i = APART; turns && i < sweep->n_lines - APART; i++) {
         const int32_t *here = index + i * sweep->stride;
-        turn_line(sweep->yaws + i * sweep->stride, sweep->n_beams, turns);
+        int turned = 0;
         for (int64_t j = 0; j < sweep->n_beams; j++) {
             int32_t before = here[j - APART * sweep->stride], after = here[j + APART * sweep->stride];
             if (here[j] < 0 || before < 0 || after < 0) continue;
+            if (!turned) turn_line(sweep->yaws + i * sweep->stride, sweep->n_beams, turns);
+            turned = 1;
             const double *row = rows + SURFEL * here[j];
             if (!is_flat(row, rows + SURFEL * before) || !is_flat(row, rows + SURFEL * after)) continue;
             double c = turns[j], s = turns[sweep->n_beams + j];

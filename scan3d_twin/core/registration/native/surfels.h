@@ -1,7 +1,7 @@
 /* Surfels of a sweep: surfels.py describes the method.
  *
- * Of the summed-area table only the rows in use are kept. The readings of a line are taken WIDE at
- * once, as columns of scratch memory in the fastest cache, by loops without branches. */
+ * Of the summed-area table only the rows in use are kept. The beams of a line are taken BLOCK at once,
+ * by loops without branches; a block is done when all its readings have a surfel. */
 #pragma once
 
 #include "angles.h"
@@ -13,17 +13,15 @@
 #define TOLERANCE 1.5         /* a plane fits while its rss is within so many sigma of noise alone */
 #define MIN_COSINE 0.05       /* flatter than this (87 deg from the normal) no plane is believed */
 
-enum { MOMENTS = 11, WIDE = 128 };
+enum { MOMENTS = 11, BLOCK = 2 * LANES };
 
+/* Neighbouring beams of a line that are fitted at once, from `first` on. */
 typedef struct {
-    int64_t count;
-    int32_t beam[WIDE];             /* of each reading, ascending */
-    double moments[MOMENTS][WIDE];  /* x x^T (6), x q (3), q^2, 1: see surfels.py */
-    double area[WIDE];              /* readings of a whole window */
-    double ray[3][WIDE], eye[2][WIDE], inverse_range[WIDE], sigma[WIDE];
-    double found[SURFEL][WIDE];     /* the surfels */
-    double fits[WIDE];              /* 1 where the plane fits */
-} Columns;
+    double ray[3][BLOCK], eye[2][BLOCK], inverse_range[BLOCK], sigma[BLOCK];
+    double open[BLOCK];             /* 1 where a surfel is wanted and no plane has fitted yet */
+    double found[SURFEL][BLOCK];    /* the surfels */
+    int64_t first;
+} __attribute__((aligned(64))) Block;
 
 /* Windows around a reading: half their size in lines and in beams, largest first. */
 typedef struct {
@@ -78,62 +76,75 @@ static void add_line(const Sweep *sweep, int64_t line, const uint8_t *valid, con
             below[m * width + at] = above[m * width + at] + sum[m];
 }
 
-/* Read ray, place of the lidar, inverse range and noise of those readings from `first` to `end` of a
- * line that get a surfel. */
-static void read_columns(const Sweep *sweep, int64_t line, const uint8_t *keep, const double *turns,
-                         const double noise[3], int64_t first, int64_t end, Columns *w) {
-    const double *ranges = sweep->ranges + line * sweep->stride;
-    const double *rays = sweep->rays + line * sweep->ray_stride;
-    const double *sigmas = sweep->sigmas ? sweep->sigmas + line * sweep->stride : NULL;
-    double ahead = sweep->lever[0], left = sweep->lever[1];
-    w->count = 0;
-    for (int64_t j = first; j < end; j++) {
-        w->beam[w->count] = (int32_t)j;
-        w->count += keep[j];
-    }
-    for (int64_t k = 0; k < w->count; k++) {
-        int64_t j = w->beam[k];
-        double c = turns[j], s = turns[sweep->n_beams + j];
-        w->ray[0][k] = c * rays[3 * j] - s * rays[3 * j + 1];
-        w->ray[1][k] = s * rays[3 * j] + c * rays[3 * j + 1];
-        w->ray[2][k] = rays[3 * j + 2];
+/* Read ray, place of the lidar, inverse range and noise of the first `n` beams of a block. `n` is a
+ * constant where it is called for whole blocks, so that the loop needs no rest. */
+static inline __attribute__((always_inline)) void read_beams(const Sweep *sweep, int64_t line,
+                                                             const double *restrict turns,
+                                                             const double noise[2], int64_t n,
+                                                             Block *restrict w) {
+    const int64_t at = line * sweep->stride + w->first;
+    const double *restrict ranges = sweep->ranges + at;
+    const double *restrict rays = sweep->rays + line * sweep->ray_stride + 3 * w->first;
+    const double *restrict cosines = turns + w->first, *restrict sines = cosines + sweep->n_beams;
+    const double ahead = sweep->lever[0], left = sweep->lever[1];
+    const double at_zero = noise[0], growth = noise[1];
+    for (int64_t k = 0; k < n; k++) {
+        double c = cosines[k], s = sines[k];
+        w->ray[0][k] = c * rays[3 * k] - s * rays[3 * k + 1];
+        w->ray[1][k] = s * rays[3 * k] + c * rays[3 * k + 1];
+        w->ray[2][k] = rays[3 * k + 2];
         w->eye[0][k] = c * ahead - s * left;
         w->eye[1][k] = s * ahead + c * left;
-        w->inverse_range[k] = 1 / ranges[j];
-        w->sigma[k] = sigmas ? sigmas[j] : noise[0] + noise[1] * ranges[j];
+        w->inverse_range[k] = 1 / ranges[k];
+        w->sigma[k] = at_zero + growth * ranges[k];
     }
+    if (sweep->sigmas) memcpy(w->sigma, sweep->sigmas + at, sizeof *w->sigma * (size_t)n);
 }
 
-/* Write moments and area of the windows of `half` beams to either side around the readings, run by
- * run of neighbouring beams. */
-static void sum_windows(const double *restrict above, const double *restrict below, int64_t margin,
-                        int64_t width, int64_t half, int64_t n_lines, int64_t n_beams,
-                        Columns *restrict w) {
-    for (int64_t first = 0, end; first < w->count; first = end) {
-        for (end = first + 1; end < w->count && w->beam[end] == w->beam[end - 1] + 1;) end++;
-        int64_t n = end - first, left = margin + w->beam[first] - half, right = left + 2 * half + 1;
-        for (int m = 0; m < MOMENTS; m++) {
-            const double *a = above + m * width, *b = below + m * width;
-            double *out = w->moments[m] + first;
-            for (int64_t k = 0; k < n; k++)
-                out[k] = (b[right + k] - a[right + k]) - (b[left + k] - a[left + k]);
-        }
+/* Read the beams of a line from `first` on, of those that are there; return how many get a surfel. */
+static int64_t read_block(const Sweep *sweep, int64_t line, const uint8_t *wanted, const double *turns,
+                          const double noise[2], int64_t first, Block *w) {
+    int64_t n = sweep->n_beams - first, open = 0;
+    for (int64_t k = 0; k < BLOCK; k++) {
+        w->open[k] = k < n && wanted[first + k];
+        open += w->open[k] > 0;
     }
-    for (int64_t k = 0; k < w->count; k++) {
-        int64_t low = w->beam[k] > half ? w->beam[k] - half : 0;
-        int64_t high = w->beam[k] + half + 1 < n_beams ? w->beam[k] + half + 1 : n_beams;
-        w->area[k] = (double)(n_lines * (high - low));
-    }
+    w->first = first;
+    if (open == 0) return 0;
+    if (n >= BLOCK) read_beams(sweep, line, turns, noise, BLOCK, w);
+    else read_beams(sweep, line, turns, noise, n, w);
+    return open;
 }
 
-/* Write the surfels of windows of `lines` lines, and whether the planes fit. */
-static void fit_planes(double height, double yaw_variance, int64_t lines, Columns *restrict w) {
-    const double per_line = 1 + TOLERANCE * sqrt(2.0 / (double)lines);
-    for (int64_t k = 0; k < w->count; k++) {
-        double xx = w->moments[0][k], xy = w->moments[1][k], xz = w->moments[2][k];
-        double yy = w->moments[3][k], yz = w->moments[4][k], zz = w->moments[5][k];
-        double bx = w->moments[6][k], by = w->moments[7][k], bz = w->moments[8][k];
-        double qq = w->moments[9][k], readings = w->moments[10][k];
+/* A summed-area table between two lines. */
+typedef struct {
+    const double *above, *below;    /* rows of the table (MOMENTS, width) */
+    int64_t margin, width;          /* columns before the first beam but one, and in all */
+    int64_t lines, n_beams;
+} Strip;
+
+/* Fit planes to windows of `half` beams to either side and take those of open readings that fit; return
+ * how many stay open. */
+static int64_t fit_planes(const Strip *strip, int64_t half, double height, double yaw_variance,
+                          Block *restrict w) {
+    const double per_line = 1 + TOLERANCE * sqrt(2.0 / (double)strip->lines);
+    double moments[MOMENTS][BLOCK], area[BLOCK], made[SURFEL][BLOCK], taken[BLOCK];
+    const int64_t left = strip->margin + w->first - half, right = left + 2 * half + 1;
+    for (int m = 0; m < MOMENTS; m++) {
+        const double *above = strip->above + m * strip->width, *below = strip->below + m * strip->width;
+        for (int64_t k = 0; k < BLOCK; k++)
+            moments[m][k] = (below[right + k] - above[right + k]) - (below[left + k] - above[left + k]);
+    }
+    for (int64_t k = 0; k < BLOCK; k++) {
+        int64_t j = w->first + k, low = j > half ? j - half : 0;
+        int64_t high = j + half + 1 < strip->n_beams ? j + half + 1 : strip->n_beams;
+        area[k] = (double)(strip->lines * (high - low));
+    }
+    for (int64_t k = 0; k < BLOCK; k++) {
+        double xx = moments[0][k], xy = moments[1][k], xz = moments[2][k];
+        double yy = moments[3][k], yz = moments[4][k], zz = moments[5][k];
+        double bx = moments[6][k], by = moments[7][k], bz = moments[8][k];
+        double qq = moments[9][k], readings = moments[10][k];
         double dx = w->ray[0][k], dy = w->ray[1][k], dz = w->ray[2][k];
         double ox = w->eye[0][k], oy = w->eye[1][k];
         double q = w->inverse_range[k], sigma = w->sigma[k];
@@ -157,8 +168,8 @@ static void fit_planes(double height, double yaw_variance, int64_t lines, Column
         double by_yaw = readings * q * q * swing * swing * yaw_variance * per_line;
         double free = readings - 3 > 1 ? readings - 3 : 1;
         double most = scatter * (free + TOLERANCE * sqrt(2 * free)) + by_yaw;
-        int fits = (readings >= FILLED * w->area[k]) & (readings > 5) & (r > 0) & (rss <= most)
-                 & (det > 1e-12 * trace * trace * trace)
+        int fits = (w->open[k] > 0) & (readings >= FILLED * area[k]) & (readings > 5)
+                 & (r > 0) & (rss <= most) & (det > 1e-12 * trace * trace * trace)
                  & (along * along > MIN_COSINE * MIN_COSINE * square);
 
         /* noise of the normal */
@@ -166,30 +177,53 @@ static void fit_planes(double height, double yaw_variance, int64_t lines, Column
                     + c_zz * mz * mz;
         double tangents = (c_xx + c_yy + c_zz - onto / square) * inverse;
         double towards = (along > 0 ? -1 : 1) / sqrt(square);
-        w->found[X][k] = x, w->found[Y][k] = y, w->found[Z][k] = z;
-        w->found[NX][k] = towards * mx, w->found[NY][k] = towards * my, w->found[NZ][k] = towards * mz;
-        w->found[VARIANCE][k] = by_range / square;
-        w->found[NORMAL_VARIANCE][k] = tangents * scatter / (2 * square);
-        w->fits[k] = fits ? 1 : 0;
+        made[X][k] = x, made[Y][k] = y, made[Z][k] = z;
+        made[NX][k] = towards * mx, made[NY][k] = towards * my, made[NZ][k] = towards * mz;
+        made[VARIANCE][k] = by_range / square;
+        made[NORMAL_VARIANCE][k] = tangents * scatter / (2 * square);
+        taken[k] = fits ? 1 : 0;
     }
+    for (int m = 0; m < SURFEL; m++)
+        for (int64_t k = 0; k < BLOCK; k++)
+            w->found[m][k] = taken[k] > 0 ? made[m][k] : w->found[m][k];
+    int64_t open = 0;
+    for (int64_t k = 0; k < BLOCK; k++) {
+        w->open[k] -= taken[k];
+        open += w->open[k] > 0;
+    }
+    return open;
 }
 
-/* Copy the surfels that fit to the line's, by beam, and keep the other readings. */
-static void take_surfels(Columns *w, double (*surfels)[SURFEL], uint8_t *there) {
-    int64_t left = 0;
-    for (int64_t k = 0; k < w->count; k++) {
-        int32_t beam = w->beam[k];
-        there[beam] = w->fits[k] > 0;
-        if (there[beam]) {
-            for (int m = 0; m < SURFEL; m++) surfels[beam][m] = w->found[m][k];
-            continue;
+/* Append the surfels of the readings that were wanted and are open no more, and their yaws; return how
+ * many there are then. */
+static int64_t append_surfels(const Block *w, const uint8_t *wanted, const double *yaws, int64_t n_beams,
+                              int64_t count, double *rows, double *of_rows, int32_t *index) {
+    for (int64_t k = 0; k < BLOCK; k += LANES) {
+        Lanes surfels[LANES];
+        for (int m = 0; m < SURFEL; m++) surfels[m] = load(w->found[m] + k);
+        transpose(surfels);
+        for (int64_t i = 0, j = w->first + k; i < LANES && j < n_beams; i++, j++) {
+            if (!wanted[j] || w->open[k + i] > 0) continue;
+            store(rows + SURFEL * count, surfels[i]);
+            of_rows[count] = yaws[j], index[j] = (int32_t)count++;
         }
-        w->beam[left] = beam;
-        for (int i = 0; i < 3; i++) w->ray[i][left] = w->ray[i][k];
-        for (int i = 0; i < 2; i++) w->eye[i][left] = w->eye[i][k];
-        w->inverse_range[left] = w->inverse_range[k], w->sigma[left++] = w->sigma[k];
     }
-    w->count = left;
+    return count;
+}
+
+/* The part of a sweep up to the last windows of readings to `keep`: no sum needs what lies beyond. */
+static Sweep up_to_last(const Sweep *sweep, const uint8_t *keep, int64_t tallest, int64_t widest) {
+    int64_t lines = 0, beams = 0;
+    for (int64_t i = 0; i < sweep->n_lines; i++) {
+        int64_t end = sweep->n_beams;
+        while (end > beams && !keep[i * sweep->stride + end - 1]) end--;
+        beams = end > beams ? end : beams;
+        if (memchr(keep + i * sweep->stride, 1, (size_t)beams)) lines = i + 1;
+    }
+    Sweep part = *sweep;
+    part.n_lines = lines + tallest < part.n_lines ? lines + tallest : part.n_lines;
+    part.n_beams = beams + widest < part.n_beams ? beams + widest : part.n_beams;
+    return part;
 }
 
 /* Write the surfels of the readings to `keep`; return how many there are. `index` is -1 elsewhere. */
@@ -201,14 +235,14 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
         tallest = windows.half[k][0] > tallest ? windows.half[k][0] : tallest;
         margin = windows.half[k][1] > margin ? windows.half[k][1] : margin;
     }
-    int64_t n_lines = sweep->n_lines, n_beams = sweep->n_beams, stride = sweep->stride;
-    int64_t depth = 2 * tallest + 2, width = n_beams + 1 + 2 * margin, row = MOMENTS * width;
+    const Sweep needed = up_to_last(sweep, keep, tallest, margin);
+    int64_t n_lines = needed.n_lines, n_beams = needed.n_beams, stride = sweep->stride;
+    int64_t depth = 2 * tallest + 2, width = n_beams + 1 + 2 * margin + BLOCK, row = MOMENTS * width;
     double *sums = malloc(sizeof *sums * (size_t)(depth * row));
     double *turns = malloc(sizeof *turns * (size_t)(2 * depth * n_beams));
-    double (*surfels)[SURFEL] = malloc(sizeof *surfels * (size_t)n_beams);
-    uint8_t *there = malloc((size_t)n_beams);
-    Columns *w = malloc(sizeof *w);
-    if (!sums || !turns || !surfels || !there || !w) count = -1;
+    Block w = {0};
+    Strip *strips = malloc(sizeof *strips * (size_t)windows.count);
+    if (!sums || !turns || !strips) count = -1;
     else memset(sums, 0, sizeof *sums * (size_t)row);
 
     for (int64_t i = 0; i < n_lines && count >= 0; i++) {
@@ -216,48 +250,44 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
         for (; summed < n_lines && summed <= i + tallest; summed++) {
             double *turned = turns + summed % depth * 2 * n_beams;
             turn_line(sweep->yaws + summed * stride, n_beams, turned);
-            add_line(sweep, summed, valid + summed * stride, turned, margin, width,
+            add_line(&needed, summed, valid + summed * stride, turned, margin, width,
                      sums + summed % depth * row, sums + (summed + 1) % depth * row);
+        }
+
+        /* the table above and below the windows of each height */
+        for (int64_t k = 0; k < windows.count; k++) {
+            int64_t high = windows.half[k][0], l0 = i > high ? i - high : 0;
+            int64_t l1 = i + high + 1 < n_lines ? i + high + 1 : n_lines;
+            strips[k] = (Strip){sums + l0 % depth * row, sums + l1 % depth * row, margin, width,
+                                l1 - l0, n_beams};
         }
 
         /* fit windows, largest first */
         const uint8_t *wanted = keep + i * stride;
-        if (!memchr(wanted, 1, (size_t)n_beams)) continue;
-        memset(there, 0, (size_t)n_beams);
-        for (int64_t first = 0; first < n_beams; first += WIDE) {
-            int64_t end = first + WIDE < n_beams ? first + WIDE : n_beams;
-            read_columns(sweep, i, wanted, turns + i % depth * 2 * n_beams, noise, first, end, w);
-            for (int64_t k = 0; k < windows.count && w->count > 0; k++) {
-                int64_t high = windows.half[k][0], l0 = i > high ? i - high : 0;
-                int64_t l1 = i + high + 1 < n_lines ? i + high + 1 : n_lines;
-                sum_windows(sums + l0 % depth * row, sums + l1 % depth * row, margin, width,
-                            windows.half[k][1], l1 - l0, n_beams, w);
-                fit_planes(sweep->lever[2], noise[2] * noise[2], l1 - l0, w);
-                take_surfels(w, surfels, there);
-            }
-        }
-
-        /* append them in the order of the beams */
-        for (int64_t j = 0; j < n_beams; j++) {
-            if (!there[j]) continue;
-            memcpy(rows + SURFEL * count, surfels[j], sizeof surfels[j]);
-            of_rows[count] = sweep->yaws[i * stride + j];
-            index[i * stride + j] = (int32_t)count++;
+        const double *turned = turns + i % depth * 2 * n_beams;
+        for (int64_t first = 0; first < n_beams; first += BLOCK) {
+            int64_t open = read_block(&needed, i, wanted, turned, noise, first, &w);
+            if (open == 0) continue;
+            for (int64_t k = 0; k < windows.count && open > 0; k++)
+                open = fit_planes(&strips[k], windows.half[k][1], sweep->lever[2], noise[2] * noise[2],
+                                  &w);
+            count = append_surfels(&w, wanted, sweep->yaws + i * stride, n_beams, count, rows, of_rows,
+                                   index + i * stride);
         }
     }
     free(sums);
     free(turns);
-    free(surfels);
-    free(there);
-    free(w);
+    free(strips);
     return count;
 }
 
-/* Write every `stride`-th surfel along lines and beams, the first half a stride from the corner, as
- * columns (SURFEL, n) of `room` each; return n. */
-static int64_t take_sample(const int32_t *index, int64_t n_lines, int64_t n_beams, int64_t stride,
-                           const double *rows, const double *of_rows, int64_t room, double *columns,
-                           double *yaws, int32_t *lines) {
+/* Write every `stride`-th surfel along lines and beams, the first half a stride from the corner, to the
+ * arrays of `out`. */
+static void take_sample(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
+                        const double *of_rows, Sample *out) {
+    const int64_t stride = out->stride, room = out->room;
+    double *restrict columns = out->columns, *restrict yaws = out->yaws;
+    int32_t *restrict lines = out->lines;
     int64_t n = 0;
     for (int64_t i = stride / 2; i < n_lines; i += stride)
         for (int64_t j = stride / 2; j < n_beams; j += stride) {
@@ -266,5 +296,5 @@ static int64_t take_sample(const int32_t *index, int64_t n_lines, int64_t n_beam
             for (int m = 0; m < SURFEL; m++) columns[m * room + n] = rows[SURFEL * row + m];
             yaws[n] = of_rows[row], lines[n++] = (int32_t)i;
         }
-    return n;
+    out->count = n;
 }

@@ -1,0 +1,123 @@
+/* What is done to the readings of a sweep before anything is made of them: see mixed_pixels.py, gaps.py,
+ * readings.py, costmap.py and model.py. Lines by beams, dense; NaN is no reading. */
+#pragma once
+
+#include "near.h"
+
+/* Return 1 or -1 where the range steps up or down from `a` to `b`, beams `angle` apart, further than
+ * any surface does, else 0. */
+static inline int step_between(double a, double b, double angle, double noise, double steepest) {
+    double nearer = a < b ? a : b, most = nearer * angle * steepest;
+    most = most > noise ? most : noise;
+    return (b - a > most) - (b - a < -most);
+}
+
+/* Add to `mixed` which readings the range runs through in two such steps, along and across lines. */
+static void mark_mixed(const double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
+                       int64_t n_beams, double noise, double steepest, uint8_t *mixed) {
+    for (int64_t i = 0; i < n_lines; i++)
+        for (int64_t j = 1; j < n_beams - 1; j++) {
+            const double *r = ranges + i * n_beams + j, *e = elevations + j;
+            int before = step_between(r[-1], r[0], e[0] - e[-1], noise, steepest);
+            int after = step_between(r[0], r[1], e[1] - e[0], noise, steepest);
+            mixed[i * n_beams + j] |= before * after == 1;
+        }
+    for (int64_t i = 1; i < n_lines - 1; i++)
+        for (int64_t j = 0; j < n_beams; j++) {
+            int64_t at = i * n_beams + j, above = at - n_beams, below = at + n_beams;
+            int before = step_between(ranges[above], ranges[at], yaws[above] - yaws[at], noise, steepest);
+            int after = step_between(ranges[at], ranges[below], yaws[at] - yaws[below], noise, steepest);
+            mixed[at] |= before * after == 1;
+        }
+}
+
+/* Fill the gaps of a row of n readings `stride` apart, whose angles `angle_stride` apart rise times
+ * `sign` along it, by straight lines. */
+static void fill_row(double *ranges, int64_t n, int64_t stride, const double *angles, int64_t angle_stride,
+                     double sign, double max_angle, double depth_edge) {
+    int64_t before = -1;
+    for (int64_t k = 0; k < n; k++) {
+        if (!isfinite(ranges[k * stride])) continue;
+        int64_t first = before + 1, a = before;
+        before = k;
+        if (a < 0 || first == k) continue;
+        double start = sign * angles[a * angle_stride], width = sign * angles[k * angle_stride] - start;
+        double from = ranges[a * stride], rise = ranges[k * stride] - from;
+        if (!(width <= max_angle && fabs(rise) <= depth_edge)) continue;
+        for (int64_t gap = first; gap < k; gap++) {
+            double share = (sign * angles[gap * angle_stride] - start) / (width > 0 ? width : 1);
+            ranges[gap * stride] = from + share * rise;
+        }
+    }
+}
+
+static void fill_gaps(double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
+                      int64_t n_beams, double max_angle, double depth_edge) {
+    for (int64_t i = 0; i < n_lines; i++)
+        fill_row(ranges + i * n_beams, n_beams, 1, elevations, 1, 1, max_angle, depth_edge);
+    for (int64_t j = 0; j < n_beams; j++)
+        fill_row(ranges + j, n_lines, n_beams, yaws + j, n_beams, -1, max_angle, depth_edge);
+}
+
+/* Write the points of n readings, given by ascending index, their lines, beams and distances from the
+ * axis, the base turned by angles of cosine `c` and sine `s`. */
+static void place_readings(const int64_t *index, int64_t n, int64_t n_beams, const double *ranges,
+                           const double *c, const double *s, const double *rays, const double *lever,
+                           double *points, int64_t *lines, int64_t *beams, double *distance) {
+    for (int64_t k = 0, line = 0; k < n; k++) {
+        while (index[k] >= (line + 1) * n_beams) line++;
+        int64_t beam = index[k] - line * n_beams;
+        const double *ray = rays + 3 * beam;
+        double *point = points + 3 * k, range = ranges[index[k]];
+        point[0] = c[k] * lever[0] - s[k] * lever[1] + range * (c[k] * ray[0] - s[k] * ray[1]);
+        point[1] = s[k] * lever[0] + c[k] * lever[1] + range * (s[k] * ray[0] + c[k] * ray[1]);
+        point[2] = lever[2] + range * ray[2];
+        lines[k] = line, beams[k] = beam;
+        distance[k] = hypot(point[0], point[1]);
+    }
+}
+
+enum { FLOOR = 1, SOLID = 2 };
+/* What a reading that looks ahead can be of. */
+
+/* Write how far each line sees an unbroken floor with nothing on it, from n readings line by line, at
+ * `distance` in the top view. No two hits of the floor may lie farther apart than `most`, nor the first
+ * farther than that beyond `start`; a thing ends it `margin` before. `scratch` has room for n. */
+static void find_free_reach(const int64_t *lines, const double *distance, const uint8_t *kinds, int64_t n,
+                            int64_t n_lines, double start, double most, double margin, double *scratch,
+                            double *reach) {
+    int64_t at = 0;
+    for (int64_t i = 0; i < n_lines; i++) {
+        int64_t count = 0, k = 0;
+        double blocked = INFINITY, last = start;
+        for (; at < n && lines[at] == i; at++) {
+            double d = distance[at];
+            if (kinds[at] == SOLID) blocked = d < blocked ? d : blocked;
+            if (kinds[at] != FLOOR) continue;
+            for (k = count++; k > 0 && scratch[k - 1] > d; k--) scratch[k] = scratch[k - 1];
+            scratch[k] = d;
+        }
+        for (k = 0; k < count && !(scratch[k] - last > most); k++) last = scratch[k];
+        double free = k > 0 ? last : 0;
+        reach[i] = blocked - margin < free ? blocked - margin : free;
+    }
+}
+
+/* Write how many of the eight readings around each of n can lie on its surface: a surface from the one to
+ * the other is no steeper than one that a lidar measures. */
+static void count_neighbours(const double *ranges, const double *yaws, const double *elevations,
+                             int64_t n_lines, int64_t n_beams, const int64_t *lines, const int64_t *beams,
+                             int64_t n, double noise, double steepest, int64_t *counts) {
+    for (int64_t k = 0; k < n; k++) {
+        int64_t i = lines[k], j = beams[k], here = i * n_beams + j;
+        counts[k] = 0;
+        for (int64_t a = i > 0 ? i - 1 : 0; a <= i + 1 && a < n_lines; a++)
+            for (int64_t b = j > 0 ? j - 1 : 0; b <= j + 1 && b < n_beams; b++) {
+                int64_t there = a * n_beams + b;
+                double r = ranges[here], s = ranges[there], nearer = r < s ? r : s;
+                double angle = hypot(yaws[here] - yaws[there], elevations[j] - elevations[b]);
+                double most = nearer * angle * steepest;
+                counts[k] += there != here && fabs(r - s) <= (most > noise ? most : noise);
+            }
+    }
+}
