@@ -25,5 +25,5 @@ for planner in ("fixed20", "fixed80", s3d.Config().planner):
     print(f"         {report['views']} views, worst registration error {max(errors):.1f} mm")
 
 # %%
-# On this wavy surface the planner finds the smallest overlap accurate enough. It shows more with each
-# view; a large overlap is safer where a surface has few features.
+# On this wavy surface the planner finds the smallest overlap accurate enough. It shows more with
+# each view; a large overlap is safer where a surface has few features.

@@ -101,6 +101,20 @@ def test_links_between_pages_lead_somewhere(page, target):
     assert ((ROOT / page).parent / target).exists()
 
 
+NAMED = {
+    (page.relative_to(ROOT), path)
+    for page in PAGES
+    for path in re.findall(r"`((?:\w+/)+\w+\.py)`", page.read_text(encoding="utf-8"))
+}
+"""Files of the project by the pages that name them; some pages start at the package or its core."""
+
+
+@pytest.mark.parametrize(("page", "path"), sorted(NAMED), ids=str)
+def test_files_that_pages_name_exist(page, path):
+    homes = (".", "scan3d_twin", "scan3d_twin/core", "scan3d_twin/core/registration")
+    assert any((ROOT / home / path).exists() for home in homes)
+
+
 @pytest.fixture
 def offline(monkeypatch):
     """The check that ends the build of the site."""
