@@ -8,6 +8,7 @@ from functools import cached_property
 from scan3d_twin.core.digitize import start, views
 from scan3d_twin.core.navigation.costmap import Costmap
 from scan3d_twin.core.planning.context import PlanningContext
+from scan3d_twin.core.scanning.extrinsic_calibration import calibrate_on_panorama, with_turning
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.observations import sees_target
@@ -30,7 +31,9 @@ class Episode:
 
     def __init__(self, stage: Stage, scout: EpisodeScout, seed: int) -> None:
         self.stage, self.scout = stage, scout
-        session, viewpoint = start(scout.look(), scout.here, scout.config, seed, None)
+        panorama = scout.look()
+        scout.config = with_turning(scout.config, calibrate_on_panorama(panorama.image))
+        session, viewpoint = start(panorama, scout.here, scout.config, seed, None)
         self._loop = views(scout, session, viewpoint)
         self.session: Session = next(self._loop)
         self.score = Score(stage, scout.truth, self.session)

@@ -73,10 +73,14 @@ def thin_spec(spec: LidarSpec, thinning: Thinning) -> LidarSpec:
 
 
 def thin_config(config: Config, thinning: Thinning) -> Config:
-    """Return ``config`` with the counts of points that fewer beams and lines leave."""
+    """Return ``config`` with the counts of points that fewer beams and lines leave.
+
+    Turns stay uncorrected: the ends of a thinned panorama do not determine the scale of the yaws.
+    """
     share = thinning.beams * thinning.lines
     target = replace(config.target, min_points=max(4, config.target.min_points // share))
-    return replace(config, target=target)
+    sweep = replace(config.sweep, turning="odometry")
+    return replace(config, target=target, sweep=sweep)
 
 
 class KinematicWorld:
