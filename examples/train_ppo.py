@@ -33,7 +33,7 @@ Act = Callable[[gymnasium.Env[Any, Any], Any], Any]
 
 def make(fidelity: str, scene: str | list[str] = "random") -> gymnasium.Env[Any, Any]:
     """Return the environment as the network sees it: a flat vector, no pictures."""
-    env = gymnasium.make(ID, scene=scene, fidelity=fidelity, options=OPTIONS)
+    env = gymnasium.make(ID, scene=scene, fidelity=fidelity, preset="paper", options=OPTIONS)
     return FlattenObservation(FilterObservation(env, SEEN))
 
 
