@@ -22,7 +22,6 @@ extensions = [
     "sphinx_gallery.gen_gallery",
 ]
 exclude_patterns = ["gallery/*.ipynb", "gallery/*.py", "gallery/*.md5"]
-suppress_warnings = ["toc.empty_glob"]
 
 # Pages: Markdown with anchors on headings, so that `page.md#heading` works as on a forge.
 myst_heading_anchors = 3
