@@ -22,7 +22,7 @@ import numpy as np
 from scan3d_twin.core.config import preset_options
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.mapping.loop_closure import apply_alignment, solve
+from scan3d_twin.core.mapping.loop_closure import apply_alignment, solve_alignment
 from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
@@ -65,7 +65,7 @@ def tour(scene: str, seed: int) -> Tour:
             return Tour(scene, seed, f"{type(error).__name__}: {error}")
         if len(session.views) < 2:
             return Tour(scene, seed, session.stop_reason, len(session.views))
-        alignment = solve(session)
+        alignment = solve_alignment(session)
         aligned = apply_alignment(replace(session), alignment)
         before, after = (figures(evaluate(s, truth)) for s in (session, aligned))
     links, misfits = len(alignment.links), len(alignment.misfits)

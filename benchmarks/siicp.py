@@ -37,7 +37,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.scan_matching import motion_prior
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
-from scan3d_twin.core.planning.simulated_registration import Simulation, displaced
+from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
 from scan3d_twin.core.registration import SurfelGrid, prepare, register
 from scan3d_twin.core.registration.multistart import AMBIGUOUS
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage
@@ -126,10 +126,10 @@ def measure(name: str, overlap: float, sigma: float, runs: int) -> Setting:
         grid = prepare(first)
         predicted.append(ErrorPrediction(grid, grid.valid, settings).error(O2))
         if run < SIMULATED:
-            simulation = Simulation(grid, grid.valid, settings, run)
+            simulation = SimulatedRegistration(grid, grid.valid, settings, run)
             simulated += list(simulation.errors(O2, DRAWS))
         naive.append(naive_draw(first, overlap, settings, sigma, rng))
-        guess = displaced(prior, rng.standard_normal(3))
+        guess = displace_prior(prior, rng.standard_normal(3))
         points = second.points[np.isfinite(second.ranges)]
         try:
             result = register(
@@ -243,8 +243,8 @@ def naive(image: RangeImage, rng: np.random.Generator) -> None:
         naive_draw(image, eta, config(), 0.010, rng)
 
 
-def _simulation(grid: SurfelGrid) -> Simulation:
-    return Simulation(grid, grid.valid, config(), 0)
+def _simulation(grid: SurfelGrid) -> SimulatedRegistration:
+    return SimulatedRegistration(grid, grid.valid, config(), 0)
 
 
 def main() -> None:

@@ -23,10 +23,10 @@ from .core.planning import (
     Planner as Planner,
 )
 from .core.planning import (
-    make_planner as make_planner,
+    list_planners as list_planners,
 )
 from .core.planning import (
-    planner_names as planner_names,
+    make_planner as make_planner,
 )
 
 # Registration

@@ -8,7 +8,7 @@ from bisect import bisect_right
 import numpy as np
 
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.core.navigation.odometry import arc
+from scan3d_twin.core.navigation.odometry import drive_arc
 from scan3d_twin.core.types import Hazards, Odometry, Pose2
 
 CREATE2 = BaseSpec("create2", 0.165, 0.235, 0.072, 508.8, 0.5, 0.015)
@@ -46,7 +46,9 @@ class KinematicBase:
         linear, angular = (speed * self.spec.sample_period for speed in self._followed())
         last = self._samples[-1]
         stamp = len(self._samples) * self.spec.sample_period
-        self._samples.append(Odometry(stamp, last.T_odom_base @ arc(linear, angular), NOTHING))
+        self._samples.append(
+            Odometry(stamp, last.T_odom_base @ drive_arc(linear, angular), NOTHING)
+        )
 
     def _followed(self) -> tuple[float, float]:
         """Return the (linear, angular) speed of the wheels, which follow the command."""

@@ -69,4 +69,4 @@ def two_planned_views() -> Session:
         session = integrate(session, observe(Pose2(-0.4, y, 0.0)))
         plan = Plan(Pose2(-0.4, 0.0, 0.0), 0.8, math.nan, True, (), "the default")
         session = session.with_plan(plan)
-    return session.ended("enough")
+    return session.with_stop_reason("enough")

@@ -12,10 +12,10 @@ from scan3d_twin.core.model.evaluation import (
     Reference,
     Truth,
     evaluate_model,
-    mesh_accuracy,
-    shows_target,
+    is_of_target,
+    measure_mesh_accuracy,
 )
-from scan3d_twin.core.model.fused_cloud import Sighting, joined, sightings
+from scan3d_twin.core.model.fused_cloud import ViewCloud, build_view_clouds, join_models
 from scan3d_twin.core.model.mesh import build_mesh
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.ply import ply_bytes
@@ -43,9 +43,9 @@ def save_run(
     The truth is asked only about the target it knows. ``scene_picture`` is a PNG of the scene, or
     why there is none; empty where nobody can have one.
     """
-    seen = sightings(session)
-    model = joined([each.cleaned for each in seen])
-    known = truth is not None and len(model) and shows_target(session, truth)
+    seen = build_view_clouds(session)
+    model = join_models([each.cleaned for each in seen])
+    known = truth is not None and len(model) and is_of_target(session, truth)
     reference = Reference.of(session, truth) if truth is not None and known else None
     evaluation = None if reference is None else evaluate_model(session, model, reference)
     report = build_report(
@@ -89,13 +89,13 @@ def _remove_views_from(count: int, folder: Path) -> None:
 
 
 def _mesh_accuracy(
-    session: Session, seen: Sequence[Sighting], reference: Reference
+    session: Session, seen: Sequence[ViewCloud], reference: Reference
 ) -> Distances | None:
     """Return the distance of the target's mesh to the truth; None if it has no triangles."""
     mesh = build_mesh(session, seen)
     if len(mesh.faces) == 0:
         return None
-    return mesh_accuracy(mesh, reference, np.random.default_rng(session.seed))
+    return measure_mesh_accuracy(mesh, reference, np.random.default_rng(session.seed))
 
 
 def _title(report: Report) -> str:

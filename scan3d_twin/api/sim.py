@@ -10,7 +10,7 @@ from scan3d_twin.api.run import RunResult, end, run_in
 from scan3d_twin.api.watch import Watch
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.observer import Observer, Unobserved
-from scan3d_twin.core.png import png_bytes
+from scan3d_twin.core.png import encode_png
 from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.run.folder import claim_folder, default_folder
 from scan3d_twin.run.resolve import resolve_sim
@@ -78,6 +78,6 @@ def run_sim(
 def draw_scene(scene: Scene, robot: RobotName) -> bytes | str:
     """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
     try:
-        return png_bytes(render(scene, robot))
+        return encode_png(render(scene, robot))
     except ConfigError as error:
         return str(error)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from scan3d_twin.core.planning.context import MIN_LINES, PlanningContext
-from scan3d_twin.core.planning.planners.curvature import feature_score
-from scan3d_twin.core.planning.surface_patches import eye_height, patches_of
+from scan3d_twin.core.planning.planners.curvature import score_features
+from scan3d_twin.core.planning.surface_patches import extract_patches, lidar_height
 from scan3d_twin.core.session import Session
 
 SHARE = 0.5
@@ -26,6 +26,6 @@ def feature_before(session: Session, k: int) -> float | None:
     context = PlanningContext(replace(session, views=session.views[: k + 1]))
     if context.n_lines < MIN_LINES:
         return None
-    eye = np.array([0.0, 0.0, eye_height(context.view)])
-    Q = patches_of(context.P.last_lines(context.n_Q(SHARE)).points, eye)
-    return feature_score(Q, len(patches_of(context.P.points, eye)), "normals")
+    eye = np.array([0.0, 0.0, lidar_height(context.view)])
+    Q = extract_patches(context.P.last_lines(context.n_Q(SHARE)).points, eye)
+    return score_features(Q, len(extract_patches(context.P.points, eye)), "normals")

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from scan3d_twin.core.model.fused_cloud import scanned_share
+from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import ScanLine
@@ -131,7 +131,7 @@ def view_words(session: Session) -> str:
     index, view = len(session.views) - 1, session.views[-1]
     words = (
         f"view {index}: {view.observation.image.n_lines} lines, {len(view.target)} points, "
-        f"{scanned_share(session):.0%} of the {_OUTLINE[session.config.tour]} scanned"
+        f"{measure_scanned_share(session):.0%} of the {_OUTLINE[session.config.tour]} scanned"
     )
     lost = view.registration is not None and not view.registration.converged
     return words + (", NOT registered: placed by odometry" if lost else "")

@@ -1,4 +1,4 @@
-"""Yes-or-no grids of square cells: grown and shrunk by a disc, and the ways across them.
+"""Boolean grids of square cells: dilation and erosion by a disc, connectivity, shortest paths.
 
 ``native/grids.h`` has the loops.
 """
@@ -16,8 +16,8 @@ from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray, read_only
 
 
-def dilated(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
-    """Return the cells (nx, ny) within ``radius`` of one of ``grid``, from middle to middle.
+def dilate(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
+    """Return the cells (nx, ny) whose middle is within ``radius`` of that of a cell of ``grid``.
 
     The same as a threshold on the distance transform, in a hundredth of its time for small discs.
 
@@ -32,10 +32,10 @@ def dilated(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
     return result
 
 
-def labelled(grid: BoolArray) -> SmallIntArray:
+def label_cells(grid: BoolArray) -> SmallIntArray:
     """Return a number (nx, ny) for each cell: 0 outside of ``grid`` (nx, ny).
 
-    Cells that hang together, if only by their corners, share one. They are counted from 1.
+    Connected cells, also those that touch at a corner only, share one. They count from 1.
     """
     labels = np.empty(grid.shape, dtype=np.int32)
     if engine.labels(np.ascontiguousarray(grid), *grid.shape, labels) < 0:
@@ -43,7 +43,7 @@ def labelled(grid: BoolArray) -> SmallIntArray:
     return labels
 
 
-def eroded(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
+def erode(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
     """Return the cells (nx, ny) of ``grid`` with no other cell within ``radius``, nor the border.
 
     Args:
@@ -51,14 +51,14 @@ def eroded(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
         radius: In the unit of ``cell``.
         cell: Side of a cell.
     """
-    inside, part = np.zeros_like(grid), _occupied(grid)
+    inside, part = np.zeros_like(grid), _bounding_box(grid)
     outside = np.pad(~grid[part], 1, constant_values=True)
-    inside[part] = ~dilated(outside, radius, cell)[1:-1, 1:-1]
+    inside[part] = ~dilate(outside, radius, cell)[1:-1, 1:-1]
     return inside
 
 
-def _occupied(grid: BoolArray) -> tuple[slice, slice]:
-    """Return the smallest box of ``grid`` (nx, ny) that holds all its cells."""
+def _bounding_box(grid: BoolArray) -> tuple[slice, slice]:
+    """Return the slices of the smallest box that holds all cells of ``grid`` (nx, ny)."""
     rows, columns = np.flatnonzero(grid.any(axis=1)), np.flatnonzero(grid.any(axis=0))
     if len(rows) == 0:
         return np.s_[:0, :0]
@@ -67,51 +67,55 @@ def _occupied(grid: BoolArray) -> tuple[slice, slice]:
 
 @lru_cache(64)
 def _disc(radius: float, cell: float) -> IntArray:
-    """Return (rows away, half width) (k, 2) of the rows of a disc to one side, both in cells."""
+    """Return (row offset, half width) (k, 2) [cells] of the rows of half a disc."""
     reach = max(0, math.floor(radius / cell) + 1)
     away = np.hypot(*np.indices((reach + 1, reach + 1))) * cell <= radius
     rows = [(i, int(row.sum()) - 1) for i, row in enumerate(away) if row[0]]
     return read_only(np.array(rows).reshape(-1, 2), np.int64)
 
 
-def connected(grid: BoolArray, start: tuple[int, int]) -> BoolArray:
-    """Return the cells (nx, ny) of ``grid`` that can be reached from ``start``, one of them."""
-    part = _occupied(grid)
-    labels = labelled(grid[part])
+def find_connected(grid: BoolArray, start: tuple[int, int]) -> BoolArray:
+    """Return the cells (nx, ny) of ``grid`` that are connected with ``start``, one of them."""
+    part = _bounding_box(grid)
+    labels = label_cells(grid[part])
     reached = np.zeros_like(grid)
     reached[part] = labels == labels[start[0] - part[0].start, start[1] - part[1].start]
     return reached
 
 
-def shortest_ways(
+def find_shortest_paths(
     grid: BoolArray, start: tuple[int, int], cell: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return the way from ``start`` to each cell (n,) and the cell before it (n,), by flat index.
+    """Return the shortest paths from ``start`` to all cells of ``grid``, by Dijkstra's algorithm.
 
     Args:
-        grid: All its cells (nx, ny) can be reached; n = nx ny.
-        start: One of them.
-        cell: Side of a cell; the ways are in its unit.
+        grid: Cells that are all connected with ``start`` (nx, ny); n = nx ny.
+        start: One of the cells.
+        cell: Side of a cell; the unit of the path lengths.
 
     Returns:
-        Ways, inf outside of ``grid``; the cells before, negative for none.
+        By flat index: the length of the path to each cell (n,), inf outside of ``grid``, and the
+        cell before it on the path (n,), negative for none.
     """
     places = np.flatnonzero(grid)
-    way, before = np.full(grid.size, np.inf), np.full(grid.size, -1)
+    length, before = np.full(grid.size, np.inf), np.full(grid.size, -1)
     first = np.searchsorted(places, np.ravel_multi_index(start, grid.shape))
     found, previous = csgraph.dijkstra(
-        _graph(grid, cell), indices=np.array([first]), return_predecessors=True
+        _build_graph(grid, cell), indices=np.array([first]), return_predecessors=True
     )
-    way[places] = found[0]
+    length[places] = found[0]
     before[places] = np.where(previous[0] >= 0, places[np.maximum(previous[0], 0)], -1)
-    return way, before
+    return length, before
 
 
-def _graph(grid: BoolArray, cell: float) -> sparse.csr_array:
+def _build_graph(grid: BoolArray, cell: float) -> sparse.csr_array:
     """Return the 8-connected graph of the cells of ``grid``, weighted by distance."""
+    # Number the cells
     n = np.count_nonzero(grid)
     index = np.zeros(grid.shape, dtype=np.int64)
     index[grid] = np.arange(n)
+
+    # Link neighbours in four directions
     rows, columns, weights = [], [], []
     for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
         a = np.s_[: -dx or None, max(0, -dy) : (-dy if dy > 0 else None)]
@@ -120,6 +124,8 @@ def _graph(grid: BoolArray, cell: float) -> sparse.csr_array:
         rows.append(index[a][linked])
         columns.append(index[b][linked])
         weights.append(np.full(np.count_nonzero(linked), cell * np.hypot(dx, dy)))
+
+    # Make the links symmetric
     i, j, w = (np.concatenate(part) for part in (rows, columns, weights))
     return sparse.csr_array(
         (np.tile(w, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)

@@ -115,7 +115,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
 
     def complete(self) -> str | None:
         """Return why the tour is over, or None."""
-        return self.episode.context.finished()
+        return self.episode.context.termination_reason()
 
     # The environment.
 

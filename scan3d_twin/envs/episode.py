@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
-from scan3d_twin.core.digitize import start, views
+from scan3d_twin.core.digitize import iterate_views, start_session
 from scan3d_twin.core.navigation.costmap import Costmap
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.scanning.extrinsic_calibration import calibrate_on_panorama, with_turning
+from scan3d_twin.core.scanning.extrinsic_calibration import apply_yaw_scale, calibrate_on_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.observations import sees_target
@@ -31,10 +31,11 @@ class Episode:
 
     def __init__(self, stage: Stage, scout: EpisodeScout, seed: int) -> None:
         self.stage, self.scout = stage, scout
-        panorama = scout.look()
-        scout.config = with_turning(scout.config, calibrate_on_panorama(panorama.image))
-        session, viewpoint = start(panorama, scout.here, scout.config, seed, None)
-        self._loop = views(scout, session, viewpoint)
+        panorama = scout.take_panorama()
+        calibration = calibrate_on_panorama(panorama.image)
+        scout.config = apply_yaw_scale(scout.config, calibration)
+        session, viewpoint = start_session(panorama, scout.here, scout.config, seed, None)
+        self._loop = iterate_views(scout, session, viewpoint)
         self.session: Session = next(self._loop)
         self.score = Score(stage, scout.truth, self.session)
         self.score.update(self.session)
@@ -72,7 +73,7 @@ class Episode:
 
     def look(self) -> None:
         """Look around from here, unless this was done already."""
-        if not self.context.looked:
+        if not self.context.has_panorama:
             self.session = self._loop.send(LOOK)
 
     def close(self) -> None:

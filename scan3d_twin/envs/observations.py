@@ -59,7 +59,7 @@ def observe(context: PlanningContext) -> dict[str, Any]:
 
 def sees_target(context: PlanningContext) -> bool:
     """Tell whether the latest view shows enough of the target to go on from."""
-    return not (context.finished() or "").startswith(LOST)
+    return not (context.termination_reason() or "").startswith(LOST)
 
 
 def topdown(session: Session, costmap: Costmap) -> Image:
@@ -172,7 +172,7 @@ def stats(context: PlanningContext) -> Values:
         len(views) / config.max_views,
         abs(turned) / math.tau,
         lines / view.image.n_lines,
-        float(sees_target(context) and context.ends),
+        float(sees_target(context) and context.has_end_in_view),
         fit,
         predicted,
         residual,

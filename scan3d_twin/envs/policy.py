@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium
 
-from scan3d_twin.core.digitize import ask
+from scan3d_twin.core.digitize import ask_planner
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.types import Plan
@@ -32,7 +32,7 @@ class PlannerPolicy:
     """
 
     def __init__(self, planner: Planner | str) -> None:
-        """Take a planner, or the name of one (``planner_names``)."""
+        """Take a planner, or the name of one (``list_planners``)."""
         self._planner = make_planner(planner) if isinstance(planner, str) else planner
 
     def act(self, env: gymnasium.Env[Any, Any]) -> Any:
@@ -43,10 +43,10 @@ class PlannerPolicy:
 
     def plan(self, env: ViewPlanEnv[Any]) -> Plan:
         """Return the planner's plan; looks around first if it asks for that."""
-        plan = ask(self._planner, env.session)
+        plan = ask_planner(self._planner, env.session)
         if plan.needs_panorama:
             env.look()
-            plan = ask(self._planner, env.session)
+            plan = ask_planner(self._planner, env.session)
         return plan
 
 

@@ -42,7 +42,7 @@ class PoseEnv(ViewPlanEnv[PoseAction]):
         costmap = self.episode.costmap
         cells = np.argwhere(costmap.passable)
         places = np.asarray(costmap.origin + (cells + 0.5) * RESOLUTION)
-        return places[np.isfinite(costmap.ways(places))]
+        return places[np.isfinite(costmap.path_lengths(places))]
 
     def complete(self) -> str | None:
         """See ``ViewPlanEnv``: a pose may look elsewhere, so that only the views count."""

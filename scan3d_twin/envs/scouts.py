@@ -12,8 +12,8 @@ import numpy as np
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import find_path
 from scan3d_twin.core.model.evaluation import Truth
-from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extended
-from scan3d_twin.core.navigation.motion_control import follow
+from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extend_costmap
+from scan3d_twin.core.navigation.motion_control import follow_path
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, LidarSpec, Observation, Pose2, ScanLine
@@ -61,7 +61,7 @@ class EpisodeScout(ABC):
     def close(self) -> None:
         """Stop the robot."""
 
-    def look(self, session: Session | None = None) -> Observation:
+    def take_panorama(self, session: Session | None = None) -> Observation:
         """See ``ScanSource``."""
         return self._noted(self._look())
 
@@ -86,7 +86,7 @@ class EpisodeScout(ABC):
         if self._costmap is None:
             self._costmap = build_costmap((seen,), self.config, place)
         else:
-            self._costmap = extended(self._costmap, seen, self.config, place)
+            self._costmap = extend_costmap(self._costmap, seen, self.config, place)
         return seen
 
 
@@ -126,7 +126,7 @@ class PhysicsScout(EpisodeScout):
         return take_panorama(self._robot, self.config, _unseen)
 
     def _go(self, path: FloatArray, yaw: float) -> Observation:
-        follow(self._robot, path, self.config.motion)
+        follow_path(self._robot, path, self.config.motion)
         return sweep(self._robot, yaw, self.config, _unseen)
 
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.model.evaluation import Surface, coverable_surface
+from scan3d_twin.core.model.evaluation import Surface, find_coverable_surface
 from scan3d_twin.core.types import BoolArray
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import RayCaster, choose_caster
@@ -65,7 +65,7 @@ def coverable(stage: Stage, config: Config) -> BoolArray:
 @lru_cache(KEPT)
 def _coverable(stage: Stage, config: Config) -> BoolArray:
     truth = _truth(stage.scene, stage.caster)
-    return coverable_surface(stage.surface.points, stage.surface.normals, truth, config)
+    return find_coverable_surface(stage.surface.points, stage.surface.normals, truth, config)
 
 
 def _truth(scene: Scene, caster: RayCaster) -> Truth:

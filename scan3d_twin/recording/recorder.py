@@ -10,8 +10,8 @@ from typing import Literal
 
 from scan3d_twin.core.errors import FileError, TwinError
 from scan3d_twin.core.hal import BaseSpec, DriveBase, Robot
-from scan3d_twin.core.navigation.motion_control import travelled
-from scan3d_twin.core.observer import Command, attended
+from scan3d_twin.core.navigation.motion_control import measure_travel
+from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
 from scan3d_twin.recording.load import Recorded
@@ -127,7 +127,7 @@ class Recorder:
         )
         self._follow()
         recorded = replace(robot, base=_TappedBase(robot.base, self._on_command))
-        return attended(recorded, self._follow)
+        return with_clock_callbacks(recorded, self._follow)
 
     def on_bytes(self, topic: str, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
         """Record bytes on a serial line; the ``listener`` of ``SerialTaps``.
@@ -225,7 +225,7 @@ class Recorder:
         since = 0.0 if self._last is None else self._last.stamp
         samples = robot.base.odometry_since(since)
         if self._last is not None:
-            path, turn = travelled(samples)
+            path, turn = measure_travel(samples)
             self.mark = replace(self.mark, path=self.mark.path + path, turn=self.mark.turn + turn)
         fresh = [s for s in samples if self._last is None or s.stamp > self._last.stamp]
         for sample in fresh:

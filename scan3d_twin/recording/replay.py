@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import ask, config_for, integrate
+from scan3d_twin.core.digitize import ask_planner, integrate, tune_config
 from scan3d_twin.core.mapping.loop_closure import align_final
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session, View
@@ -34,7 +34,7 @@ def replay(
         step: Is told the index of each view that is done.
     """
     first = tuple(look for look in session.panoramas if look[0] == 0)
-    config = config_for(session, config)
+    config = tune_config(session, config)
     again = replace(session, config=config, panoramas=first, views=(), plans=(), misfits=())
     for k, view in enumerate(session.views):
         again = integrate(again, view.observation)
@@ -45,11 +45,11 @@ def replay(
 
 
 def _planned(again: Session, session: Session, planner: Planner) -> Session:
-    plan = ask(planner, again)
+    plan = ask_planner(planner, again)
     looks = [look for taken, look in session.panoramas if taken == len(again.views)]
     if plan.needs_panorama and looks:
         again = again.with_panorama(looks[0])
-        plan = ask(planner, again)
+        plan = ask_planner(planner, again)
     return again.with_plan(plan)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.hal import DriveBase, Robot
 from scan3d_twin.core.model import evaluation
-from scan3d_twin.core.navigation.motion_control import travelled
+from scan3d_twin.core.navigation.motion_control import measure_travel
 from scan3d_twin.core.observer import Observer, Observers, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.session import Session
@@ -108,7 +108,7 @@ def close_loop(
     except BaseException as error:
         if log.session is None:
             raise
-        ended, session = error, log.session.ended(_words(error))
+        ended, session = error, log.session.with_stop_reason(_words(error))
     return Loop(session, log.journey(), tuple(log.journeys), tuple(planner.seconds), ended)
 
 
@@ -147,7 +147,7 @@ class Odometer:
         samples = self._base.odometry_since(self._stamp)
         if not samples:
             return
-        path, turn = travelled(samples)
+        path, turn = measure_travel(samples)
         self.path, self.turn = self.path + path, self.turn + turn
         self._stamp = samples[-1].stamp
 

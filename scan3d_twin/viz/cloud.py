@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from scan3d_twin.core.model.fused_cloud import Model, voxel_thin
-from scan3d_twin.core.png import png_bytes
+from scan3d_twin.core.model.fused_cloud import Model, thin_by_voxel
+from scan3d_twin.core.png import encode_png
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
 from scan3d_twin.recording.colours import rgb
@@ -86,7 +86,7 @@ def surroundings(session: Session) -> FloatArray:
     clouds = [_besides(session, k) for k in range(len(session.views))]
     if not clouds:
         return np.zeros((0, 3))
-    thin = voxel_thin(np.concatenate(clouds), AROUND_VOXEL)
+    thin = thin_by_voxel(np.concatenate(clouds), AROUND_VOXEL)
     return thin[:: max(1, math.ceil(len(thin) / MOST_AROUND))]
 
 
@@ -146,7 +146,7 @@ def still(model: Model, camera: Camera) -> bytes:
             r, c = row + down, column + across
             inside = (r >= 0) & (r < size[0]) & (c >= 0) & (c < size[1])
             picture[r[inside], c[inside]] = colours[inside]
-    return png_bytes(picture)
+    return encode_png(picture)
 
 
 def _project(points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:

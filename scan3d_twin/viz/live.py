@@ -13,8 +13,8 @@ import numpy as np
 import viser
 
 from scan3d_twin.core.hal import Lidar, Robot
-from scan3d_twin.core.model.fused_cloud import scanned_share
-from scan3d_twin.core.observer import Command, attended
+from scan3d_twin.core.model.fused_cloud import measure_scanned_share
+from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import LidarSpec, Pose2, ScanLine
 from scan3d_twin.viz.server import open_server
@@ -90,7 +90,7 @@ class LiveView:
     def attach(self, robot: Robot) -> Robot:
         """Return ``robot`` so that it is watched, and stopped, while it drives and scans."""
         self._robot = robot
-        return attended(replace(robot, lidar=_LineByLine(robot.lidar)), self.attend)
+        return with_clock_callbacks(replace(robot, lidar=_LineByLine(robot.lidar)), self.attend)
 
     def attend(self) -> None:
         """Show where the robot is; stop it if it is to be stopped.
@@ -139,7 +139,7 @@ class LiveView:
         self.stage.views(session)
         if count == 1:
             self.stage.look_at(session)
-        share = scanned_share(session)
+        share = measure_scanned_share(session)
         self._bar.value = 100.0 * share
         what = "front" if session.config.tour == "front" else "contour"
         self._share.content = f"{share:.0%} of the {what} scanned, {count} views"

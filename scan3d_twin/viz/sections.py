@@ -11,7 +11,7 @@ from html import escape
 from typing import Any
 
 from scan3d_twin.core.model.evaluation import Evaluation
-from scan3d_twin.core.model.fused_cloud import scanned_share
+from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.recording.colours import colour
@@ -209,7 +209,7 @@ def coverage(session: Session, evaluation: Evaluation | None) -> str:
         what = "Share of the coverable surface with a model point within 20 mm"
     else:
         shares = [
-            scanned_share(replace(session, views=session.views[: k + 1]))
+            measure_scanned_share(replace(session, views=session.views[: k + 1]))
             for k in range(len(session.views))
         ]
         what = "Share of the target's outline, as far as the robot knows it, that was scanned"

@@ -7,7 +7,7 @@ from typing import Any
 
 import viser
 
-from scan3d_twin.core.model.fused_cloud import scanned_share
+from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.session import Session
 from scan3d_twin.viz.live import plan_table
 from scan3d_twin.viz.stage import Stage, add_looks
@@ -43,7 +43,7 @@ class SessionView:
         self._stage.show_upto(count)
         self._stage.robot(view.T_world_scan)
         self._stage.plan(past)
-        share = scanned_share(past)
+        share = measure_scanned_share(past)
         self._bar.value = 100.0 * share
         last = len(whole.views) - 1
         ended = f": {whole.stop_reason}" if count > last and whole.stop_reason else ""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from scan3d_twin.core.model.fused_cloud import voxel_thin
+from scan3d_twin.core.model.fused_cloud import thin_by_voxel
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
 from scan3d_twin.recording.colours import rgb
@@ -96,7 +96,7 @@ class Stage:
         target = view.target.points
         step = max(1, math.ceil(len(target) / MOST_POINTS))
         self._cloud(f"{name}/target", target[::step], colour, POINT)
-        around = voxel_thin(_background(view), BACKGROUND_VOXEL)
+        around = thin_by_voxel(_background(view), BACKGROUND_VOXEL)
         self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT))
         place = (0.0, 0.0, EYE_HEIGHT)
         scene.add_icosphere(f"{name}/place", 0.03, colour, subdivisions=2, position=place)

@@ -12,8 +12,8 @@ from scan3d_twin.cli.progress import (
     LiveProgress,
     Pace,
     PlainProgress,
+    measure_scanned_share,
     plan_words,
-    scanned_share,
     steps,
     view_words,
 )
@@ -36,17 +36,17 @@ def with_plan(session, viewpoint, predicted=0.0042):
 
 
 def test_a_view_of_the_middle_is_a_part_of_the_front():
-    assert 0.3 < scanned_share(scan()) < 0.9
+    assert 0.3 < measure_scanned_share(scan()) < 0.9
 
 
 def test_a_view_of_one_side_is_less_than_all_round():
-    assert 0.1 < scanned_share(scan("full")) < 0.9
+    assert 0.1 < measure_scanned_share(scan("full")) < 0.9
 
 
 def test_nothing_is_scanned_before_the_first_view():
     session = scan()
     empty = Session(session.config, 0, session.hint, session.front)
-    assert scanned_share(empty) == 0.0
+    assert measure_scanned_share(empty) == 0.0
 
 
 def test_a_view_tells_its_index_and_its_share():

@@ -9,7 +9,7 @@ from importlib.metadata import version
 import pytest
 
 from scan3d_twin import __version__
-from scan3d_twin.core.planning import planner_names
+from scan3d_twin.core.planning import list_planners
 from scan3d_twin.sim.scenes.scene import scene_names
 
 HEAVY = ("numpy", "scipy", "mujoco", "trimesh", "open3d")
@@ -73,13 +73,13 @@ def test_scenes_are_listed_with_a_line_each(twin):
 
 def test_planners_are_listed_with_a_line_each(twin):
     lines = twin("planners").out.splitlines()
-    assert [line.split()[0] for line in lines] == list(planner_names())
+    assert [line.split()[0] for line in lines] == list(list_planners())
     assert all(len(line.split()) > 2 for line in lines)
 
 
 def test_lists_are_one_document_with_json(twin):
     assert set(json.loads(twin("scenes", "--json").out)) == set(scene_names())
-    assert set(json.loads(twin("planners", "--json").out)) == set(planner_names())
+    assert set(json.loads(twin("planners", "--json").out)) == set(list_planners())
 
 
 def test_the_help_names_the_exit_codes(twin):

@@ -28,7 +28,7 @@ def three():
         session = session.with_plan(Plan(Pose2(-0.4, y, 0.0), 0.8, 0.01, False, (), "a plan"))
     wrong = replace(session.views[1], T_world_scan=Pose2(0.0, 1.0, 0.5))
     views = (session.views[0], wrong, session.views[2])
-    return replace(session, views=views).ended("enough")
+    return replace(session, views=views).with_stop_reason("enough")
 
 
 @pytest.mark.parametrize("mode", ["off", "loop_closure"])

@@ -14,7 +14,7 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_by
-from scan3d_twin.core.observer import attended
+from scan3d_twin.core.observer import with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.resume import PAUSE, continued, reenact, warning
@@ -46,7 +46,7 @@ def ridden():
     """Commands of a ride, where it ended, and the line that was read next."""
     with open_sim("three_boxes", 3) as (robot, _):
         noted = Noted(robot)
-        ride(replace(attended(robot, lambda: None), base=noted))
+        ride(replace(with_clock_callbacks(robot, lambda: None), base=noted))
         mark = Mark(robot.clock.now(), T_odom_base=robot.base.odometry().T_odom_base)
         stamp = robot.clock.now()
         while (read := robot.lidar.read_line(1.0)).stamp < stamp:

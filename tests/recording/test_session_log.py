@@ -18,7 +18,7 @@ def states(session):
     aligned = [replace(view, T_world_scan=Pose2(0.1, 0.2, 0.3)) for view in three.views]
     four = replace(three, views=tuple(aligned), misfits=(1,))
     dropped = replace(four, views=four.views[1:], misfits=(0,))
-    return [one, two, three, four, dropped, dropped.ended("enough")]
+    return [one, two, three, four, dropped, dropped.with_stop_reason("enough")]
 
 
 def records(history):

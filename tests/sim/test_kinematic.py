@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from paper import paper_config
 
-from scan3d_twin.core.model.evaluation import surface_distance, true_pose
+from scan3d_twin.core.model.evaluation import (
+    find_true_pose,
+    measure_surface_distance,
+)
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.types import Pose2, wrap
 from scan3d_twin.sim.base.motion_errors import CREEP, SLIP_XY, SLIP_YAW, true_move
@@ -48,7 +51,7 @@ def test_its_points_lie_on_the_surface():
     boxes = boxes[boxes[:, 0] > 0.5]
     assert len(boxes) > 500
     # Creep turns half a sweep by 2 mm at 1 m.
-    assert np.quantile(surface_distance(boxes, surface, normals, 0.01), 0.99) < 0.003
+    assert np.quantile(measure_surface_distance(boxes, surface, normals, 0.01), 0.99) < 0.003
 
 
 def test_one_robot_errs_alike_in_all_its_moves():
@@ -147,6 +150,6 @@ def test_a_sweep_is_placed_by_its_middle_line():
     moving = robot()
     seen = moving.observe(np.array([[0.0, 0.4]]), 0.3)
     view = type("View", (), {"observation": seen})()
-    placed = moving.truth.spawn.inverse() @ true_pose(view, moving.truth)
+    placed = moving.truth.spawn.inverse() @ find_true_pose(view, moving.truth)
     assert placed.distance(seen.T_odom_scan) < 0.02
     assert placed.yaw == pytest.approx(0.3, abs=0.02)

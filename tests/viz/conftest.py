@@ -36,7 +36,7 @@ def session() -> Session:
     for y, each in zip((0.6, 0.1, -0.5), plans, strict=True):
         seen = synthetic.observe(Pose2(-0.4, y, 0.0), sigma=0.004, rng=rng)
         session = integrate(session, seen).with_plan(each)
-    return session.ended("front complete")
+    return session.with_stop_reason("front complete")
 
 
 @pytest.fixture(scope="session")

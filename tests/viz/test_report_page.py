@@ -111,7 +111,7 @@ def test_the_scene_is_shown_or_the_reason_why_not(page, session):
 
 
 def test_what_users_name_is_no_markup(session):
-    page = page_of(session.ended("<script>alert(1)</script>"))
+    page = page_of(session.with_stop_reason("<script>alert(1)</script>"))
     assert "<script>alert" not in page.casefold()
 
 

@@ -44,11 +44,11 @@ def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) ->
         RegistrationError: The scans show no walls.
     """
     from scan3d_twin.core.scanning import extrinsic_calibration as self_calibration
-    from scan3d_twin.core.scanning.extrinsics import composed
+    from scan3d_twin.core.scanning.extrinsics import compose_mounts
     from scan3d_twin.recording.scans import places_in
 
     found = self_calibration.calibrate(places_in(folder))
-    mount = composed(_taken_with(folder), found.mount)
+    mount = compose_mounts(_taken_with(folder), found.mount)
     if json:
         print(json_module.dumps(_document(mount, found)))
     else:

@@ -44,9 +44,9 @@ def planners(*, json: bool = False) -> None:
     Args:
         json: Print one JSON document instead of lines.
     """
-    from scan3d_twin.core.planning import planner_names, planner_summary
+    from scan3d_twin.core.planning import list_planners, summarise_planner
 
-    _show({name: planner_summary(name) for name in planner_names()}, json)
+    _show({name: summarise_planner(name) for name in list_planners()}, json)
 
 
 def _show(lines: dict[str, str], as_json: bool) -> None:

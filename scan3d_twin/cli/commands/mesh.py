@@ -65,7 +65,7 @@ def _surface(session: Session, method: str) -> Mesh:
         from scan3d_twin.recording.export.meshes import poisson
 
         return poisson(build_model(session, POISSON_VOXEL))
-    from scan3d_twin.core.model.fused_cloud import sightings
+    from scan3d_twin.core.model.fused_cloud import build_view_clouds
     from scan3d_twin.core.model.mesh import build_mesh
 
-    return build_mesh(session, sightings(session))
+    return build_mesh(session, build_view_clouds(session))

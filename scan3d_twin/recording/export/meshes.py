@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.model.mesh import Mesh
-from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.recording.colours import rgb
 from scan3d_twin.run.folder import write_file
 
@@ -66,7 +66,7 @@ def poisson(model: Model) -> Mesh:
         cloud, depth=DEPTH, n_threads=1
     )
     vertices, faces = np.asarray(closed.vertices), np.asarray(closed.triangles, dtype=np.int64)
-    distance, _ = nearest(cKDTree(known.points), vertices)
+    distance, _ = find_nearest(cKDTree(known.points), vertices)
     faces = faces[(distance[faces] <= TRUSTED).all(axis=1)]
     used, corners = np.unique(faces, return_inverse=True)
     return Mesh(vertices[used], corners.reshape(-1, 3), np.full(len(used), -1))

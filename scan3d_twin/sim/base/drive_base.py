@@ -7,7 +7,7 @@ from bisect import bisect_right
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.core.navigation.wheel_kinematics import ACCELERATION, wheel_speeds
+from scan3d_twin.core.navigation.wheel_kinematics import WHEEL_ACCELERATION, split_velocity
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.sim.base.odometers import Sample, make_odometer
 from scan3d_twin.sim.base.profiles import CREATE2
@@ -40,7 +40,7 @@ class SimBase:
         self._drives = [int(model.actuator(name + "_drive").id) for name in names]
         self._wheels = [int(model.joint(name + "_wheel").qposadr[0]) for name in names]
         self._qpos, self._radius = data.qpos, spec.wheel_diameter / 2
-        self._ramp = ACCELERATION * spec.sample_period / self._radius
+        self._ramp = WHEEL_ACCELERATION * spec.sample_period / self._radius
         self._feelers = Feelers(world, spec.sample_period, errors.battery_life)
         self._target = (0.0, 0.0)
         self._driven = (0.0, 0.0)
@@ -58,7 +58,7 @@ class SimBase:
 
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
         """See ``DriveBase.set_velocity``."""
-        left, right = self._target = wheel_speeds(self.spec, linear, angular)
+        left, right = self._target = split_velocity(self.spec, linear, angular)
         return (left + right) / 2, (right - left) / self.spec.wheel_base
 
     def stop(self) -> None:

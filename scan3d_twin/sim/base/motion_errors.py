@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.core.navigation.odometry import arc
+from scan3d_twin.core.navigation.odometry import drive_arc
 from scan3d_twin.core.types import FloatArray, Pose2, wrap
 from scan3d_twin.sim.world import RobotErrors
 
@@ -48,6 +48,8 @@ def true_move(
         way = math.hypot(x - here[0], y - here[1])
         bearing = math.atan2(y - here[1], x - here[0]) if way > 0 else told
         turned = Pose2(0.0, 0.0, scale * wrap(bearing - told))
-        true = true @ turned @ arc(way * (1 + (left + right) / 2), way * (right - left) / base)
+        true = (
+            true @ turned @ drive_arc(way * (1 + (left + right) / 2), way * (right - left) / base)
+        )
         here, told = (x, y), bearing
     return true @ Pose2(0.0, 0.0, scale * wrap(yaw - told))

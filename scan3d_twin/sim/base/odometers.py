@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.navigation.odometry import DeadReckoning
-from scan3d_twin.core.navigation.wheel_kinematics import correction
+from scan3d_twin.core.navigation.wheel_kinematics import correct_reading
 from scan3d_twin.core.types import Odometry
 from scan3d_twin.sim.config import RobotErrorConfig
 
@@ -105,6 +105,6 @@ class Commanded:
         distance, angle = int(1e3 * self._unread[0]), int(math.degrees(self._unread[1]))
         rest = (self._unread[0] - distance / 1e3, self._unread[1] - math.radians(angle))
         self._unread = [0.0, 0.0] if self._errors.truncates else [*rest]
-        way, turn = correction(self._told[0], self._told[1], distance, angle)
+        way, turn = correct_reading(self._told[0], self._told[1], distance, angle)
         self._told = [0.0, 0.0]
         return way, turn

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.core.png import Picture, png_bytes
+from scan3d_twin.core.png import Picture, encode_png
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
 from scan3d_twin.sim.scenes.offscreen import open_context
 from scan3d_twin.sim.scenes.scene import Scene
@@ -76,7 +76,7 @@ def write_png(path: Path, picture: Picture) -> None:
         FileError: It cannot be written.
     """
     try:
-        path.write_bytes(png_bytes(picture))
+        path.write_bytes(encode_png(picture))
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror}") from error
 

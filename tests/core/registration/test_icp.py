@@ -12,7 +12,7 @@ from paper import paper_config, paper_registration
 from synthetic import THREE_BOXES, observe
 
 from scan3d_twin.core.registration.icp import cut_lines, fit_planar, overlapping_lines, register
-from scan3d_twin.core.scanning.target_extraction import all_points
+from scan3d_twin.core.scanning.target_extraction import extract_points
 from scan3d_twin.core.types import FloatArray, Pose2, Scan3D, rms
 
 CONFIG = paper_registration()
@@ -23,7 +23,7 @@ turns = st.floats(-0.03, 0.03)
 @cache
 def boxes_scan(pose: Pose2, seed: int = 0) -> Scan3D:
     observation = observe(pose, room=False, sigma=0.003, rng=np.random.default_rng(seed))
-    return all_points(observation.image, paper_config())
+    return extract_points(observation.image, paper_config())
 
 
 @pytest.fixture(scope="module")

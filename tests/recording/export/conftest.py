@@ -18,4 +18,4 @@ def session() -> Session:
     for pose in (Pose2(-0.4, 0.2, 0.1), Pose2(-0.4, 0.0, -0.2)):
         session = integrate(session, synthetic.observe(pose))
         session = session.with_plan(Plan(Pose2(), 0.8, math.nan, True, (), "the default"))
-    return session.ended("enough")
+    return session.with_stop_reason("enough")

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.core.model.fused_cloud import Model, build_model, sightings
+from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_clouds
 from scan3d_twin.core.model.mesh import Mesh, build_mesh
 from scan3d_twin.recording.colours import rgb
 from scan3d_twin.recording.export.meshes import MESHES, TRUSTED, poisson, write_mesh
@@ -11,7 +11,7 @@ from scan3d_twin.recording.export.meshes import MESHES, TRUSTED, poisson, write_
 
 @pytest.fixture(scope="module")
 def mesh(session) -> Mesh:
-    return build_mesh(session, sightings(session))
+    return build_mesh(session, build_view_clouds(session))
 
 
 @pytest.mark.parametrize("name", MESHES)

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from paper import paper_config
 
-from scan3d_twin.core.digitize import begin
+from scan3d_twin.core.digitize import begin_session
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.sim.robot import open_sim
@@ -49,7 +49,7 @@ def test_the_robot_runs_finds_the_target_and_has_room(seed):
         planning=replace(paper_config().planning, standoff=scene.standoff),
     )
     with open_sim(scene, seed) as (robot, truth):
-        session, _ = begin(robot, config, seed, Unobserved(), None)
+        session, _ = begin_session(robot, config, seed, Unobserved(), None)
         surface, _ = truth.surface(0.05)
         assert not robot.base.hazards().active()
     found = scene.spawn.apply(session.hint)
