@@ -14,7 +14,7 @@ import scan3d_twin as s3d
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp(prefix="scan3d_twin-"))
 
 # %%
-# A planner is part of the configuration; ``scan3d_twin.planner_names()`` lists them.
+# A planner is part of the configuration; ``scan3d_twin.list_planners()`` lists them.
 
 for planner in ("fixed20", "fixed80", s3d.Config().planner):
     options = {"planner": planner, "max_views": 2}
