@@ -26,7 +26,7 @@ from scan3d_twin.core.mapping.loop_closure import apply_alignment, solve_alignme
 from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
@@ -57,7 +57,7 @@ def tour(scene: str, seed: int) -> Tour:
         preset_options("best"),
         {"alignment": {"mode": "off"}},
     ]
-    config = settings(options).config
+    config = build_settings(options).config
     with open_sim(loaded, seed) as (robot, truth):
         try:
             session = run_loop(robot, make_planner(config.planner), config, seed, Unobserved())

@@ -28,7 +28,7 @@ from scan3d_twin.core.planning import Planner, list_planners, make_planner
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
@@ -54,7 +54,7 @@ class Keeping:
 
 def configuration(tour: str) -> Config:
     """Return the configuration of the preset ``best``."""
-    return settings([{"tour": tour}, preset_options("best")]).config
+    return build_settings([{"tour": tour}, preset_options("best")]).config
 
 
 def sessions(scene: str, seed: int) -> tuple[list[Session], Truth]:

@@ -1,4 +1,4 @@
-"""Small sessions without a simulator: a look around and one view of something straight ahead."""
+"""Test helper: small sessions without a simulator: a panorama and views of boxes ahead."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def session_at(
     sigma: float = 0.004,
     seed: int = 4,
 ) -> Session:
-    """Return a session with a look around from the origin and a view from each pose.
+    """Return a session with a panorama from the origin and a view from each pose.
 
     Args:
         boxes: What there is.

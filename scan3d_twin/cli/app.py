@@ -34,9 +34,9 @@ COMMANDS = {
 
 
 def _version() -> str:
-    from scan3d_twin.run.versions import version_text
+    from scan3d_twin.run.versions import format_versions
 
-    return version_text()
+    return format_versions()
 
 
 # The list of commands is plain text; the reader of Markdown would take as long as all the rest.

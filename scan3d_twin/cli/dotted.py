@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 
 from cyclopts import Group, Parameter
 
-from scan3d_twin.run.settings import key
+from scan3d_twin.run.settings import option_key
 
 GROUP = Group("Configuration in SI units and radians; also from --config FILE")
 ENVIRONMENT = "TWIN_"
@@ -39,7 +39,7 @@ def stated(options: Any) -> Mapping[str, Mapping[str, Any]]:
         value = getattr(options, field.name)
         if value is not None:
             section, _, name = field.name.partition("__")
-            sections.setdefault(section, {})[key(name)] = value
+            sections.setdefault(section, {})[option_key(name)] = value
     return sections
 
 
@@ -73,7 +73,7 @@ def _sections(configs: Iterable[type]) -> Iterator[tuple[str, type]]:
 
 def _option(section: str, field: Field[Any], hint: Any, doc: str) -> tuple[str, Any, None]:
     """Return one row for ``make_dataclass``."""
-    name = f"{section}.{key(field.name)}"
+    name = f"{section}.{option_key(field.name)}"
     default = f"{field.default:.6g}" if isinstance(field.default, float) else str(field.default)
     parameter = Parameter(
         name=f"--{name}",

@@ -7,8 +7,8 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from scan3d_twin.api.run import RunResult, end, run_in
-from scan3d_twin.api.watch import Watch
+from scan3d_twin.api.run import RunOutcome, raise_if_failed, run_in_folder
+from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.progress import make_progress
 from scan3d_twin.cli.summary import summary
 from scan3d_twin.core.errors import ConfigError
@@ -17,7 +17,7 @@ from scan3d_twin.core.multi_target import Place, drive_back, find_places
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.recorder import SerialTaps
-from scan3d_twin.run.closed_loop import Opening, Truth
+from scan3d_twin.run.closed_loop import RobotContext, Truth
 from scan3d_twin.run.folder import claim_folder, default_folder, release_folder, write_file
 from scan3d_twin.run.settings import Settings
 
@@ -28,12 +28,12 @@ INDEX = "targets.json"
 def run_each(
     settings: Settings,
     name: str,
-    opening: Opening,
+    opening: RobotContext,
     out: Path | None,
     count: int,
     *,
     as_json: bool,
-    watch: Watch,
+    watch: WatchOptions,
     taps: SerialTaps | None = None,
 ) -> None:
     """Digitise ``count`` things, most salient first, each into ``out``/target-K as ``run`` does.
@@ -50,7 +50,7 @@ def run_each(
     if settings.run.target:
         raise ConfigError("--targets takes what stands out, --target one thing; give one of them")
     folder = claim_folder(default_folder(name) if out is None else out)
-    outcomes: list[RunResult] = []
+    outcomes: list[RunOutcome] = []
     try:
         with opening as (robot, truth):
             start = robot.base.odometry().T_odom_base
@@ -68,7 +68,7 @@ def run_each(
         if as_json and outcomes:
             print(json.dumps({"targets": [one.report for one in outcomes]}, indent=2), flush=True)
         release_folder(folder)
-    end(outcomes[-1])
+    raise_if_failed(outcomes[-1])
 
 
 def refuse_resume(folder: Path, count: int | None) -> None:
@@ -106,9 +106,9 @@ def _one(
     name: str,
     folder: Path,
     number: int,
-    watch: Watch,
+    watch: WatchOptions,
     taps: SerialTaps | None,
-) -> RunResult:
+) -> RunOutcome:
     """Digitise what stands at ``place`` in the odometry frame [m]; the robot stays open."""
     x, y = place
     settings = replace(settings, run=replace(settings.run, target=f"{x},{y}"))
@@ -116,10 +116,12 @@ def _one(
     begun = robot.clock.now() if number else 0.0
     own = claim_folder(folder / _own(number))
     with make_progress() as progress:
-        return run_in(settings, name, opened, own, progress, taps=taps, watch=watch, begun=begun)
+        return run_in_folder(
+            settings, name, opened, own, progress, taps=taps, watch=watch, begun=begun
+        )
 
 
-def _back(robot: Robot, start: Pose2, last: RunResult) -> None:
+def _back(robot: Robot, start: Pose2, last: RunOutcome) -> None:
     with make_progress() as progress:
         progress.on_event("driving back to where it began")
         drive_back(robot, start, last.session, Unobserved())

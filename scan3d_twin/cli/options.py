@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from scan3d_twin.cli.dotted import ENVIRONMENT
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.run.settings import Options, absolute_scene, merge, read_settings
+from scan3d_twin.run.settings import Options, absolute_scene, merge_options, read_settings
 
 
 def env(name: str) -> Parameter:
@@ -74,7 +74,7 @@ class PortOptions:
 def stated_options(options: ScanOptions, sections: Options) -> Options:
     """Return what the file, the dotted ``sections`` and the flat ``options`` state, merged."""
     file = {} if options.config is None else read_settings(options.config)
-    return merge([file, sections, _flat(options, sections)])
+    return merge_options([file, sections, _flat(options, sections)])
 
 
 def _flat(options: ScanOptions, sections: Options) -> Options:

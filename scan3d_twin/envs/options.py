@@ -13,8 +13,8 @@ from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.envs.rewards import RewardWeights
 from scan3d_twin.envs.scouts import EpisodeScout, KinematicScout, PhysicsScout
 from scan3d_twin.envs.stage import Stage, named_stage, random_stage
-from scan3d_twin.run.resolve import settings_for
-from scan3d_twin.run.settings import Options, merge, settings
+from scan3d_twin.run.resolve import settings_for_scene
+from scan3d_twin.run.settings import Options, build_settings, merge_options
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import Thinning, thin_config, thin_spec
 from scan3d_twin.sim.lidar.scanner import lidar_spec
@@ -85,13 +85,13 @@ class EnvOptions:
             raise UnknownNameError("fidelity", fidelity, FIDELITIES)
         if not 0.0 < goal <= 1.0:
             raise ConfigError(f"goal must be in (0, 1], got {goal:g}")
-        given = merge([{"run": {"preset": preset, "world": world}}, options or {}])
+        given = merge_options([{"run": {"preset": preset, "world": world}}, options or {}])
         if "run" in (options or {}):
             raise ConfigError(
                 "options.run: scene, preset, world and seed are arguments of their own"
             )
         preset_options(preset)
-        settings([given])
+        build_settings([given])
         return EnvOptions(
             scenes=scenes,
             fidelity=fidelity,
@@ -110,7 +110,7 @@ class EnvOptions:
 
     def scout(self, stage: Stage, rng: np.random.Generator) -> tuple[EpisodeScout, int]:
         """Return who takes the sweeps of an episode, and the seed of its run."""
-        effective = settings_for(stage.scene, self.given)
+        effective = settings_for_scene(stage.scene, self.given)
         factor, seed = float(rng.uniform(*self.noise)), int(rng.integers(2**31))
         twin = _noisier(effective.twin, factor)
         if self.fidelity == "kinematic":

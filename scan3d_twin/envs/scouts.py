@@ -158,7 +158,7 @@ class KinematicScout(EpisodeScout):
         """See ``EpisodeScout``: it stands already."""
 
     def _look(self) -> Observation:
-        return self._robot.look()
+        return self._robot.take_panorama()
 
     def _go(self, path: FloatArray, yaw: float) -> Observation:
         return self._robot.observe(path, yaw)

@@ -12,7 +12,7 @@ from scan3d_twin.core.model.evaluation import Surface, find_coverable_surface
 from scan3d_twin.core.types import BoolArray
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import RayCaster, choose_caster
-from scan3d_twin.sim.scenes.random_scenes import SceneRanges, random_scene
+from scan3d_twin.sim.scenes.random_scenes import SceneRanges, draw_scene
 from scan3d_twin.sim.scenes.scene import Scene, load_scene
 from scan3d_twin.sim.truth import Truth
 
@@ -54,7 +54,7 @@ def named_stage(name: str) -> Stage:
 @lru_cache(KEPT)
 def random_stage(seed: int, ranges: SceneRanges) -> Stage:
     """Return the stage of the scene that ``seed`` draws from ``ranges``."""
-    return Stage.of(random_scene(np.random.default_rng(seed), ranges, f"random_{seed}"))
+    return Stage.of(draw_scene(np.random.default_rng(seed), ranges, f"random_{seed}"))
 
 
 def coverable(stage: Stage, config: Config) -> BoolArray:

@@ -5,14 +5,14 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from scan3d_twin.bench.spec import experiment_of, tasks
+from scan3d_twin.bench.spec import list_tasks, make_experiment
 from scan3d_twin.cli.bench_progress import LiveProgress, bench_progress, run_words
 
 
 @pytest.fixture(scope="module")
 def lost():
-    (task,) = tasks(experiment_of(["three_boxes"], [], ["best"]))
-    return task.lost("not finished after 9 s", 3)
+    (task,) = list_tasks(make_experiment(["three_boxes"], [], ["best"]))
+    return task.lost_record("not finished after 9 s", 3)
 
 
 def test_off_a_terminal_each_run_is_a_line_with_the_time_left(lost, capsys):

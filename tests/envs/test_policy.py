@@ -9,7 +9,7 @@ from scan3d_twin.core.mapping.loop_closure import align_final
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.envs import PlannerPolicy, rollout
-from scan3d_twin.run.resolve import settings_for
+from scan3d_twin.run.resolve import settings_for_scene
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
@@ -22,7 +22,7 @@ def test_an_episode_with_physics_is_a_run_of_digitize(make, planner):
     rollout(env, PlannerPolicy(planner), seed=7)
     session = env.session
     scene = load_scene("three_boxes")
-    config = settings_for(scene, QUICK).config
+    config = settings_for_scene(scene, QUICK).config
     with open_sim(scene, session.seed) as (robot, _):
         run = run_loop(robot, make_planner(planner), config, session.seed, Unobserved())
     assert len(session.views) > 1

@@ -1,3 +1,5 @@
+"""A session to be shown, and a browser without access to other machines."""
+
 import math
 import shutil
 
@@ -75,6 +77,7 @@ def open_page(browser):
     contexts = []
 
     def opening(url, *, width=1000, height=800, **options):
+        """Open ``url`` and return the watched page."""
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
         watched = Watched(context.new_page())

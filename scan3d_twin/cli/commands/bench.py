@@ -14,7 +14,7 @@ from cyclopts import App, Parameter
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, ScanError
-from scan3d_twin.run.settings import Options, merge
+from scan3d_twin.run.settings import Options, merge_options
 from scan3d_twin.sim.config import TwinConfig
 
 if TYPE_CHECKING:
@@ -90,14 +90,14 @@ def bench(
     Raises:
         TwinError: An option is wrong, a file cannot be written, or runs were lost.
     """
-    from scan3d_twin.bench.spec import shard_of, tasks
+    from scan3d_twin.bench.spec import list_tasks, select_shard
 
     common = _common(options, {} if dotted is None else stated(dotted))
     experiment = _experiment(file, options).with_options(common)
     number, count = shard = _shard(options.shard)
     folder = options.out or Path("runs") / f"bench-{experiment.name}"
     _require_store()
-    chosen = shard_of(tasks(experiment), number, count)
+    chosen = select_shard(list_tasks(experiment), number, count)
     records = _run(chosen, shard, folder, options)
     _tell(records, folder, as_json=options.json)
     lost = sum(record.status == "lost" for record in records)
@@ -109,32 +109,32 @@ def _run(
     chosen: list[Task], shard: tuple[int, int], folder: Path, options: BenchOptions
 ) -> list[Record]:
     """Run what is left of the ``chosen`` tasks; return all records of the folder."""
-    from scan3d_twin.bench.drive import conduct, left_to_do
+    from scan3d_twin.bench.execute import execute_tasks, find_open_tasks
     from scan3d_twin.bench.journal import Journal, journal_path
-    from scan3d_twin.bench.store import RESULTS, collect, write_parquet
+    from scan3d_twin.bench.store import RESULTS_FILE, collect_records, write_parquet
     from scan3d_twin.cli.bench_progress import bench_progress
 
     with Journal(journal_path(folder, shard)) as journal:
-        todo = left_to_do(chosen, folder)
+        todo = find_open_tasks(chosen, folder)
         left = len(todo)
         with bench_progress(len(chosen), len(chosen) - left) as told:
             try:
                 if todo:
                     with _engine(options) as engine:
-                        conduct(todo, engine, journal, folder, told.done)
+                        execute_tasks(todo, engine, journal, folder, told.done)
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
                     f"interrupted; {told.count} of {len(chosen)} runs are in {folder}, the same "
                     "command goes on"
                 ) from None
-        records = collect(folder)
-        write_parquet(records, folder / RESULTS)
+        records = collect_records(folder)
+        write_parquet(records, folder / RESULTS_FILE)
     return records
 
 
 def _experiment(file: Path | None, options: BenchOptions) -> Experiment:
     """Return what is to be run."""
-    from scan3d_twin.bench.spec import experiment_of, load_suite, read_experiment
+    from scan3d_twin.bench.spec import load_suite, make_experiment, read_experiment
 
     given = bool(options.scenes or options.planners or options.presets)
     if (file is not None) + (options.suite is not None) + given > 1:
@@ -144,7 +144,7 @@ def _experiment(file: Path | None, options: BenchOptions) -> Experiment:
     elif file is not None:
         found = read_experiment(file)
     elif given:
-        found = experiment_of(
+        found = make_experiment(
             options.scenes or ("three_boxes",), options.planners, options.presets or ("best",)
         ).with_seeds(10, 0)
     else:
@@ -160,7 +160,7 @@ def _common(options: BenchOptions, sections: Options) -> Options:
         flat["run"] = {"world": options.world}
     if options.epsilon is not None:
         flat["planning"] = {"epsilon": options.epsilon / 1e3}
-    return merge([flat, sections])
+    return merge_options([flat, sections])
 
 
 def _engine(options: BenchOptions) -> AbstractContextManager[Engine]:
@@ -201,20 +201,20 @@ def _require_store() -> None:
 
 def _tell(records: list[Record], folder: Path, *, as_json: bool) -> None:
     """Print the figures of all records in ``folder``."""
-    from scan3d_twin.bench.reporting.summary import as_rows, summarise, table
-    from scan3d_twin.bench.store import RESULTS
+    from scan3d_twin.bench.reporting.measures import format_table, rows_as_dicts, summarise
+    from scan3d_twin.bench.store import RESULTS_FILE
 
     rows = summarise(records)
     if as_json:
-        document = {"folder": str(folder), "runs": len(records), "figures": as_rows(rows)}
+        document = {"folder": str(folder), "runs": len(records), "figures": rows_as_dicts(rows)}
         print(json_module.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
         return
-    cells = table(rows)
+    cells = format_table(rows)
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     for row in cells:
         padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         print("  ".join(padded).rstrip())
-    print(f"\n[low, high]: 95 % intervals; {folder}: {RESULTS} journal top_views/")
+    print(f"\n[low, high]: 95 % intervals; {folder}: {RESULTS_FILE} journal top_views/")
     codes = {record.code for record in records if record.code}
     if len(codes) > 1:
         print(f"these runs are of {len(codes)} different states of the sources: do not quote them")
@@ -234,10 +234,10 @@ def report(path: Path, *, out: Path | None = None, json: bool = False) -> None:
     Raises:
         TwinError: There are no results, or the folder cannot be written.
     """
-    from scan3d_twin.bench.record import finite
-    from scan3d_twin.bench.reporting.compare import comparisons, regrets
+    from scan3d_twin.bench.record import replace_nonfinite
+    from scan3d_twin.bench.reporting.compare import compare_variants, compare_with_oracle
     from scan3d_twin.bench.reporting.files import write_report
-    from scan3d_twin.bench.reporting.summary import as_rows, summarise
+    from scan3d_twin.bench.reporting.measures import rows_as_dicts, summarise
     from scan3d_twin.bench.store import read_results
 
     records = read_results(path)
@@ -247,10 +247,14 @@ def report(path: Path, *, out: Path | None = None, json: bool = False) -> None:
     if json:
         document = {
             "report": str(written),
-            "figures": as_rows(summarise(records)),
-            "comparisons": [asdict(each) for each in comparisons(records)],
-            "regrets": [asdict(each) for each in regrets(records)],
+            "figures": rows_as_dicts(summarise(records)),
+            "comparisons": [asdict(each) for each in compare_variants(records)],
+            "regrets": [asdict(each) for each in compare_with_oracle(records)],
         }
-        print(json_module.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False))
+        print(
+            json_module.dumps(
+                replace_nonfinite(document), indent=2, ensure_ascii=False, allow_nan=False
+            )
+        )
     else:
         print(written)

@@ -45,9 +45,9 @@ def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) ->
     """
     from scan3d_twin.core.scanning import extrinsic_calibration as self_calibration
     from scan3d_twin.core.scanning.extrinsics import compose_mounts
-    from scan3d_twin.recording.scans import places_in
+    from scan3d_twin.recording.scans import read_places
 
-    found = self_calibration.calibrate(places_in(folder))
+    found = self_calibration.calibrate(read_places(folder))
     mount = compose_mounts(_taken_with(folder), found.mount)
     if json:
         print(json_module.dumps(_document(mount, found)))
@@ -60,13 +60,13 @@ def _taken_with(folder: Path) -> MountConfig:
     from scan3d_twin.core.config import MountConfig
     from scan3d_twin.core.errors import FileError
     from scan3d_twin.recording.load import load_session
-    from scan3d_twin.run.settings import read_settings, settings
+    from scan3d_twin.run.settings import build_settings, read_settings
 
     try:
         return load_session(folder).session.config.mount
     except FileError:
         path = folder / "config.toml"
-    return settings([read_settings(path)]).config.mount if path.exists() else MountConfig()
+    return build_settings([read_settings(path)]).config.mount if path.exists() else MountConfig()
 
 
 def _document(mount: MountConfig, found: Calibration) -> dict[str, object]:

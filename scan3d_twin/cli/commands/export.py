@@ -35,9 +35,9 @@ def export(
     """
     from scan3d_twin.core.errors import ConfigError, UnknownNameError
     from scan3d_twin.recording.export import CLOUDS
-    from scan3d_twin.recording.export.meshes import MESHES
+    from scan3d_twin.recording.export.meshes import MESH_FORMATS
 
-    known = {*CLOUDS, *MESHES, "rosbag2"}
+    known = {*CLOUDS, *MESH_FORMATS, "rosbag2"}
     if to not in known:
         raise UnknownNameError("format", to, known)
     if not voxel >= 0:
@@ -76,8 +76,8 @@ def _cloud(run: Path, name: str, out: Path | None, *, per_view: bool, voxel: flo
 
 def _bag(run: Path, out: Path | None) -> list[Path]:
     from scan3d_twin.recording.export import rosbag2
-    from scan3d_twin.recording.load import session_path
+    from scan3d_twin.recording.load import find_session_file
 
     path = out or folder_of(run) / "rosbag2"
-    rosbag2.write(session_path(run), path)
+    rosbag2.write(find_session_file(run), path)
     return [path]

@@ -29,12 +29,12 @@ def scenes(*, show: str | None = None, out: Path | None = None, json: bool = Fal
 
 def _draw(name: str, out: Path | None, as_json: bool) -> None:
     """Write the picture of a scene and say where."""
-    from scan3d_twin.sim.scenes.pictures import render, write_png
+    from scan3d_twin.sim.scenes.pictures import render_scene, write_png
     from scan3d_twin.sim.scenes.scene import load_scene
 
     scene = load_scene(name)
     path = Path(f"{scene.name}.png") if out is None else out
-    write_png(path, render(scene))
+    write_png(path, render_scene(scene))
     print(json_module.dumps({"scene": scene.name, "picture": str(path)}) if as_json else path)
 
 

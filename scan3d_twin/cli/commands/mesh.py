@@ -37,11 +37,11 @@ def mesh(
     """
     from scan3d_twin.cli.commands.export import folder_of
     from scan3d_twin.core.errors import ScanError, UnknownNameError
-    from scan3d_twin.recording.export.meshes import MESHES, write_mesh
+    from scan3d_twin.recording.export.meshes import MESH_FORMATS, write_mesh
     from scan3d_twin.recording.load import load_session
 
-    if to not in MESHES:
-        raise UnknownNameError("format of meshes", to, MESHES)
+    if to not in MESH_FORMATS:
+        raise UnknownNameError("format of meshes", to, MESH_FORMATS)
     surface = _surface(load_session(run).session, method)
     if len(surface.faces) == 0:
         raise ScanError(f"the views in {run} show no surface: there is nothing to write")
@@ -62,9 +62,9 @@ def mesh(
 def _surface(session: Session, method: str) -> Mesh:
     if method == "poisson":
         from scan3d_twin.core.model.fused_cloud import build_model
-        from scan3d_twin.recording.export.meshes import poisson
+        from scan3d_twin.recording.export.meshes import reconstruct_poisson
 
-        return poisson(build_model(session, POISSON_VOXEL))
+        return reconstruct_poisson(build_model(session, POISSON_VOXEL))
     from scan3d_twin.core.model.fused_cloud import build_view_clouds
     from scan3d_twin.core.model.mesh import build_mesh
 

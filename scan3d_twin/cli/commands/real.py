@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d_twin.api.watch import Watch
+from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import HazardError, ScanError
-from scan3d_twin.run.settings import REAL, Options, Settings, settings
+from scan3d_twin.run.settings import REAL_SCENE, Options, Settings, build_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from scan3d_twin.api.resume import Resume
+    from scan3d_twin.api.resume import ResumedRun
     from scan3d_twin.core.hal import Robot
     from scan3d_twin.recording.recorder import SerialTaps
 
@@ -79,25 +79,25 @@ def real(
     if options.targets is not None:
         run_each(
             effective,
-            REAL,
+            REAL_SCENE,
             opening,
             options.out,
             options.targets,
             as_json=options.json,
-            watch=Watch(options.address),
+            watch=WatchOptions(options.address),
             taps=taps,
         )
         return
-    with begun(REAL, options.out) if resume is None else nullcontext(resume.folder) as folder:
+    with begun(REAL_SCENE, options.out) if resume is None else nullcontext(resume.folder) as folder:
         run(
             effective,
-            REAL,
+            REAL_SCENE,
             opening,
             folder,
             as_json=options.json,
             taps=taps,
             resume=resume,
-            watch=Watch(options.address),
+            watch=WatchOptions(options.address),
         )
 
 
@@ -106,13 +106,15 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
     from scan3d_twin.core.planning import check_planner
 
     given = stated_options(options, sections)
-    name = settings([given]).run.preset
-    effective = settings([preset_options(name), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    name = build_settings([given]).run.preset
+    effective = build_settings(
+        [preset_options(name), SMALL_COMPUTER, given, {"run": {"scene": REAL_SCENE}}]
+    )
     check_planner(effective.config.planner, truth_known=False)
     return effective
 
 
-def _going_on(options: RealOptions, folder: Path, sections: Options) -> Resume:
+def _going_on(options: RealOptions, folder: Path, sections: Options) -> ResumedRun:
     """Return how the run in ``folder`` goes on."""
     from scan3d_twin.api.resume import resume_real
     from scan3d_twin.cli.multi_target import refuse_resume

@@ -13,7 +13,13 @@ from cyclopts import Parameter
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.run.settings import Options, Settings, merge, read_settings, settings
+from scan3d_twin.run.settings import (
+    Options,
+    Settings,
+    build_settings,
+    merge_options,
+    read_settings,
+)
 
 if TYPE_CHECKING:
     DottedOptions = Any
@@ -81,12 +87,12 @@ def _effective(recorded: Settings, options: ReplayOptions, sections: Options) ->
         if "epsilon" in sections.get("planning", {}):
             raise ConfigError("--epsilon [mm] and --planning.epsilon [m] are the same; give one")
         flat["planning"] = {"epsilon": options.epsilon / 1e3}
-    return settings(
+    return build_settings(
         [
             tomllib.loads(settings_toml(recorded)),
             {} if options.preset is None else preset_options(options.preset),
             {} if options.config is None else read_settings(options.config),
-            merge([sections, flat]),
+            merge_options([sections, flat]),
         ]
     )
 
@@ -94,11 +100,11 @@ def _effective(recorded: Settings, options: ReplayOptions, sections: Options) ->
 def _findings(
     recorded: Any, before: Any, again: Any, old: Settings, new: Settings
 ) -> dict[str, Any]:
-    from scan3d_twin.recording.replay import differences, finished, identical
+    from scan3d_twin.recording.replay import compare_sessions, finish_replay, is_identical
 
-    ended = finished(again, recorded)
-    same_end = identical((ended.views, ended.misfits), (recorded.views, recorded.misfits))
-    rows = differences(before, again)
+    ended = finish_replay(again, recorded)
+    same_end = is_identical((ended.views, ended.misfits), (recorded.views, recorded.misfits))
+    rows = compare_sessions(before, again)
     return {
         "identical": same_end and all(row["identical"] for row in rows),
         "identical_at_the_end": same_end,

@@ -56,7 +56,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     from scan3d_twin.core.config import Config, SweepConfig
     from scan3d_twin.core.scanning.sweep import sweep
     from scan3d_twin.devices.urg.model import LINKS
-    from scan3d_twin.run.folder import claim_folder, free_folder, release_folder
+    from scan3d_twin.run.folder import claim_folder, find_free_folder, release_folder
 
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
@@ -68,7 +68,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
         width=math.radians(options.width), margin=0.0, yaw_rate=math.radians(options.rate)
     )
     default = Path("runs") / f"scan-{datetime.now():%Y%m%d-%H%M%S}"
-    folder = claim_folder(free_folder(default) if options.out is None else options.out)
+    folder = claim_folder(find_free_folder(default) if options.out is None else options.out)
     try:
         with _opening(options) as (robot, _):
             observations = [
@@ -96,13 +96,13 @@ def _save(observations: list[Observation], folder: Path, *, as_json: bool) -> No
 
     from scan3d_twin.recording.image import image_bytes
     from scan3d_twin.recording.ply import ply_bytes
-    from scan3d_twin.recording.scans import BACK, SCAN
+    from scan3d_twin.recording.scans import BACK_SCAN_FILE, SCAN_FILE
     from scan3d_twin.run.folder import write_file
 
     image = observations[0].image
     points = image.points[np.isfinite(image.ranges)]
     write_file(folder / "scan.ply", ply_bytes(points, np.zeros(len(points), np.int64)))
-    names = (SCAN, BACK)[: len(observations)]
+    names = (SCAN_FILE, BACK_SCAN_FILE)[: len(observations)]
     for name, observation in zip(names, observations, strict=True):
         write_file(folder / name, image_bytes(observation))
     if as_json:

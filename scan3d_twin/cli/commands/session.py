@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import App
 
 if TYPE_CHECKING:
-    from scan3d_twin.recording.load import Recorded
+    from scan3d_twin.recording.load import RecordedRun
     from scan3d_twin.run.report import Report
 
 app = App(
@@ -45,8 +45,8 @@ def info(folder: Path, *, json: bool = False) -> None:
         print(f"view {k}: {view['lines']} lines, {view['target_points']} points, {placed}")
 
 
-def _facts(recorded: Recorded) -> dict[str, Any]:
-    from scan3d_twin.recording.load import lines
+def _facts(recorded: RecordedRun) -> dict[str, Any]:
+    from scan3d_twin.recording.load import read_lines
 
     session, mark, origin = recorded.session, recorded.mark, recorded.provenance
     state = "finished" if recorded.finished else "going on" if recorded.running else "killed"
@@ -65,7 +65,7 @@ def _facts(recorded: Recorded) -> dict[str, Any]:
         "stop_reason": session.stop_reason,
         "duration_s": round(mark.stamp, 3),
         "path_m": round(mark.path, 3),
-        "lines": sum(1 for _ in lines(recorded.path)),
+        "lines": sum(1 for _ in read_lines(recorded.path)),
         "plans": len(session.plans),
         "views": [
             {
@@ -89,11 +89,11 @@ def recover(folder: Path, *, json: bool = False) -> None:
         folder: Folder of a run.
         json: Print one JSON document instead of a line.
     """
-    from scan3d_twin.recording.edit import recover as make_whole
-    from scan3d_twin.recording.load import session_path
+    from scan3d_twin.recording.edit import recover_session as make_whole
+    from scan3d_twin.recording.load import find_session_file
 
     backup = make_whole(folder, time.monotonic)
-    path = session_path(folder)
+    path = find_session_file(folder)
     if json:
         print(json_module.dumps({"path": str(path), "kept": backup and str(backup)}))
     elif backup is None:
@@ -124,12 +124,12 @@ def undo(folder: Path, *, json: bool = False) -> None:
         folder: Folder of a run.
         json: Print the report as JSON.
     """
-    from scan3d_twin.recording.edit import undo as take_back
+    from scan3d_twin.recording.edit import undo_last_change as take_back
 
     _show(folder, take_back(folder), as_json=json)
 
 
-def _show(folder: Path, recorded: Recorded, *, as_json: bool) -> None:
+def _show(folder: Path, recorded: RecordedRun, *, as_json: bool) -> None:
     from scan3d_twin.cli.summary import summary
     from scan3d_twin.run.report import report_json
 
@@ -137,20 +137,20 @@ def _show(folder: Path, recorded: Recorded, *, as_json: bool) -> None:
     print(report_json(report) if as_json else summary(report, folder), end="")
 
 
-def _save_again(recorded: Recorded) -> Report:
+def _save_again(recorded: RecordedRun) -> Report:
     """Write the model and the report of a changed session; in the twin, against the truth."""
     from scan3d_twin.api.save import save_run
     from scan3d_twin.cli.progress import make_progress
-    from scan3d_twin.recording.load import commands
+    from scan3d_twin.recording.load import read_commands
     from scan3d_twin.recording.resume import reenact
     from scan3d_twin.run.report import Journey
-    from scan3d_twin.run.settings import REAL
+    from scan3d_twin.run.settings import REAL_SCENE
 
     run, mark, folder = recorded.settings.run, recorded.mark, recorded.path.parent
     journey = Journey(mark.path, mark.turn, mark.stamp)
     what = recorded.name, recorded.settings, recorded.session, journey, _effort(folder)
     with make_progress() as progress:
-        if run.scene == REAL:
+        if run.scene == REAL_SCENE:
             progress.on_event("saving")
             return save_run(folder, *what)
         from scan3d_twin.sim.robot import open_sim
@@ -159,7 +159,7 @@ def _save_again(recorded: Recorded) -> Report:
         progress.on_event(f"driving through {mark.stamp:.0f} s again for the truth")
         scene = load_scene(run.scene, run.mesh_scale)
         with open_sim(scene, run.seed, recorded.settings.twin) as (robot, truth):
-            reenact(robot, commands(recorded.path), mark)
+            reenact(robot, read_commands(recorded.path), mark)
             progress.on_event("evaluating and saving")
             return save_run(folder, *what, truth)
 

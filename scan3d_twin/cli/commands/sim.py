@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d_twin.api.watch import Watch
+from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import ScanOptions, env, stated_options
@@ -20,8 +20,8 @@ from scan3d_twin.sim.config import RobotName, TwinConfig
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from scan3d_twin.api.resume import Resume
-    from scan3d_twin.run.closed_loop import Opening
+    from scan3d_twin.api.resume import ResumedRun
+    from scan3d_twin.run.closed_loop import RobotContext
     from scan3d_twin.sim.scenes.scene import Scene
 
     DottedOptions = Any
@@ -68,7 +68,7 @@ def sim(
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
-    watch = Watch(options.address, SPEED, lambda: _picture(scene, effective.twin.robot))
+    watch = WatchOptions(options.address, SPEED, lambda: _picture(scene, effective.twin.robot))
     if options.targets is not None:
         from scan3d_twin.cli.multi_target import run_each
 
@@ -103,7 +103,7 @@ def _picture(scene: Scene, robot: RobotName) -> bytes | str:
     return draw_scene(scene, robot)
 
 
-def _opened(scene: Scene, effective: Settings) -> Opening:
+def _opened(scene: Scene, effective: Settings) -> RobotContext:
     """Return what opens the twin in ``scene``."""
     from scan3d_twin.sim.robot import open_sim
 
@@ -117,7 +117,7 @@ def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
     return resolve_sim(stated_options(options, sections))
 
 
-def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Resume, Scene]:
+def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[ResumedRun, Scene]:
     """Return how the run in ``folder`` goes on, and its scene."""
     from scan3d_twin.api.resume import resume_sim
     from scan3d_twin.cli.multi_target import refuse_resume

@@ -1,3 +1,5 @@
+"""A session whose views have different headings, to be exported."""
+
 import math
 
 import numpy as np

@@ -79,6 +79,7 @@ def test_speed_ramps_up_at_the_firmwares_pace(bare):
         robot.clock.sleep(0.25)
 
         def speed(time):
+            """Return the true forward speed at ``time`` [m/s]."""
             return (truth.pose_at(time + 0.01).x - truth.pose_at(time - 0.01).x) / 0.02
 
         assert (speed(0.22) - speed(0.12)) / 0.10 == pytest.approx(1.8, rel=0.15)

@@ -8,13 +8,14 @@ import pytest
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.png import encode_png
 from scan3d_twin.sim.scenes import offscreen
-from scan3d_twin.sim.scenes.pictures import HEIGHT, WIDTH, render, write_png
+from scan3d_twin.sim.scenes.pictures import HEIGHT, WIDTH, render_scene, write_png
 from scan3d_twin.sim.scenes.scene import load_scene
 
 
 def drawn(name):
+    """Return the picture of a built-in scene, or skip without OpenGL."""
     try:
-        return render(load_scene(name))
+        return render_scene(load_scene(name))
     except ConfigError as error:
         pytest.skip(str(error))
 
