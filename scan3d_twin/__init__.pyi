@@ -51,6 +51,8 @@ from .core.types import (
 from .core.types import (
     Scan3D as Scan3D,
 )
+from .envs.policy import PlannerPolicy as PlannerPolicy
+from .envs.policy import rollout as rollout
 from .real.robot import open_real as open_real
 from .sim.config import TwinConfig as TwinConfig
 from .sim.robot import open_sim as open_sim

@@ -38,7 +38,7 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
         from distributed import Client
     except ImportError:
         raise ConfigError(
-            "the cluster's client is not installed; pip install 'scan3d-twin[cluster]'"
+            "the cluster's client is not installed: pip install distributed"
         ) from None
     try:
         client: Any = Client(address, timeout=CONNECT_TIMEOUT)  # type: ignore[no-untyped-call]

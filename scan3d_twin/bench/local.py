@@ -74,7 +74,7 @@ class LocalEngine:
             from pebble import ProcessPool
         except ImportError:
             raise ConfigError(
-                "the process pool is not installed; pip install 'scan3d-twin[bench]'"
+                "the process pool is not installed: pip install pebble duckdb"
             ) from None
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["scan3d_twin.bench.work"])

@@ -88,5 +88,5 @@ def _duckdb() -> Any:
     try:
         import duckdb
     except ImportError:
-        raise ConfigError("DuckDB is not installed; pip install 'scan3d-twin[bench]'") from None
+        raise ConfigError("DuckDB is not installed: pip install duckdb pebble") from None
     return duckdb

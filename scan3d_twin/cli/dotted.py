@@ -39,7 +39,7 @@ class DottedOption:
     doc: str
 
     @property
-    def option_key(self) -> str:
+    def key(self) -> str:
         """Its key in a configuration file, such as ``planning.eta_min``."""
         return f"{self.section}.{option_key(self.name)}"
 

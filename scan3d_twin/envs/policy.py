@@ -20,6 +20,15 @@ class PlannerPolicy:
     It sees the session of the episode, as ``digitize`` would show it, and has the same chance. In
     ``ViewPlanOverlap-v0`` a planner that chooses overlaps acts exactly as in ``digitize``;
     elsewhere it takes the action nearest to its plan.
+
+    >>> import gymnasium
+    >>> env = gymnasium.make(
+    ...     "scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0", fidelity="kinematic"
+    ... )
+    >>> _ = env.reset(seed=0)
+    >>> action = s3d.PlannerPolicy("fixed50").act(env)
+    >>> int(action)
+    6
     """
 
     def __init__(self, planner: Planner | str) -> None:
@@ -59,7 +68,16 @@ class Rollout:
 def rollout(
     env: gymnasium.Env[Any, Any], policy: PlannerPolicy, seed: int | None = None
 ) -> Rollout:
-    """Return what comes of ``policy`` in one episode of ``env``."""
+    """Return what comes of ``policy`` in one episode of ``env``.
+
+    >>> import gymnasium
+    >>> env = gymnasium.make(
+    ...     "scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0", fidelity="kinematic"
+    ... )
+    >>> result = s3d.rollout(env, s3d.PlannerPolicy("fixed50"), seed=0)
+    >>> result.total == sum(result.rewards), result.info["views"] == len(result.rewards) + 1
+    (True, True)
+    """
     _, info = env.reset(seed=seed)
     rewards: list[float] = []
     over = False

@@ -254,8 +254,8 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
 
     # Return the chart with caption
     return (
-        f'<h2>{title}</h2><figure class="wide">{render_chart(chart)}<figcaption>{what}, at the end of each '
-        "view, which is numbered.</figcaption></figure>"
+        f'<h2>{title}</h2><figure class="wide">{render_chart(chart)}<figcaption>{what}, '
+        "at the end of each view, which is numbered.</figcaption></figure>"
     )
 
 

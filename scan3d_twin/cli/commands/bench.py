@@ -209,7 +209,7 @@ def _require_store() -> None:
     from importlib.util import find_spec
 
     if find_spec("duckdb") is None:
-        raise ConfigError("DuckDB is not installed; pip install 'scan3d-twin[bench]'")
+        raise ConfigError("DuckDB is not installed: pip install duckdb pebble")
 
 
 def _print_figures(records: list[Record], folder: Path, *, as_json: bool) -> None:

@@ -24,9 +24,7 @@ def write(parts: Sequence[Piece], path: Path) -> list[Path]:
     try:
         import pye57
     except ImportError as error:
-        raise ConfigError(
-            "E57 files need the extra export (on x86-64): pip install 'scan3d-twin[export]'"
-        ) from error
+        raise ConfigError("E57 files need pye57 (on x86-64): pip install pye57") from error
 
     # Write a part file, then rename
     part_file = path.with_name(path.name + ".part")

@@ -28,9 +28,7 @@ def _encode(piece: Piece, *, compressed: bool) -> bytes:
     try:
         import laspy
     except ImportError as error:
-        raise ConfigError(
-            "LAS and LAZ files need the extra export: pip install 'scan3d-twin[export]'"
-        ) from error
+        raise ConfigError("LAS and LAZ files need laspy: pip install 'laspy[lazrs]'") from error
 
     # Write a reproducible header
     header = laspy.LasHeader(point_format=2, version="1.2")

@@ -76,9 +76,7 @@ def _open3d() -> Any:
     try:
         import open3d
     except ImportError as error:
-        raise ConfigError(
-            "--method poisson needs Open3D: pip install 'scan3d-twin[open3d]'"
-        ) from error
+        raise ConfigError("--method poisson needs Open3D: pip install open3d") from error
     except OSError as error:
         raise ConfigError(
             f"Open3D cannot be loaded ({error}); apt install libegl1 libgl1 libgomp1 libusb-1.0-0"

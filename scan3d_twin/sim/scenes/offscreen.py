@@ -36,7 +36,7 @@ def open_context(width: int, height: int) -> Context:
     """
     # Check packages and wanted backend
     if any(importlib.util.find_spec(name) is None for name in ("OpenGL", "glfw")):
-        raise ConfigError("pictures need the extra view: pip install 'scan3d-twin[view]'")
+        raise ConfigError("pictures need OpenGL for Python: pip install glfw pyopengl")
     wanted = os.environ.get("MUJOCO_GL")
     if wanted and wanted not in BACKENDS:
         raise ConfigError(f"MUJOCO_GL must be one of {', '.join(BACKENDS)}, got {wanted!r}")
