@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
 
 _POINT = np.dtype(
@@ -40,3 +41,6 @@ def encode(piece: Piece) -> bytes:
         "DATA binary",
     ]
     return "\n".join(header).encode("ascii") + b"\n" + points.tobytes()
+
+
+PCD = CloudFormat(suffix=".pcd", encode=encode)

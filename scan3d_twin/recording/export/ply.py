@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
 
 _VERTEX = np.dtype(
@@ -35,3 +36,6 @@ def encode(piece: Piece) -> bytes:
         "end_header",
     ]
     return "\n".join(header).encode("ascii") + b"\n" + vertices.tobytes()
+
+
+PLY = CloudFormat(suffix=".ply", encode=encode)
