@@ -1,19 +1,22 @@
 """Viewpoint planners: one file each, behind the one ``Planner`` protocol.
 
 Other packages add planners by the entry point group ``scan3d_twin.planners``: a name, and something
-that is called without arguments and returns a ``Planner``. What has a true attribute
-``needs_truth`` is called with the truth instead, and is refused where nobody knows it.
+that is called without arguments and returns a ``Planner`` (docs/extending.md). What has a true
+attribute ``needs_truth`` is called with the truth, and is refused where nobody knows it. What has
+options of its own has a frozen dataclass as its attribute ``Options``, and is called with one of
+those last; they are stated with the name, as in ``patient:overlap=0.9:rest=true``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.metadata import entry_points
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Protocol
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.options import parse_options
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,20 +54,37 @@ class Entry:
     """One planner that can be chosen by name.
 
     Attributes:
-        build: Makes it; called with the truth if it ``needs_truth``, else with nothing.
+        build: Makes it; called with the truth if it ``needs_truth``, then with its options if it
+            has any.
         summary: One line.
         needs_truth: Whether it plans on the truth, which only the twin knows.
+        options: Dataclass of its own options; None if it has none.
     """
 
     build: Callable[..., Planner]
     summary: str
     needs_truth: bool = False
+    options: type | None = None
 
     @staticmethod
     def of(build: Callable[..., Planner]) -> Entry:
         """Return the entry of a class or factory, described by its docstring's first line."""
         summary = (build.__doc__ or "").strip().split("\n")[0]
-        return Entry(build, summary, bool(getattr(build, "needs_truth", False)))
+        needs_truth = bool(getattr(build, "needs_truth", False))
+        return Entry(build, summary, needs_truth, getattr(build, "Options", None))
+
+    def options_of(self, planner: str) -> tuple[Any, ...]:
+        """Return the options that are stated with ``planner``'s name: one object, or none.
+
+        Raises:
+            ConfigError: There is no such option or value.
+        """
+        name, words = _split(planner)
+        if self.options is not None:
+            return (parse_options(self.options, words, f"planner {name}"),)
+        if words:
+            raise ConfigError(f"planner {name} has no options of its own, got {':'.join(words)}")
+        return ()
 
 
 _OWN = {
@@ -97,7 +117,11 @@ def planner_names() -> tuple[str, ...]:
 
 def planner_summary(name: str) -> str:
     """Return one line on the planner called ``name``; errors as ``make_planner``."""
-    return _entry(name).summary
+    entry = _entry(name)
+    if entry.options is None:
+        return entry.summary
+    options = (f"{f.name}={f.default}" for f in fields(entry.options))
+    return f"{entry.summary} Options: {', '.join(options)}."
 
 
 def check_planner(name: str, *, truth_known: bool) -> None:
@@ -105,11 +129,13 @@ def check_planner(name: str, *, truth_known: bool) -> None:
 
     Raises:
         UnknownNameError: There is none of this name.
-        ConfigError: It needs the truth, or cannot be loaded.
+        ConfigError: It needs the truth, has no such option, or cannot be loaded.
     """
     if truth_known and name in _OWN:
         return
-    if _entry(name).needs_truth and not truth_known:
+    entry = _entry(name)
+    entry.options_of(name)
+    if entry.needs_truth and not truth_known:
         raise ConfigError(
             f"planner {name} plans on the truth, which only the twin knows; "
             "use it with twin sim, or choose another one"
@@ -120,12 +146,14 @@ def make_planner(name: str, truth: Truth | None = None) -> Planner:
     """Return the planner called ``name``.
 
     Args:
-        name: One of ``planner_names()``, or ``module:attribute`` of a class or factory of your own.
+        name: One of ``planner_names()``, or ``module:attribute`` of a class or factory of your own;
+            its options follow, as in ``patient:overlap=0.9``.
         truth: What the twin knows; for those planners alone that are bounds for the others.
 
     Raises:
         UnknownNameError: There is none of this name.
-        ConfigError: It needs the truth and there is none, or it cannot be loaded.
+        ConfigError: It needs the truth and there is none, it has no such option, or it cannot be
+            loaded.
 
     >>> plan = s3d.make_planner("siicp").plan(session, np.random.default_rng(0))
     >>> plan.viewpoint is None or plan.overlap > 0.0
@@ -133,10 +161,19 @@ def make_planner(name: str, truth: Truth | None = None) -> Planner:
     """
     check_planner(name, truth_known=truth is not None)
     entry = _entry(name)
-    return entry.build(truth) if entry.needs_truth else entry.build()
+    arguments = (truth,) if entry.needs_truth else ()
+    return entry.build(*arguments, *entry.options_of(name))
 
 
-def _entry(name: str) -> Entry:
+def _split(planner: str) -> tuple[str, list[str]]:
+    """Return the name in ``planner``, and the options that follow it."""
+    parts = planner.split(":")
+    words = [part for part in parts if "=" in part]
+    return ":".join(part for part in parts if part not in words), words
+
+
+def _entry(planner: str) -> Entry:
+    name, _ = _split(planner)
     if name in _OWN:
         return Entry.of(resolve_name(f"{__name__}.planners.{_OWN[name]}"))
     others = _others()
