@@ -75,6 +75,12 @@ app.command(
     help_format="markdown",
 )
 app.command(
+    "scan3d_twin.cli.commands.listing:devices",
+    name="devices",
+    help="List the lidars and bases.",
+    help_format="markdown",
+)
+app.command(
     "scan3d_twin.cli.commands.bench:app",
     name="bench",
     help="Run planners against planners in the twin.",

@@ -63,8 +63,12 @@ class ScanOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PortOptions:
-    """Where the robot is plugged in."""
+    """What the robot is made of, and where it is plugged in."""
 
+    robot: Annotated[str | None, env("ROBOT")] = None
+    """Name of the base, see `twin devices`; create2 finds a Create 1 as well (default create2)."""
+    lidar: Annotated[str | None, env("LIDAR")] = None
+    """Name of the lidar, see `twin devices` (default: the one of the paper)."""
     port: Annotated[str | None, env("PORT")] = None
     """Serial port of the base, such as /dev/ttyUSB0 (default: found by its USB id)."""
     lidar_port: Annotated[str | None, env("LIDAR_PORT")] = None
@@ -87,6 +91,8 @@ def _flat(options: ScanOptions, sections: Options) -> Options:
             run[name] = value
         elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
             top[name] = value
+        elif name == "lidar":
+            top["lidar_model"] = value
     planning = {}
     if options.epsilon is not None:
         if "epsilon" in sections.get("planning", {}):

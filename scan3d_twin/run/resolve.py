@@ -9,6 +9,7 @@ from scan3d_twin.run.settings import (
     NAME_OR_PLACE,
     Options,
     Settings,
+    device_options,
     settings,
     stated_place,
     world_options,
@@ -44,9 +45,10 @@ def _check_target(text: str, scene: Scene) -> None:
 
 
 def _named(given: Options) -> list[Options]:
-    """Return what the world and the preset stand for."""
-    run = settings([given]).run
-    return [world_options(run.world), preset_options(run.preset)]
+    """Return what the devices, the world and the preset stand for."""
+    stated = settings([given])
+    run, devices = stated.run, stated.twin.devices
+    return [device_options(devices), world_options(run.world), preset_options(run.preset)]
 
 
 def _of_scene(scene: Scene) -> Options:

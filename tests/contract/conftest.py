@@ -6,7 +6,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 import pytest
 
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.ports import choose_ports
 from scan3d_twin.real.robot import open_real
 from scan3d_twin.sim.config import TwinConfig
@@ -54,7 +53,7 @@ def open_in(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Robot]]:
     given = [request.config.getoption(name) for name in ("--port", "--lidar-port")]
 
     def real(_: str) -> AbstractContextManager[Robot]:
-        return open_real(*choose_ports(*given), LINKS["usb"])
+        return open_real(*choose_ports(*given))
 
     opener = {**BACKENDS, "hardware": real}[request.param]
     with ExitStack() as stack:

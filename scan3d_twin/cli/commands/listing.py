@@ -1,4 +1,4 @@
-"""``twin scenes`` and ``twin planners``: what there is to choose from, a line each."""
+"""``twin scenes``, ``planners`` and ``devices``: what there is to choose from, a line each."""
 
 from __future__ import annotations
 
@@ -47,6 +47,19 @@ def planners(*, json: bool = False) -> None:
     from scan3d_twin.core.planning import planner_names, planner_summary
 
     _show({name: planner_summary(name) for name in planner_names()}, json)
+
+
+def devices(*, json: bool = False) -> None:
+    """List the lidars and bases.
+
+    Args:
+        json: Print one JSON document instead of lines.
+    """
+    from scan3d_twin.devices.registry import base_device, base_names, lidar_device, lidar_names
+
+    bases = {name: f"[base] {base_device(name).summary}" for name in base_names()}
+    lidars = {name: f"[lidar] {lidar_device(name).summary}" for name in lidar_names()}
+    _show({**bases, **lidars}, json)
 
 
 def _show(lines: dict[str, str], as_json: bool) -> None:

@@ -17,13 +17,14 @@ from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import HazardError, ScanError
-from scan3d_twin.run.settings import REAL, Options, Settings, settings
+from scan3d_twin.run.settings import REAL, Options, Settings, device_options, settings
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from scan3d_twin.api.resume import Resume
     from scan3d_twin.core.hal import Robot
+    from scan3d_twin.devices.registry import Devices
     from scan3d_twin.recording.recorder import SerialTaps
 
     DottedOptions = Any
@@ -71,7 +72,7 @@ def real(
     resume = None if options.resume is None else _going_on(options, options.resume, given)
     effective = resolve(options, given) if resume is None else resume.settings
     taps = SerialTaps()
-    opening = open_robot(options, effective.twin.lidar_link, taps)
+    opening = open_robot(options, effective.twin.devices, taps)
     if options.dry_run:
         with opening as (robot, _):
             rehearse(robot, as_json=options.json)
@@ -106,8 +107,9 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
     from scan3d_twin.core.planning import check_planner
 
     given = stated_options(options, sections)
-    name = settings([given]).run.preset
-    effective = settings([preset_options(name), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    named = settings([given])
+    stands_for = [device_options(named.twin.devices), preset_options(named.run.preset)]
+    effective = settings([*stands_for, SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
     check_planner(effective.config.planner, truth_known=False)
     return effective
 
@@ -122,17 +124,16 @@ def _going_on(options: RealOptions, folder: Path, sections: Options) -> Resume:
 
 
 def open_robot(
-    options: PortOptions, lidar_link: str, taps: SerialTaps | None = None
+    options: PortOptions, devices: Devices, taps: SerialTaps | None = None
 ) -> AbstractContextManager[tuple[Robot, None]]:
     """Return what opens the robot on the ports that are given or found; nobody knows the truth."""
-    from scan3d_twin.devices.urg.model import LINKS
     from scan3d_twin.real.ports import choose_ports
     from scan3d_twin.real.robot import open_real
 
     @contextmanager
     def opened() -> Iterator[tuple[Robot, None]]:
-        base, lidar = choose_ports(options.port, options.lidar_port)
-        with open_real(base, lidar, LINKS[lidar_link], taps) as robot:
+        base, lidar = choose_ports(options.port, options.lidar_port, devices)
+        with open_real(base, lidar, devices, taps) as robot:
             yield robot, None
 
     return opened()

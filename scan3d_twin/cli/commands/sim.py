@@ -15,7 +15,7 @@ from scan3d_twin.cli.options import ScanOptions, env, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
-from scan3d_twin.sim.config import RobotName, TwinConfig
+from scan3d_twin.sim.config import TwinConfig
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,7 +43,9 @@ class SimOptions(ViewOptions, ScanOptions):
     mesh_scale: Annotated[float | None, env("MESH_SCALE")] = None
     """Metres per unit of a mesh file (default 1)."""
     robot: Annotated[str | None, env("ROBOT")] = None
-    """Robot profile: create1 or create2 (default create2)."""
+    """Name of the base, see `twin devices` (default create2)."""
+    lidar: Annotated[str | None, env("LIDAR")] = None
+    """Name of the lidar, see `twin devices` (default: the one of the paper)."""
     world: Annotated[str | None, env("WORLD")] = None
     """Named errors of robot, lidar and floor: ideal, typical or harsh (default typical)."""
 
@@ -96,7 +98,7 @@ def sim(
         )
 
 
-def _picture(scene: Scene, robot: RobotName) -> bytes | str:
+def _picture(scene: Scene, robot: str) -> bytes | str:
     """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
     from scan3d_twin.api.sim import draw_scene
 

@@ -1,4 +1,4 @@
-"""The simulated iRobot Create: drive commands, odometry and safety sensors every 15 ms."""
+"""The simulated base: drive commands, odometry and safety sensors with every packet."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ import math
 from bisect import bisect_right
 
 from scan3d_twin.core.errors import HazardError
-from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.navigation.wheel_kinematics import ACCELERATION, wheel_speeds
 from scan3d_twin.core.types import Hazards, Odometry
+from scan3d_twin.devices.device import BaseDevice
 from scan3d_twin.sim.base.odometers import Sample, make_odometer
-from scan3d_twin.sim.base.profiles import CREATE2
 from scan3d_twin.sim.base.safety_sensors import Feelers
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.world import PREFIX, World
-
-__all__ = ["CREATE2", "HISTORY", "SimBase"]
 
 HISTORY = 20_000
 """Odometry samples that are kept at least: 5 minutes."""
@@ -26,14 +23,14 @@ SURPLUS = 2_000
 class SimBase:
     """A ``DriveBase`` on the twin.
 
-    Sensor packets are taken in every 15 ms; they become odometry when somebody asks for it.
+    Sensor packets are taken in every sample period; they become odometry when somebody asks for it.
     """
 
     def __init__(
-        self, world: World, spec: BaseSpec = CREATE2, errors: RobotErrorConfig | None = None
+        self, world: World, device: BaseDevice, errors: RobotErrorConfig | None = None
     ) -> None:
         errors = RobotErrorConfig() if errors is None else errors
-        self.spec = spec
+        self.spec = spec = device.spec
         self._world = world
         model, data = world.model, world.data
         names = [f"{PREFIX}{side}" for side in ("left", "right")]
@@ -47,7 +44,7 @@ class SimBase:
         self._samples = 0
         self.next_step = self._due(1)
         self._zero = [float(data.qpos[wheel]) for wheel in self._wheels]
-        self._odometer = make_odometer(spec, errors)
+        self._odometer = make_odometer(device, errors)
         self._pending: list[Sample] = []
         self._history = [self._odometer.update(Sample(0.0, (0.0, 0.0), (0.0, 0.0)))]
         self._hazards = Hazards()
