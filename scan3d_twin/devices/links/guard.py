@@ -29,7 +29,7 @@ class Guard(Protocol):
     """Stops the wheels if this process no longer can."""
 
     def beat(self, moving: bool) -> None:
-        """Tell that the process is alive, and whether it drives."""
+        """Report that the process is alive, and whether it drives."""
         ...
 
 
