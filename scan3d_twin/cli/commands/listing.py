@@ -1,4 +1,4 @@
-"""``twin scenes`` and ``twin planners``: the choices, one line each."""
+"""``twin scenes``, ``planners`` and ``devices``: the choices, one line each."""
 
 from __future__ import annotations
 
@@ -55,6 +55,19 @@ def planners(*, json: bool = False) -> None:
     from scan3d_twin.core.planning import list_planners, summarise_planner
 
     _show({name: summarise_planner(name) for name in list_planners()}, json)
+
+
+def devices(*, json: bool = False) -> None:
+    """List the lidars and bases.
+
+    Args:
+        json: Print one JSON document instead of lines.
+    """
+    from scan3d_twin.devices.registry import base_device, base_names, lidar_device, lidar_names
+
+    bases = {name: f"[base] {base_device(name).summary}" for name in base_names()}
+    lidars = {name: f"[lidar] {lidar_device(name).summary}" for name in lidar_names()}
+    _show({**bases, **lidars}, json)
 
 
 def _show(lines: dict[str, str], as_json: bool) -> None:

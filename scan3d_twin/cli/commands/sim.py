@@ -15,7 +15,7 @@ from scan3d_twin.cli.options import ScanOptions, SceneOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
-from scan3d_twin.sim.config import RobotName, TwinConfig
+from scan3d_twin.sim.config import TwinConfig
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,7 +86,7 @@ def sim(
         )
 
 
-def _picture(scene: Scene, robot: RobotName) -> bytes | str:
+def _picture(scene: Scene, robot: str) -> bytes | str:
     """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
     from scan3d_twin.api.sim import draw_scene
 

@@ -99,7 +99,7 @@ class SceneRanges:
     albedo: Interval = (0.40, 0.90)
     """Reflectance of matte and glossy surfaces."""
     dark_albedo: Interval = (0.10, 0.25)
-    """Reflectance of dark surfaces; the URG-04LX sees 10 % grey to 4 m."""
+    """Reflectance of dark surfaces; the lidar of the paper sees 10 % grey to 4 m."""
     gloss: Interval = (0.20, 0.45)
     """Roughness of glossy plastic."""
     chrome: Interval = (0.30, 0.50)
