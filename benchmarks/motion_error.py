@@ -42,7 +42,7 @@ from scan3d_twin.sim.base.motion_errors import (
 )
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.robot import draw_robot, open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.world import RobotErrors
 
 MOVES_PER_ROBOT = 4

@@ -33,7 +33,8 @@ from scan3d_twin.sim.lidar.noise import Draws
 from scan3d_twin.sim.lidar.scanner import CHUNK, Scanner
 from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import Scene, load_scene
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.scene import Scene
 
 LINES = 40
 """Lines per turn of the closed loops; 4 s of simulated time."""

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from scan3d_twin.cli.defaults import default_text
-from scan3d_twin.cli.environment import PREFIX
+from scan3d_twin.cli.defaults import PREFIX, default_text
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.run.settings import Options, absolute_scene, merge_options, read_settings
 

@@ -18,8 +18,8 @@ from scan3d_twin.run.resolve import settings_for_scene
 from scan3d_twin.run.settings import Options, build_settings, merge_options
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import Thinning, thin_config, thin_spec
-from scan3d_twin.sim.scenes.random_scenes import SceneRanges
-from scan3d_twin.sim.scenes.scene import scene_names
+from scan3d_twin.sim.scenes.load import scene_names
+from scan3d_twin.sim.scenes.random_ranges import SceneRanges
 from scan3d_twin.sim.world import Solver
 
 Fidelity = Literal["physics", "lite", "kinematic"]

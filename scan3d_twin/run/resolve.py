@@ -14,7 +14,8 @@ from scan3d_twin.run.settings import (
     parse_place,
     world_options,
 )
-from scan3d_twin.sim.scenes.scene import Scene, load_scene
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.scene import Scene
 
 
 def resolve_sim(given: Options) -> tuple[Settings, Scene]:

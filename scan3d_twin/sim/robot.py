@@ -17,7 +17,8 @@ from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.lidar.lidar import SimLidar
 from scan3d_twin.sim.lidar.scanner import Scanner
 from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
-from scan3d_twin.sim.scenes.scene import Scene, load_scene
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.trace import PoseTrace
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model

@@ -30,7 +30,7 @@ from scan3d_twin.sim.kinematic import (
 )
 from scan3d_twin.sim.ray_casting import choose_caster
 from scan3d_twin.sim.robot import draw_robot, open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 SCENE = load_scene("three_boxes")
 CASTER = choose_caster(SCENE.model)

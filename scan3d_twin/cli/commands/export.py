@@ -43,14 +43,14 @@ def export(
     from scan3d_twin.recording.export import find_format
     from scan3d_twin.recording.export.format import CloudFormat, MeshFormat
 
-    # Refuse what the format cannot do.
+    # Refuse what the format cannot do
     kind = find_format(to)
     if not voxel >= 0:
         raise ConfigError(f"--voxel must be >= 0 mm, got {voxel:g}")
     if (per_view or voxel) and not isinstance(kind, CloudFormat):
-        raise ConfigError(f"--per-view and --voxel are for clouds; {to} has no choice of them")
+        raise ConfigError(f"--per-view and --voxel are for clouds; {to} is none")
 
-    # Write it.
+    # Write it
     if isinstance(kind, MeshFormat):
         from scan3d_twin.cli.commands.mesh import mesh
 
@@ -66,26 +66,21 @@ def export(
         print("\n".join(str(path) for path in files))
 
 
-def folder_of(run: Path) -> Path:
-    """Return the folder of a run that is named by its folder or its session file."""
-    return run if run.is_dir() else run.parent
-
-
 def _cloud(
     run: Path, name: str, kind: CloudFormat, out: Path | None, *, per_view: bool, voxel: float
 ) -> list[Path]:
     from scan3d_twin.recording.export.clouds import export_cloud, file_name, pieces
-    from scan3d_twin.recording.load import load_session
+    from scan3d_twin.recording.load import load_session, run_folder
 
     session = load_session(run).session
-    path = out or folder_of(run) / file_name(name, kind, per_view=per_view)
+    path = out or run_folder(run) / file_name(name, kind, per_view=per_view)
     parts = pieces(session, per_view=per_view, voxel=voxel)
     return export_cloud(parts, kind, path, per_view=per_view)
 
 
 def _recording(run: Path, name: str, kind: RecordingFormat, out: Path | None) -> list[Path]:
-    from scan3d_twin.recording.load import find_session_file
+    from scan3d_twin.recording.load import find_session_file, run_folder
 
-    path = out or folder_of(run) / name
+    path = out or run_folder(run) / name
     kind.write(find_session_file(run), path)
     return [path]

@@ -24,7 +24,7 @@ def scenes(
         out: File for the picture.
         json: Print one JSON document instead of lines.
     """
-    from scan3d_twin.sim.scenes.scene import load_scene, scene_names
+    from scan3d_twin.sim.scenes.load import load_scene, scene_names
 
     if show is not None:
         _draw(show, out, json)
@@ -37,8 +37,8 @@ def scenes(
 
 def _draw(name: str, out: Path | None, as_json: bool) -> None:
     """Write the picture of a scene and say where."""
+    from scan3d_twin.sim.scenes.load import load_scene
     from scan3d_twin.sim.scenes.pictures import render_scene, write_png
-    from scan3d_twin.sim.scenes.scene import load_scene
 
     scene = load_scene(name)
     path = Path(f"{scene.name}.png") if out is None else out
