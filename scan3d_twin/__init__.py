@@ -2,10 +2,16 @@
 
 The names of this module are the public interface: documented, versioned, and loaded when they are
 first used. ``__init__.pyi`` lists them. Everything else in the package is private to it.
+
+Importing it before NumPy selects the kernels of OpenBLAS, so that one seed gives the same bytes on
+every processor; see ``scan3d_twin.arithmetic``.
 """
 
 import lazy_loader
 
+from scan3d_twin.arithmetic import fix_arithmetic
+
 __version__ = "0.2.0"
 
+fix_arithmetic()
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

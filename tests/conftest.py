@@ -1,14 +1,12 @@
 """What all tests share: the arithmetic of the program, the robot's ports, and a limit of time."""
 
-from scan3d_twin.cli.arithmetic import fix_arithmetic
+import signal
+from collections.abc import Generator
+from types import FrameType
 
-fix_arithmetic()  # before anything loads NumPy: the tests compare bits with those of the program
+import pytest
 
-import signal  # noqa: E402
-from collections.abc import Generator  # noqa: E402
-from types import FrameType  # noqa: E402
-
-import pytest  # noqa: E402
+import scan3d_twin  # noqa: F401 - before NumPy: the tests compare bits with those of the program
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, NoReturn, get_args
 
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
-from scan3d_twin.cli.arithmetic import fix_arithmetic
 from scan3d_twin.cli.environment import refuse_unknown_variables
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
 from scan3d_twin.cli.output import discard, say
@@ -98,7 +97,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     A reader that closes the output early, such as ``head``, is no error.
     """
-    fix_arithmetic()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _interrupt)
     tokens = sys.argv[1:] if arguments is None else list(arguments)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from scan3d_twin.cli import arithmetic
+from scan3d_twin import arithmetic
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = (
@@ -87,8 +87,7 @@ def program(code: str, **environment: str) -> str:
 FIXED = """
 import os
 {before}
-from scan3d_twin.cli.arithmetic import fix_arithmetic
-fix_arithmetic()
+import scan3d_twin
 print(os.environ.get("OPENBLAS_CORETYPE"), os.environ.get("OPENBLAS_NUM_THREADS"))
 """
 
