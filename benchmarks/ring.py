@@ -34,7 +34,7 @@ from registration_data import FloatArray, Noise, Scene, box, merge, polygon, sca
 from registration_peers import PEERS, Peer
 
 from scan3d_twin.core.mapping.loop_closure import align_grids
-from scan3d_twin.core.registration import PosePrior, prepare
+from scan3d_twin.core.registration import PosePrior, extract_surfels
 from scan3d_twin.core.types import Pose2, RangeImage
 
 SIGMA_XY, SIGMA_YAW = 0.02, math.radians(2.0)
@@ -113,7 +113,7 @@ def chain(moves: list[Pose2]) -> list[Pose2]:
 
 def ours(ring: Ring) -> list[Pose2]:
     odometry = [PosePrior.planar(move, SIGMA_XY, SIGMA_YAW) for move in ring.moves]
-    return list(align_grids([prepare(image) for image in ring.images], odometry)[1].poses)
+    return list(align_grids([extract_surfels(image) for image in ring.images], odometry)[1].poses)
 
 
 def two_stages(reach: float, fine: float) -> Peer:

@@ -26,9 +26,9 @@ from scan3d_twin.core.mapping.pose_graph import GATE, PoseGraph, Solution
 from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale
 from scan3d_twin.core.mapping.surfel_store import Prepared
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
-from scan3d_twin.core.registration.multistart import AMBIGUOUS
+from scan3d_twin.core.registration.multistart import MIN_CONTRADICTION_GAP
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
-from scan3d_twin.core.registration.pose_prior import PLANAR, about_target, spread
+from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, wrap
@@ -264,7 +264,7 @@ def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -
     if target is None or source is None:
         return None
     points = source.sample(STRIDE).rows[:, X] @ prior.T[:3, :3].T
-    if spread(points, prior.covariance) < CERTAIN:
+    if predict_rmse(points, prior.covariance) < CERTAIN:
         starts = max(1, starts // 4)
     try:
         result = register(target, source, prior=prior, starts=starts)
@@ -281,7 +281,7 @@ def scans_alone(result: RegistrationResult, prior: PosePrior) -> tuple[Pose2, Fl
     About the target's origin along its axes; the equations are at the module's head. In the metric
     of the prior, L0 = A^T A, the eigenvalues of A^-T L A^-1 are 1 + what the scans add.
     """
-    shift = about_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
+    shift = shift_to_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
     rows = list(PLANAR)
     deviation = shift @ prior.deviation(result.T_target_source)[rows]
     half = np.linalg.cholesky(shift @ prior.covariance[np.ix_(PLANAR, PLANAR)] @ shift.T)
@@ -289,7 +289,7 @@ def scans_alone(result: RegistrationResult, prior: PosePrior) -> tuple[Pose2, Fl
     added = np.where(values - 1.0 > KNOWN, values - 1.0, 0.0)
     along = vectors.T @ np.linalg.solve(half, deviation)
     correction = half @ vectors @ np.divide(along, added, out=np.zeros(3), where=added > 0)
-    doubt = max(0.0, 1.0 - result.ambiguity_gap / AMBIGUOUS)
+    doubt = max(0.0, 1.0 - result.ambiguity_gap / MIN_CONTRADICTION_GAP)
     added = added / (1.0 + doubt * added)
     back = np.linalg.solve(half.T, vectors)
     T = Pose2.from_matrix(result.T_target_source)
@@ -302,7 +302,7 @@ def _solve(
 ) -> Solution:
     graph = PoseGraph(poses)
     for k, prior in enumerate(odometry):
-        shift = about_target(prior.T)[np.ix_(PLANAR, PLANAR)]
+        shift = shift_to_target(prior.T)[np.ix_(PLANAR, PLANAR)]
         C = shift @ prior.covariance[np.ix_(PLANAR, PLANAR)] @ shift.T
         information = np.asarray(np.linalg.inv(C), dtype=np.float64)
         graph.add_edge(k, k + 1, Pose2.from_matrix(prior.T), information, robust=False)
@@ -314,7 +314,7 @@ def _solve(
 def _prior(solution: Solution, i: int, j: int) -> PosePrior:
     """Return what the graph knows of view j in i, less sure of it, about j's origin."""
     T, C = solution.relative(i, j)
-    back = np.linalg.inv(about_target(T.matrix())[np.ix_(PLANAR, PLANAR)])
+    back = np.linalg.inv(shift_to_target(T.matrix())[np.ix_(PLANAR, PLANAR)])
     C = OPTIMISM**2 * (back @ C @ back.T)
     return PosePrior.of_robot(T, (C + C.T) / 2)
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from scan3d_twin.core.config import Config, PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.registration import PosePrior, SurfelGrid, icp, prepare, register
-from scan3d_twin.core.registration.pose_prior import PLANAR, about_target, spread
+from scan3d_twin.core.registration import PosePrior, SurfelGrid, extract_surfels, icp, register
+from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import (
     FloatArray,
@@ -68,7 +68,7 @@ def _place_by_grid(view: View, views: Sequence[View], config: Config) -> View:
 def _predicted(result: RegistrationResult, view: View) -> float:
     """Return the expected displacement [m] of the target's points, which is what is modelled."""
     points = view.target.points if len(view.target) else view.sweep.points
-    return spread(Pose2.from_matrix(result.T_target_source).apply(points), result.covariance)
+    return predict_rmse(Pose2.from_matrix(result.T_target_source).apply(points), result.covariance)
 
 
 def odometry_scale(views: Sequence[View], config: Config) -> float:
@@ -92,7 +92,7 @@ def odometry_scale(views: Sequence[View], config: Config) -> float:
 def _innovation(prior: PosePrior, result: RegistrationResult) -> FloatArray:
     """Return the normalised innovations (k,) in the directions that registration tells of."""
     rows = np.ix_(PLANAR, PLANAR)
-    back = np.linalg.inv(about_target(result.T_target_source))
+    back = np.linalg.inv(shift_to_target(result.T_target_source))
     C = (back @ result.covariance @ back.T)[rows]
     whitener = np.linalg.inv(np.linalg.cholesky(prior.covariance[rows]))
     gained, directions = np.linalg.eigh(np.eye(3) - whitener @ C @ whitener.T)
@@ -108,7 +108,7 @@ def surfels_of(view: View, config: Config) -> SurfelGrid:
     if kept is not None and kept[0] is scope:
         grid = SurfelGrid(image, *kept[1:])
     else:
-        grid = prepare(image, keep=scope)
+        grid = extract_surfels(image, keep=scope)
     noise = replace(
         grid.noise,
         yaw_scale_sigma=config.registration.yaw_scale_sigma,
@@ -177,7 +177,7 @@ def _register_by_icp(view: View, previous: View, config: Config) -> Registration
     """Register ``view`` on ``previous`` where, by odometry, they are expected to overlap."""
     init = previous.T_world_scan.inverse() @ view.T_world_scan
     target, source = (_in_scope(v, config.registration.scope) for v in (previous, view))
-    source = icp.overlapping_lines(target, source, init)
+    source = icp.select_overlapping_lines(target, source, init)
     if len(target) == 0 or len(source) == 0:
         return icp.register(target.points, source.points, init_T_target_source=init)
     ends = config.registration.scope == "target" and ends_in_view(
@@ -187,7 +187,7 @@ def _register_by_icp(view: View, previous: View, config: Config) -> Registration
         target.points,
         source.points,
         init_T_target_source=init,
-        border=icp.cut_lines(target, right=not ends),
+        border=icp.find_border(target, right=not ends),
         config=config.registration,
     )
 

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.grids import connected, eroded, shortest_ways
-from scan3d_twin.core.readings import Placed
+from scan3d_twin.core.grids import erode, find_connected, find_shortest_paths
+from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration.native import ByteArray, engine
 from scan3d_twin.core.types import (
     BoolArray,
@@ -62,17 +62,17 @@ class Costmap:
         """Cells in which the robot's centre may be (nx, ny)."""
         free = self.cells == FREE
         free |= self._disc(self.start, self.radius + RESOLUTION)
-        return eroded(free, self.radius, RESOLUTION) | self._disc(self.start, RESOLUTION)
+        return erode(free, self.radius, RESOLUTION) | self._disc(self.start, RESOLUTION)
 
     @cached_property
     def reachable(self) -> BoolArray:
         """Cells to which the robot's centre can get (nx, ny)."""
-        return connected(self.passable, self._cell_of(*self.start))
+        return find_connected(self.passable, self._cell_of(*self.start))
 
     @cached_property
     def _search(self) -> tuple[FloatArray, IntArray]:
         """Way from the start to every cell [m] and the cell before it (nx * ny,)."""
-        return shortest_ways(self.reachable, self._cell_of(*self.start), RESOLUTION)
+        return find_shortest_paths(self.reachable, self._cell_of(*self.start), RESOLUTION)
 
     def ways(self, places: FloatArray) -> FloatArray:
         """Return the length of the way (n,) [m] from the start to ``places`` (n, 2); inf for none.
@@ -260,7 +260,7 @@ def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, F
         with np.errstate(invalid="ignore"):
             low = (heights >= -config.target.floor_height) & (heights < top)
             low &= image.ranges <= config.target.max_range
-        points, lines, beams, distance = Placed.of(image, low)
+        points, lines, beams, distance = SweepPoints.of(image, low)
         outside = distance > config.motion.self_radius
         solid = outside & (points[:, 2] > config.target.floor_height)
         ahead = outside & (np.abs(image.spec.elevations) < np.pi / 2)[beams]
@@ -285,7 +285,7 @@ def _free_reach(
         config: Says from where on the floor has to be seen.
     """
     reach = np.empty(n_lines)
-    done = engine.free_reach(
+    done = engine.measure_free_reach(
         lines, distance, kinds, len(lines), n_lines, config.motion.self_radius, FLOOR_STEP,
         RESOLUTION, reach,
     )  # fmt: skip

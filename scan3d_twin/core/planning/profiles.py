@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan3d_twin.core.planning.context import readings_of
-from scan3d_twin.core.registration.edges import INWARDS, JUMP, MIN_BEAMS, MIN_COSINE
+from scan3d_twin.core.registration.edges import MIN_BEAMS, MIN_COSINE, MIN_RANGE_STEP, SURFEL_OFFSET
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 from scan3d_twin.core.viewpoints import angle_between, clockwise
@@ -95,7 +95,7 @@ class Profile:
         for side in (1, -1):
             places, on_target = self.places[::side], self.on_target[::side]
             for k in np.flatnonzero(_ends(np.linalg.norm(places, axis=1))):
-                if on_target[max(0, int(k) - INWARDS)]:
+                if on_target[max(0, int(k) - SURFEL_OFFSET)]:
                     edge = _edge(places[: k + 1], side)
                     if edge is not None:
                         yield edge
@@ -120,10 +120,10 @@ def _edge(places: FloatArray, side: int) -> Edge | None:
 
 
 def _last_surface(places: FloatArray) -> FloatArray:
-    """Return those of ``places`` (n, 2) that are one surface near the last, without ``INWARDS``."""
-    surface = places[:-INWARDS]
+    """Return those of ``places`` (n, 2) on one surface near the last, less ``SURFEL_OFFSET``."""
+    surface = places[:-SURFEL_OFFSET]
     steps = np.abs(np.diff(np.linalg.norm(surface, axis=1)))
-    breaks = np.flatnonzero(~(steps <= JUMP))
+    breaks = np.flatnonzero(~(steps <= MIN_RANGE_STEP))
     surface = surface[breaks[-1] + 1 if len(breaks) else 0 :]
     return np.asarray(surface[np.linalg.norm(surface - places[-1], axis=1) <= CARRIES])
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config, MountConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration import prepare
+from scan3d_twin.core.registration import extract_surfels
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X
 from scan3d_twin.core.scanning.extrinsics import composed, in_words, tilt, turn_rate
 from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
@@ -225,7 +225,7 @@ def _gather(places: Sequence[Sequence[RangeImage]]) -> Samples:
 
 def _sample(image: RangeImage, place: int) -> tuple[FloatArray | IntArray, ...]:
     """Return the fields of ``Samples`` for one sweep, the mean of each window as its reading."""
-    table = prepare(image).at(np.s_[::STRIDE, ::STRIDE])
+    table = extract_surfels(image).at(np.s_[::STRIDE, ::STRIDE])
     yaws, e = image.yaws[::STRIDE, ::STRIDE], image.spec.elevations[::STRIDE]
     beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1)
     lidar = _turned(np.broadcast_to(image.T_base_lidar[:3, 3], (*yaws.shape, 3)), yaws)
@@ -271,7 +271,7 @@ def _gap(image: RangeImage) -> float | None:
     if turn < math.tau - SEAM / 4:
         return None
     count = max(MIN_SEAM, int(np.count_nonzero(middle >= middle[-1] + math.tau)))
-    grid = prepare(image)
+    grid = extract_surfels(image)
     a, b = grid.at(np.s_[:count, :]), grid.at(np.s_[-count:, :])
     both = (a[..., VARIANCE] > 0) & (b[..., VARIANCE] > 0)
     n, m = a[both][:, N], b[both][:, N]

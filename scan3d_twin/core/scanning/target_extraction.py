@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.grids import dilated, labelled
+from scan3d_twin.core.grids import dilate, label_components
 from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.readings import Placed
+from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import (
     BoolArray,
@@ -45,7 +45,7 @@ def all_points(image: RangeImage, config: Config) -> Scan3D:
     with np.errstate(invalid="ignore"):
         keep = image.ranges <= config.target.max_range
         keep &= image.heights > config.target.floor_height
-    points, lines, beams, distance = Placed.of(image, keep)
+    points, lines, beams, distance = SweepPoints.of(image, keep)
     sweep = Scan3D(points, lines, beams, image.n_lines)
     outside = distance > config.motion.self_radius
     return sweep if outside.all() else sweep.select(outside)
@@ -218,7 +218,7 @@ def _group_top_view(points: FloatArray, gap: float) -> IntArray:
     i, j = cells + margin
     grid = np.zeros((i.max() + 1 + margin, j.max() + 1 + margin), dtype=bool)
     grid[i, j] = True
-    labels = labelled(dilated(grid, (gap / CELL - 1) / 2))
+    labels = label_components(dilate(grid, (gap / CELL - 1) / 2))
     return np.asarray(labels[i, j], dtype=np.int64)
 
 
@@ -239,9 +239,9 @@ def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: floa
     row, column = np.floor((columns - low[:, None]) / CELL).astype(np.int64)
     cell = row * size[1] + column
     diagonal = math.sqrt(2.0) * CELL
-    near = dilated(grid, gap - 1.01 * diagonal, CELL).take(cell)
+    near = dilate(grid, gap - 1.01 * diagonal, CELL).take(cell)
     touching = np.bincount(groups[near], minlength=int(groups.max()) + 1) > 0
-    possible = dilated(grid, gap + 1.01 * diagonal, CELL).take(cell) & ~touching[groups]
+    possible = dilate(grid, gap + 1.01 * diagonal, CELL).take(cell) & ~touching[groups]
     if possible.any():
         distance, _ = nearest(cKDTree(known), points[possible])
         touching[groups[possible][distance <= gap]] = True
@@ -256,6 +256,9 @@ def _piece_sizes(image: RangeImage, scan: Scan3D) -> IntArray:
     sizes = np.empty(len(scan), dtype=np.int64)
     lines, beams = np.ascontiguousarray(scan.lines), np.ascontiguousarray(scan.beams)
     ranges = read_only(image.ranges)
-    if engine.pieces(ranges, *ranges.shape, lines, beams, len(scan), DEPTH_EDGE, sizes) < 0:
+    if (
+        engine.measure_components(ranges, *ranges.shape, lines, beams, len(scan), DEPTH_EDGE, sizes)
+        < 0
+    ):
         raise MemoryError
     return sizes

@@ -19,7 +19,7 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext, blocked, in_world
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.simulated_registration import Simulation
-from scan3d_twin.core.registration.icp import cut_lines, register
+from scan3d_twin.core.registration.icp import find_border, register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import (
     Candidate,
@@ -114,7 +114,7 @@ def simulated_error(
     Q = context.P.last_lines(n_Q)
     Q_prime = _surface(context, config).last_lines(n_Q)
     Q_prime = Q_prime.middle_lines(max(1, round(config.alpha * n_Q)))  # eq. (5)
-    border = cut_lines(Q, right=not context.ends)
+    border = find_border(Q, right=not context.ends)
     tree = cKDTree(Q.points)
     errors = []
     for draw in draws:

@@ -38,7 +38,7 @@ class Swept(NamedTuple):
     beams: Beams
 
 
-class Survey(NamedTuple):
+class ScanSurfels(NamedTuple):
     """What is known of a sweep.
 
     Attributes:
@@ -58,7 +58,7 @@ class Survey(NamedTuple):
     line_spacing: float
 
 
-def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
+def extract_surfels(swept: Swept, keep: BoolArray, noise: FloatArray) -> ScanSurfels:
     """Return what a sweep shows.
 
     Only the part from the first to the last line and beam with a reading is looked at.
@@ -66,7 +66,7 @@ def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
     Args:
         swept: The sweep.
         keep: Readings (n_lines, n_beams) that get a surfel; (0, 0) for all.
-        noise: As in ``Survey``, NaN where it is to be estimated (3,).
+        noise: As in ``ScanSurfels``, NaN where it is to be estimated (3,).
     """
     valid = (swept.codes == VALID) & (swept.ranges > 0) & (swept.ranges < np.inf)
     l0, l1 = extent(np.sum(valid, axis=1))
@@ -92,7 +92,7 @@ def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
     row_of = np.full(valid.shape, -1, dtype=np.int32)
     row_of[l0:l1, b0:b1] = found
     of_rows -= np.mean(middles)
-    return Survey(rows, of_rows, row_of, valid, noise, line_spacing)
+    return ScanSurfels(rows, of_rows, row_of, valid, noise, line_spacing)
 
 
 def half_sizes(line_spacing: float, beam_spacing: float) -> IntArray:
