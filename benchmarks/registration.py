@@ -1,9 +1,9 @@
-"""Registration against open3d and small_gicp: time, accuracy, robustness, honesty.
+"""Registration against open3d and small_gicp: time, accuracy, robustness, covariance.
 
 ``python benchmarks/registration.py --json`` prints one object {name: {value, unit, peer, runs}}.
-Every ``vs_...`` is ours divided by the peer's, measured in this run on the same scans. Peers get
-the points, we get the range images; all end at a pose, ours at its covariance too. Errors of peers
-are those of their result projected to the plane: they get the same knowledge. Times of one thread
+Every ``vs_...`` is our value divided by the peer's, measured in the same run on the same scans.
+Peers get the points, ours the range images; all return a pose, ours its covariance too. Results of
+peers are projected to the plane, so that they have the same prior knowledge. Times of one thread
 are CPU times, those of two are wall times.
 """
 
@@ -88,7 +88,7 @@ class Report:
         self.rows: dict[str, dict[str, Any]] = {}
 
     def add(self, name: str, value: float, unit: str, peer: str, runs: int) -> None:
-        """Add a figure and tell it on standard error."""
+        """Add a figure and print it on standard error."""
         self.rows[name] = {"value": round(value, 4), "unit": unit, "peer": peer, "runs": runs}
         print(name, self.rows[name], file=sys.stderr)
 

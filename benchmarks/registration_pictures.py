@@ -1,6 +1,6 @@
-"""The pictures of docs/registration.md, made by the program: ``python registration_pictures.py``.
+"""Make the pictures of docs/registration.md: ``python registration_pictures.py``.
 
-Run in ``benchmarks/``; writes SVG files to ``docs/images``. Same program, same bytes.
+Run in ``benchmarks/``; writes SVG files to ``docs/images``. The same program writes the same bytes.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Does the predicted registration error tell the true one, and at what cost?
+"""Accuracy and cost of the predicted registration error, against the true one.
 
-For long surfaces, overlaps and noises a current scan is taken, the error of the registration to
-come is predicted in closed form (``forecast``) and by simulated registration of what would be seen
-(``simulate``), and then true second scans are taken from the candidate, displaced as a turn, a
-drive and a turn displace a robot, and registered. The peer is simulated ICP as in the paper with
-Open3D's point-to-point ICP, on the same scans in the same run.
+For several surfaces, overlaps and noises a current scan is taken. The error of the next
+registration is predicted in closed form (``forecast``) and by simulated registration of the
+expected view (``simulate``). Then real second scans are taken from the candidate, displaced as by
+the motion error of a turn, a drive and a turn, and registered. The peer is the paper's simulated
+ICP with Open3D's point-to-point ICP, on the same scans in the same run.
 
 ``python benchmarks/siicp.py [--runs 20] [--json]`` prints {name: {value, unit, peer, runs}}:
 ``spearman`` and ``decision_accuracy`` (at 10 mm) of the closed form over all settings but those of
@@ -277,7 +277,7 @@ def describe(s: Setting) -> str:
 
 
 def figures(settings: list[Setting], runs: int) -> dict[str, dict[str, Any]]:
-    """Return how well each prediction tells the truth."""
+    """Return how well each prediction agrees with the true error."""
     usual = [s for s in settings if s.scene != PERIODIC]
     periodic = [s for s in settings if s.scene == PERIODIC]
     rows: dict[str, dict[str, Any]] = {}

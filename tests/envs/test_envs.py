@@ -1,4 +1,4 @@
-"""The environments keep gymnasium's rules, tell the truth in infos only, and repeat themselves."""
+"""Environments follow gymnasium, show the truth in infos only, and are deterministic."""
 
 import gc
 import warnings

@@ -1,4 +1,4 @@
-"""What a sweep tells of itself: its readings, their noise and the surfels behind them."""
+"""Extraction of surfels, range noise and yaw jitter from a sweep, in NumPy."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from reference.surfels import fit_surfels
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray, SmallIntArray
 
 WINDOWS = tuple(math.radians(angle) for angle in (2.1, 1.45, 0.85, 0.0))
-"""Half sizes of the windows along lines and beams [rad]; at least one reading to each side ..."""
+"""Half sizes of the windows along lines and beams [rad]; at least one reading to each side."""
 MOST_HALF = 12
-"""... and at most so many."""
+"""Largest half size of a window in readings."""
 
 
 class Swept(NamedTuple):
@@ -39,7 +39,7 @@ class Swept(NamedTuple):
 
 
 class ScanSurfels(NamedTuple):
-    """What is known of a sweep.
+    """The surfels of a sweep and its noise.
 
     Attributes:
         rows: Surfels (m, 8), columns as in ``surfels``, line by line.
@@ -59,9 +59,9 @@ class ScanSurfels(NamedTuple):
 
 
 def extract_surfels(swept: Swept, keep: BoolArray, noise: FloatArray) -> ScanSurfels:
-    """Return what a sweep shows.
+    """Return the surfels and the noise of a sweep.
 
-    Only the part from the first to the last line and beam with a reading is looked at.
+    Only the part from the first to the last line and beam with a reading is used.
 
     Args:
         swept: The sweep.
@@ -86,7 +86,7 @@ def extract_surfels(swept: Swept, keep: BoolArray, noise: FloatArray) -> ScanSur
     rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
     if jittery:
         noise[2] = yaw_jitter(line_residuals(ranges, yaws, lever, rows, found))
-    if jittery and noise[2] > 0.0:  # larger windows fit, which tell it better, too
+    if jittery and noise[2] > 0.0:  # with a known jitter larger windows fit
         rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
         noise[2] = max(noise[2], yaw_jitter(line_residuals(ranges, yaws, lever, rows, found)))
     row_of = np.full(valid.shape, -1, dtype=np.int32)

@@ -89,7 +89,7 @@ def test_plain_icp_cannot_see_a_slide_along_a_wall() -> None:
     noisy = slid + 0.004 * rng.normal(size=slid.shape)
     result = register(target, noisy[np.abs(slid[:, 1]) < 0.4], border=border)
     left = Pose2.from_matrix(result.T_target_source).y + 0.03
-    assert left > 0.015  # most of the slide stays, and the residual does not tell
+    assert left > 0.015  # most of the slide stays, and the residual does not show it
     assert result.inlier_rmse < 0.02
 
 
