@@ -111,6 +111,8 @@ def _make_graph(grid: BoolArray, cell: float) -> sparse.csr_array:
     n = np.count_nonzero(grid)
     index = np.zeros(grid.shape, dtype=np.int64)
     index[grid] = np.arange(n)
+
+    # Link neighbours in four directions.
     rows, columns, weights = [], [], []
     for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
         a = np.s_[: -dx or None, max(0, -dy) : (-dy if dy > 0 else None)]
@@ -119,6 +121,8 @@ def _make_graph(grid: BoolArray, cell: float) -> sparse.csr_array:
         rows.append(index[a][linked])
         columns.append(index[b][linked])
         weights.append(np.full(np.count_nonzero(linked), cell * np.hypot(dx, dy)))
+
+    # Make the links symmetric.
     i, j, w = (np.concatenate(part) for part in (rows, columns, weights))
     return sparse.csr_array(
         (np.tile(w, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)

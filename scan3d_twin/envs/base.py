@@ -80,6 +80,8 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
             self, scene, fidelity, preset=preset, world=world, options=options, rewards=rewards,
             goal=goal, ranges=ranges, noise=noise, render_mode=render_mode,
         )  # fmt: skip
+
+        # Check the options.
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             raise error.UnsupportedMode(f"render_mode must be one of {modes}, got {render_mode!r}")
@@ -87,6 +89,8 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
         self.options = EnvOptions.of(
             scene, fidelity, preset, world, options, rewards, goal, ranges, noise
         )
+
+        # Declare the observation space.
         self.observation_space = spaces.Dict({**observation_space(), **self.extra_spaces()})
         self._episode: Episode | None = None
         self._is_done = True

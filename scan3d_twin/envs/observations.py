@@ -52,8 +52,8 @@ def observe(context: PlanningContext) -> dict[str, Any]:
         "topdown": encode_topdown(session, context.costmap),
         "range": encode_range_image(view, session.config.target.max_range),
         "profile": encode_profile(view, session).ravel(),
-        "pose": pose(session),
-        "stats": stats(context),
+        "pose": encode_pose(session),
+        "stats": encode_stats(context),
     }
 
 
@@ -142,7 +142,7 @@ def _clip(values: FloatArray, low: float) -> Values:
     return np.asarray(np.clip(values, low, 1.0), dtype=np.float32)
 
 
-def pose(session: Session) -> Values:
+def encode_pose(session: Session) -> Values:
     """Return the pose relative to the target as first seen (6,): x, y, cos, sin of the heading.
 
     The frame has its origin in the middle of the target and x along its first outward normal. The
@@ -150,10 +150,14 @@ def pose(session: Session) -> Values:
     """
     view, middle = session.views[-1].T_world_scan, session.hint.mean(axis=0)
     off = np.array([view.x, view.y]) - middle
+
+    # Position in the target's frame.
     normal = math.atan2(session.front[1], session.front[0])
     c, s = math.cos(normal), math.sin(normal)
     x, y = float(off @ (c, s)), float(off @ (-s, c))
     yaw, bearing = wrap(view.yaw - normal), math.atan2(y, x)
+
+    # Scale to -1 .. 1.
     values = [
         x / POSITION_SCALE,
         y / POSITION_SCALE,
@@ -165,7 +169,7 @@ def pose(session: Session) -> Values:
     return _clip(np.array(values), -1.0)
 
 
-def stats(context: PlanningContext) -> Values:
+def encode_stats(context: PlanningContext) -> Values:
     """Return the robot's progress (8,), each 0..1.
 
     Views per ``max_views``; turn about the target, per full turn; share of lines on the target;
@@ -173,15 +177,21 @@ def stats(context: PlanningContext) -> Values:
     whether the tour goes all the way round.
     """
     config, views, view = context.session.config, context.session.views, context.view
+
+    # Progress around the target.
     headings = [seen.T_world_scan.yaw for seen in views]
     turned = sum(wrap(b - a) for a, b in pairwise(headings))
     lines = len(view.target.occupied_lines)
+
+    # Quality of the latest registration.
     fit, predicted, residual = 1.0, 0.0, 0.0
     worst = ERROR_SCALE * config.planning.epsilon
     if view.registration is not None:
         fit = view.registration.fitness
         predicted = view.registration.predicted_rmse / worst
         residual = view.registration.inlier_rmse / worst
+
+    # Scale to 0 .. 1.
     values = [
         len(views) / config.max_views,
         abs(turned) / math.tau,

@@ -80,6 +80,7 @@ class EnvOptions:
         Raises:
             ConfigError: A name, key or value is wrong; the message lists the valid ones.
         """
+        # Check names and ranges.
         scenes = (scene,) if isinstance(scene, str) else tuple(scene)
         if not scenes:
             raise ConfigError(f"name a scene: {', '.join(scene_names())}, random:SEED or random")
@@ -90,6 +91,8 @@ class EnvOptions:
             raise UnknownNameError("fidelity", fidelity, FIDELITIES)
         if not 0.0 < goal <= 1.0:
             raise ConfigError(f"goal must be in (0, 1], got {goal:g}")
+
+        # Check the nested options.
         given = merge([{"run": {"preset": preset, "world": world}}, options or {}])
         if "run" in (options or {}):
             raise ConfigError(
@@ -97,6 +100,7 @@ class EnvOptions:
             )
         preset_options(preset)
         settings([given])
+
         return EnvOptions(
             scenes=scenes,
             fidelity=fidelity,
@@ -122,6 +126,8 @@ class EnvOptions:
         effective = settings_for(prepared.scene, self.given)
         factor, seed = float(rng.uniform(*self.noise)), int(rng.integers(2**31))
         twin = _scale_noise(effective.twin, factor)
+
+        # Reduce the fidelity.
         if self.fidelity == "kinematic":
             config = _with_fast_icp(thin_config(effective.config, THINNING))
             return KinematicScanSource(prepared, seed, config, twin, THINNING), seed

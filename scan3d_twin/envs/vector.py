@@ -46,10 +46,14 @@ class BatchedVectorEnv(VectorEnv[Any, Any, Any]):
             raise ConfigError(f"num_envs and workers must be >= 1, got {num_envs} and {workers}")
         count = min(num_envs, workers or len(os.sched_getaffinity(0)))
         self.num_envs = num_envs
+
+        # Share the environments among the processes.
         self._shares = np.array_split(np.arange(num_envs), count)
         build = partial(gymnasium.make, f"scan3d_twin.envs:{env_id}", **options)
         self._own = SyncVectorEnv([build] * len(self._shares[0]))
         self._others = [_Worker(build, len(share)) for share in self._shares[1:]]
+
+        # Describe the batch as gymnasium expects.
         self.metadata = {**self._own.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
         self.render_mode = self._own.render_mode
         self.single_action_space = self._own.single_action_space

@@ -302,6 +302,7 @@ class _Pair:
 
     def _pairs(self, T: FloatArray, gate: float) -> tuple[FloatArray, ...]:
         """Return lever arms, normals, residuals and normal variances of the correspondences."""
+        # Pair with the nearest target point.
         a = self.source.points @ T[:3, :3].T
         moved = a + T[:3, 3]
         square, index = (column[:, 0] for column in self.target.tree.nearest(moved, 1))
@@ -313,6 +314,8 @@ class _Pair:
                 f"no overlap: only {np.count_nonzero(paired)} pairs of points within {gate:.3g} m, "
                 f"{MIN_PAIRS} are needed; give a better init_T_target_source"
             )
+
+        # Residuals along the target's normals.
         index = index[paired]
         e = np.sum(n[paired] * (moved[paired] - self.target.centroids[index]), axis=1)
         return a[paired], n[paired], e, self.target.tilt[index]

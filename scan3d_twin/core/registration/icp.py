@@ -142,9 +142,12 @@ def _make_result(
     pairs = len(distances)
     fitness = pairs / len(moved)
     rmse = float(np.sqrt(np.mean(distances**2))) if pairs else math.nan
+
+    # Covariance from the pairs.
     information = _information(moved, rmse)
     covariance = np.zeros((6, 6))
     covariance[np.ix_(PLANAR, PLANAR)] = np.linalg.pinv(information[np.ix_(PLANAR, PLANAR)])
+
     return RegistrationResult(
         T_target_source=read_only(pose.matrix()),
         covariance=read_only(covariance),

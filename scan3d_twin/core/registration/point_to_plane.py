@@ -109,6 +109,8 @@ def linearise(
         combine_noise(target, source), every, found,
     ) < 0:  # fmt: skip
         raise MemoryError
+
+    # Cut out the entries in use.
     whole = (STATE, STATE)
     return Equations(
         found.numbers("information", *whole)[:7, :7],

@@ -185,6 +185,8 @@ def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None)
     most = np.count_nonzero(image.codes == VALID if mask is None else mask)
     rows, yaws = np.empty((most, 8)), np.empty(most)
     index, valid = np.empty(image.ranges.shape, np.int32), np.empty(image.ranges.shape, np.bool_)
+
+    # Extract surfels and, if unknown, noise.
     sigmas = NOISE_UNKNOWN if noise is None else noise.sigmas
     found = native.ScanSurfels(rows=rows, yaws=yaws, index=index, valid=valid, noise=sigmas)
     if (
@@ -194,6 +196,8 @@ def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None)
         < 0
     ):
         raise MemoryError
+
+    # Keep what was written.
     noise = noise or ScanNoise(*found.noise)
     n = found.count
     return SurfelGrid(image, noise, rows[:n], yaws[:n], index, valid, found.line_spacing)
