@@ -1,11 +1,11 @@
 # Needs only python3 (3.11 to 3.13) with its venv module, make and git; all else goes into .venv.
 .DEFAULT_GOAL := help
-.PHONY: help setup demo quick test check format mutate build pythons clean
+.PHONY: help setup demo quick test check format mutate build pythons docs clean
 
 PYTHON ?= python3
 BIN := .venv/bin
 SETUP := .venv/.set-up
-SOURCES := $(wildcard scan3d_twin tests examples benchmarks hatch_build.py)
+SOURCES := $(wildcard scan3d_twin tests examples benchmarks docs hatch_build.py)
 ENGINE := hatch_build.py $(wildcard scan3d_twin/core/registration/native/*.[ch])
 # One thread per worker: the arrays are small, and more threads only get into each other's way.
 export OMP_NUM_THREADS ?= 1
@@ -51,6 +51,12 @@ build: $(SETUP)  ## build the wheel, install it into an empty environment and ru
 pythons: $(SETUP)  ## build the wheel and run it on each Python that can be found
 	sh tools/pythons.sh
 
+docs: $(SETUP)  ## build the documentation as a site in build/docs; runs the examples (a minute)
+	$(BIN)/uv sync --quiet --locked --inexact --group docs
+	rm -rf docs/gallery build/docs
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs build/docs
+	@echo "open build/docs/index.html"
+
 clean:  ## remove what the other targets made
-	rm -rf .venv dist build runs .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv dist build docs/gallery runs .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

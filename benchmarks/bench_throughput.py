@@ -14,9 +14,9 @@ import argparse
 import json
 import time
 
-from scan3d_twin.bench.engine import run
+from scan3d_twin.bench.engine import run_on_workers
 from scan3d_twin.bench.local import local_engine
-from scan3d_twin.bench.spec import experiment_of, tasks
+from scan3d_twin.bench.spec import list_tasks, make_experiment
 
 
 def main() -> None:
@@ -25,12 +25,12 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    experiment = experiment_of(["shiny_cylinder", "three_boxes"], [], ["best"])
-    chosen = tasks(experiment.with_options({"max_views": 2}).with_seeds(arguments.seeds, 0))
+    experiment = make_experiment(["shiny_cylinder", "three_boxes"], [], ["best"])
+    chosen = list_tasks(experiment.with_options({"max_views": 2}).with_seeds(arguments.seeds, 0))
     ends: list[tuple[float, float]] = []
     processor, started = 0.0, time.perf_counter()
     with local_engine(arguments.jobs, 600.0) as engine:
-        for done in run(chosen, engine):
+        for done in run_on_workers(chosen, engine):
             ends.append((time.perf_counter(), done.record.wall or 0.0))
             processor += done.record.cpu or 0.0
     whole = time.perf_counter() - started

@@ -36,7 +36,7 @@ from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
@@ -87,7 +87,7 @@ def steps(seed: int, name: str, factor: float | None) -> list[Step]:
     extra = {"alignment": {"mode": "off"}}
     if factor is not None:
         extra["planning"] = {"calibration": factor}
-    config = settings([preset_options(name), own, extra]).config
+    config = build_settings([preset_options(name), own, extra]).config
     with open_sim(scene, seed) as (robot, truth):
         try:
             session = run_loop(robot, make_planner(config.planner), config, seed, watcher)
@@ -171,7 +171,7 @@ def main() -> None:
             print(f"random:{seed}: {len(made)} steps", file=sys.stderr)
             if arguments.rows:
                 _write(arguments.rows, found)
-    rows = fit(found, settings([]).config.planning.epsilon)
+    rows = fit(found, build_settings([]).config.planning.epsilon)
     if arguments.json:
         print(json.dumps(rows, indent=1))
         return

@@ -28,6 +28,7 @@ import numpy as np
 
 ID = "scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0"
 OPTIONS = {"registration": {"engine": "grid", "scope": "sweep"}}
+KINEMATIC: dict[str, Any] = {"fidelity": "kinematic", "preset": "paper", "options": OPTIONS}
 FIFTY = 6
 """The action that takes an overlap of 50 %: steps of about half a metre."""
 ENVS = 16
@@ -39,7 +40,7 @@ Row = dict[str, float | str]
 
 def per_step(fidelity: str, steps: int) -> list[float]:
     """Return the CPU seconds of ``steps`` steps, the first one (compilation) left out."""
-    env = gymnasium.make(ID, fidelity=fidelity, options=OPTIONS, goal=1.0)
+    env = gymnasium.make(ID, fidelity=fidelity, preset="paper", options=OPTIONS, goal=1.0)
     seconds: list[float] = []
     seed = 0
     while len(seconds) <= steps:
@@ -58,10 +59,8 @@ def per_step(fidelity: str, steps: int) -> list[float]:
 def vectors(rounds: int) -> dict[str, list[float]]:
     """Return wall seconds of 4 steps of 16 environments, in turns."""
     made: dict[str, Any] = {
-        "sync": gymnasium.make_vec(
-            ID, ENVS, vectorization_mode="sync", fidelity="kinematic", options=OPTIONS
-        ),
-        "batched": gymnasium.make_vec(ID, ENVS, fidelity="kinematic", options=OPTIONS),
+        "sync": gymnasium.make_vec(ID, ENVS, vectorization_mode="sync", **KINEMATIC),
+        "batched": gymnasium.make_vec(ID, ENVS, **KINEMATIC),
     }
     seconds: dict[str, list[float]] = {name: [] for name in made}
     for envs in made.values():

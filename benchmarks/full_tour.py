@@ -22,11 +22,11 @@ import numpy as np
 from scan3d_twin.core.config import preset_options
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.mapping.loop_closure import apply_alignment, solve
+from scan3d_twin.core.mapping.loop_closure import apply_alignment, solve_alignment
 from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
@@ -57,7 +57,7 @@ def tour(scene: str, seed: int) -> Tour:
         preset_options("best"),
         {"alignment": {"mode": "off"}},
     ]
-    config = settings(options).config
+    config = build_settings(options).config
     with open_sim(loaded, seed) as (robot, truth):
         try:
             session = run_loop(robot, make_planner(config.planner), config, seed, Unobserved())
@@ -65,7 +65,7 @@ def tour(scene: str, seed: int) -> Tour:
             return Tour(scene, seed, f"{type(error).__name__}: {error}")
         if len(session.views) < 2:
             return Tour(scene, seed, session.stop_reason, len(session.views))
-        alignment = solve(session)
+        alignment = solve_alignment(session)
         aligned = apply_alignment(replace(session), alignment)
         before, after = (figures(evaluate(s, truth)) for s in (session, aligned))
     links, misfits = len(alignment.links), len(alignment.misfits)

@@ -20,7 +20,7 @@ from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import open_wired
@@ -54,7 +54,7 @@ def run(scene: str, link: str, config: Config, seed: int, *, wired: bool, start:
 
 def compare(scene: str, link: str, name: str, seeds: int) -> dict[str, float]:
     """Return the figures of the drivers, of the twin, and of the twin a second later."""
-    config = settings([preset_options(name)]).config
+    config = build_settings([preset_options(name)]).config
     drivers = [run(scene, link, config, seed, wired=True, start=0.0) for seed in range(seeds)]
     twin, later = (
         [

@@ -33,7 +33,7 @@ from scan3d_twin.core.mapping.scan_matching import motion_prior
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.types import FloatArray, Pose2, wrap
-from scan3d_twin.sim.base.motion_errors import CREEP, SLIP_XY, SLIP_YAW, true_move
+from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, TURN_CREEP, apply_motion_errors
 from scan3d_twin.sim.base.profiles import CREATE2
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.robot import draw_robot, open_sim
@@ -71,7 +71,7 @@ class Move(NamedTuple):
     def drifted(self) -> Pose2:
         """The move of the robot without physics, but for its slip."""
         path = np.array([[self.end.x, self.end.y]])
-        return true_move(self.start, path, self.end.yaw, CREATE2, self.robot)
+        return apply_motion_errors(self.start, path, self.end.yaw, CREATE2, self.robot)
 
 
 def moves(seed: int) -> list[Move]:
@@ -140,7 +140,7 @@ def fit_drift(driven: list[Move]) -> tuple[float, float, float]:
     more = -float(turn @ left[:, 2] / (turn @ turn))
     left[:, 2] += more * turn
     across, yaw = (float(np.sqrt(np.mean(part**2))) for part in (left[:, :2], left[:, 2]))
-    return CREEP + more, across, yaw
+    return TURN_CREEP + more, across, yaw
 
 
 def compare(driven: list[Move], rng: np.random.Generator) -> dict[str, FloatArray]:

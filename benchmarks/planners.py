@@ -20,15 +20,15 @@ from dataclasses import replace
 import numpy as np
 
 from scan3d_twin.core.config import Config, preset_options
-from scan3d_twin.core.digitize import run_loop, unplanned
+from scan3d_twin.core.digitize import drop_latest_plan, run_loop
 from scan3d_twin.core.mapping.scan_matching import kept_surfels
 from scan3d_twin.core.model.evaluation import Truth
 from scan3d_twin.core.observer import Unobserved
-from scan3d_twin.core.planning import Planner, make_planner, planner_names
-from scan3d_twin.core.planning.context import PlanningContext, finish
+from scan3d_twin.core.planning import Planner, list_planners, make_planner
+from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
@@ -48,13 +48,13 @@ class Keeping:
         """See ``Planner.plan``."""
         plan = self._planner.plan(session, rng)
         if plan.viewpoint is not None:
-            self.sessions.append(unplanned(session))
+            self.sessions.append(drop_latest_plan(session))
         return plan
 
 
 def configuration(tour: str) -> Config:
     """Return the configuration of the preset ``best``."""
-    return settings([{"tour": tour}, preset_options("best")]).config
+    return build_settings([{"tour": tour}, preset_options("best")]).config
 
 
 def sessions(scene: str, seed: int) -> tuple[list[Session], Truth]:
@@ -70,7 +70,7 @@ def rivals(truth: Truth) -> dict[str, tuple[Planner, Callable[[Session], Session
     """Return the planners by name, each with what it changes in a session's configuration."""
     found: dict[str, tuple[Planner, Callable[[Session], Session]]] = {
         name: (make_planner(name, truth), lambda session: session)
-        for name in planner_names()
+        for name in list_planners()
         if name not in TWICE
     }
     found[PEER] = (make_planner("siicp"), with_planning(trials=8, quantile=0.9))
@@ -86,7 +86,7 @@ class Placing:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """See ``Planner.plan``."""
         context = PlanningContext(session)
-        return finish(context.finished() or str(context.place(0.2)))
+        return stop_plan(context.termination_reason() or str(context.find_placement(0.2)))
 
 
 def with_planning(**changes: object) -> Callable[[Session], Session]:

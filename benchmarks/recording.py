@@ -169,9 +169,9 @@ def _record_until(scan: list[str], folder: Path, count: int) -> list[float]:
 
 def _lost(folder: Path, last: float) -> float:
     """Return how much of the robot's time a killed run has lost [s]."""
-    from scan3d_twin.recording.load import lines, session_path
+    from scan3d_twin.recording.load import find_session_file, read_lines
 
-    return last - max((line.stamp for line in lines(session_path(folder))), default=0.0)
+    return last - max((line.stamp for line in read_lines(find_session_file(folder))), default=0.0)
 
 
 def _twin(arguments: list[str]) -> int:

@@ -1,10 +1,10 @@
-"""Accuracy and cost of the predicted registration error, against the true one.
+"""Does the predicted registration error tell the true one, and at what cost?
 
-For several surfaces, overlaps and noises a current scan is taken. The error of the next
-registration is predicted in closed form (``forecast``) and by simulated registration of the
-expected view (``simulate``). Then real second scans are taken from the candidate, displaced as by
-the motion error of a turn, a drive and a turn, and registered. The peer is the paper's simulated
-ICP with Open3D's point-to-point ICP, on the same scans in the same run.
+For long surfaces, overlaps and noises a current scan is taken, the error of the registration to
+come is predicted in closed form (``forecast``) and by simulated registration of what would be seen
+(``simulate``), and then true second scans are taken from the candidate, displaced as a turn, a
+drive and a turn displace a robot, and registered. The peer is simulated ICP as in the paper with
+Open3D's point-to-point ICP, on the same scans in the same run.
 
 ``python benchmarks/siicp.py [--runs 20] [--json]`` prints {name: {value, unit, peer, runs}}:
 ``spearman`` and ``decision_accuracy`` (at 10 mm) of the closed form over all settings but those of
@@ -37,7 +37,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.scan_matching import motion_prior
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
-from scan3d_twin.core.planning.simulated_registration import Simulation, displaced
+from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels, register
 from scan3d_twin.core.registration.multistart import MIN_CONTRADICTION_GAP
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage
@@ -126,10 +126,10 @@ def measure(name: str, overlap: float, sigma: float, runs: int) -> Setting:
         grid = extract_surfels(first)
         predicted.append(ErrorPrediction(grid, grid.valid, settings).error(O2))
         if run < SIMULATED:
-            simulation = Simulation(grid, grid.valid, settings, run)
+            simulation = SimulatedRegistration(grid, grid.valid, settings, run)
             simulated += list(simulation.errors(O2, DRAWS))
         naive.append(naive_draw(first, overlap, settings, sigma, rng))
-        guess = displaced(prior, rng.standard_normal(3))
+        guess = displace_prior(prior, rng.standard_normal(3))
         points = second.points[np.isfinite(second.ranges)]
         try:
             result = register(
@@ -243,8 +243,8 @@ def naive(image: RangeImage, rng: np.random.Generator) -> None:
         naive_draw(image, eta, config(), 0.010, rng)
 
 
-def _simulation(grid: SurfelGrid) -> Simulation:
-    return Simulation(grid, grid.valid, config(), 0)
+def _simulation(grid: SurfelGrid) -> SimulatedRegistration:
+    return SimulatedRegistration(grid, grid.valid, config(), 0)
 
 
 def main() -> None:
@@ -277,7 +277,7 @@ def describe(s: Setting) -> str:
 
 
 def figures(settings: list[Setting], runs: int) -> dict[str, dict[str, Any]]:
-    """Return how well each prediction agrees with the true error."""
+    """Return how well each prediction tells the truth."""
     usual = [s for s in settings if s.scene != PERIODIC]
     periodic = [s for s in settings if s.scene == PERIODIC]
     rows: dict[str, dict[str, Any]] = {}

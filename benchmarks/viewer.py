@@ -82,9 +82,9 @@ def measure_live(seconds: float, browser: bool) -> None:
             view.attach(robot)
             page = _attach(messages[0].removeprefix("live view: ")) if browser else None
             deadline = time.monotonic() + 60
-            while browser and not view.is_read() and time.monotonic() < deadline:
+            while browser and not view.has_readers() and time.monotonic() < deadline:
                 time.sleep(0.2)
-            attached = view.is_read()
+            attached = view.has_readers()
             without = cost(seconds, feeder(None, lines.lines, session))
             with_view = cost(seconds, feeder(view, lines.lines, session))
             if page is not None:

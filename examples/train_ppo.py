@@ -1,7 +1,7 @@
 """Teach PPO to choose the overlap: train without physics, judge with it, on scenes never seen.
 
-Needs Stable-Baselines3: ``pip install 'scan3d-twin[rl,fast]'``. Trains for ``--steps`` on random
-scenes in ``kinematic``, then runs what was learned, a random choice, fixed overlaps of 50 and 80 %
+Needs Stable-Baselines3: ``pip install stable-baselines3``. Trains for ``--steps`` on random
+scenes in ``kinematic``, then runs the trained agent, a random choice, fixed overlaps of 50 and 80 %
 and the paper's planner on the same held-out scenes, first in ``kinematic``, then ``--scenes`` of
 them in ``physics``; writes ``ppo.json`` and ``ppo.zip``. Ctrl-C ends
 the training early.
@@ -21,7 +21,7 @@ import gymnasium
 import numpy as np
 from gymnasium.wrappers import FilterObservation, FlattenObservation
 
-from scan3d_twin.envs import PlannerPolicy
+import scan3d_twin as s3d
 
 ID = "scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0"
 OPTIONS = {"registration": {"engine": "grid", "scope": "sweep"}}
@@ -33,7 +33,7 @@ Act = Callable[[gymnasium.Env[Any, Any], Any], Any]
 
 def make(fidelity: str, scene: str | list[str] = "random") -> gymnasium.Env[Any, Any]:
     """Return the environment as the network sees it: a flat vector, no pictures."""
-    env = gymnasium.make(ID, scene=scene, fidelity=fidelity, options=OPTIONS)
+    env = gymnasium.make(ID, scene=scene, fidelity=fidelity, preset="paper", options=OPTIONS)
     return FlattenObservation(FilterObservation(env, SEEN))
 
 
@@ -76,7 +76,7 @@ def baselines() -> dict[str, Act]:
     rng = np.random.default_rng(0)
 
     def planner(name: str) -> Act:
-        policy = PlannerPolicy(name)
+        policy = s3d.PlannerPolicy(name)
         return lambda env, seen: policy.act(env)
 
     names = ("fixed50", "fixed80", "siicp")

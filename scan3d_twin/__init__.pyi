@@ -23,10 +23,10 @@ from .core.planning import (
     Planner as Planner,
 )
 from .core.planning import (
-    make_planner as make_planner,
+    list_planners as list_planners,
 )
 from .core.planning import (
-    planner_names as planner_names,
+    make_planner as make_planner,
 )
 
 # Registration
@@ -51,6 +51,8 @@ from .core.types import (
 from .core.types import (
     Scan3D as Scan3D,
 )
+from .envs.policy import PlannerPolicy as PlannerPolicy
+from .envs.policy import rollout as rollout
 from .real.robot import open_real as open_real
 from .sim.config import TwinConfig as TwinConfig
 from .sim.robot import open_sim as open_sim

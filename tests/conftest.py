@@ -12,6 +12,7 @@ import pytest  # noqa: E402
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the ports of a real robot, to run the contract on it."""
     group = parser.getgroup("hardware")
     group.addoption("--port", help="Serial port of the real base: run the contract on the robot.")
     group.addoption("--lidar-port", help="Serial port of the real lidar.")

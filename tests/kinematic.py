@@ -1,4 +1,4 @@
-"""A drive base that does what it is told, on a clock that only jumps: no physics, no noise."""
+"""Test helper: a drive base that follows commands exactly, on a clock that only jumps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from bisect import bisect_right
 import numpy as np
 
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.core.navigation.odometry import arc
+from scan3d_twin.core.navigation.odometry import drive_arc
 from scan3d_twin.core.types import Hazards, Odometry, Pose2
 
 CREATE2 = BaseSpec("create2", 0.165, 0.235, 0.072, 508.8, 0.5, 0.015)
@@ -19,7 +19,7 @@ class KinematicBase:
     """A ``DriveBase``, by default without inertia; ``hazard`` may be set at any time."""
 
     def __init__(self, spec: BaseSpec = CREATE2, acceleration: float = math.inf) -> None:
-        """Make it; ``acceleration`` is that of its wheels' rims [m/s2]."""
+        """Start at rest; ``acceleration`` is that of the wheels' rims [m/s2]."""
         self.spec = spec
         self.acceleration = acceleration
         self.wheels = (0.0, 0.0)
@@ -28,17 +28,21 @@ class KinematicBase:
         self._samples = [Odometry(0.0, Pose2(), NOTHING)]
 
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
+        """See ``DriveBase.set_velocity``."""
         self.speed = (linear, angular)
         return self.speed
 
     def odometry(self) -> Odometry:
+        """See ``DriveBase.odometry``."""
         return self._samples[-1]
 
     def odometry_since(self, stamp: float) -> tuple[Odometry, ...]:
+        """See ``DriveBase.odometry_since``."""
         after = bisect_right(self._samples, stamp, key=lambda sample: sample.stamp)
         return tuple(self._samples[max(0, after - 1) :])
 
     def hazards(self) -> Hazards:
+        """See ``DriveBase.hazards``."""
         return self.hazard
 
     def advance(self) -> None:
@@ -46,17 +50,19 @@ class KinematicBase:
         linear, angular = (speed * self.spec.sample_period for speed in self._followed())
         last = self._samples[-1]
         stamp = len(self._samples) * self.spec.sample_period
-        self._samples.append(Odometry(stamp, last.T_odom_base @ arc(linear, angular), NOTHING))
+        self._samples.append(
+            Odometry(stamp, last.T_odom_base @ drive_arc(linear, angular), NOTHING)
+        )
 
     def _followed(self) -> tuple[float, float]:
         """Return the (linear, angular) speed of the wheels, which follow the command."""
         if math.isinf(self.acceleration):
             return self.speed
         width, step = self.spec.wheel_base, self.acceleration * self.spec.sample_period
-        told = [self.speed[0] + side * self.speed[1] * width / 2 for side in (-1, 1)]
+        wanted = [self.speed[0] + side * self.speed[1] * width / 2 for side in (-1, 1)]
         left, right = (
             now + max(-step, min(step, end - now))
-            for now, end in zip(self.wheels, told, strict=True)
+            for now, end in zip(self.wheels, wanted, strict=True)
         )
         self.wheels = (left, right)
         return (left + right) / 2, (right - left) / width
@@ -70,9 +76,11 @@ class JumpingClock:
         self._time = 0.0
 
     def now(self) -> float:
+        """See ``Clock.now``."""
         return self._time
 
     def sleep(self, seconds: float) -> None:
+        """See ``Clock.sleep``; moves the base along."""
         self._time += max(0.0, seconds)
         period = self._base.spec.sample_period
         while self._base.odometry().stamp + period <= self._time + 1e-9:

@@ -1,4 +1,4 @@
-"""The wired robot cut in two: the twin in this process, the drivers in one of their own.
+"""Test helper: the wired robot cut in two: the twin in this process, the drivers in another.
 
 So that the process with the drivers has only what `twin real` imports, and time stays virtual: it
 passes here, and there is a call for whatever the drivers ask of it.
@@ -23,7 +23,7 @@ from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.recording.recorder import SerialTaps
 from scan3d_twin.run.folder import claim_folder
-from scan3d_twin.run.settings import REAL, settings
+from scan3d_twin.run.settings import REAL_SCENE, build_settings
 
 LINES = ("base", "lidar")
 
@@ -76,12 +76,15 @@ class FarClock:
         self.call("clock", "now")
 
     def now(self):
+        """See ``Clock.now``."""
         return self._now
 
     def sleep(self, seconds):
+        """See ``Clock.sleep``."""
         self.call("clock", "sleep", seconds)
 
     def call(self, line, name, *values):
+        """Call a method in the other process and return its result."""
         self._connection.send((line, name, *values))
         result, self._now, arrived = self._connection.recv()
         for each, data in arrived.items():
@@ -96,6 +99,7 @@ class FarLine:
         self._line, self._clock = line, clock
 
     def read(self, timeout):
+        """See ``Transport.read``."""
         arrived = self._clock.arrived[self._line]
         if arrived or timeout <= 0.0:
             data = bytes(arrived)
@@ -104,16 +108,20 @@ class FarLine:
         return self._clock.call(self._line, "read", timeout)
 
     def write(self, data):
+        """See ``Transport.write``."""
         self._clock.call(self._line, "write", data)
 
     def set_baud(self, baud):
+        """See ``Transport.set_baud``."""
         self._clock.call(self._line, "set_baud", baud)
 
     def discard_input(self):
+        """See ``Transport.discard_input``."""
         self._clock.arrived[self._line].clear()
         self._clock.call(self._line, "discard_input")
 
     def close(self):
+        """See ``Transport.close``."""
         self.discard_input()
 
 
@@ -122,17 +130,21 @@ def main():
     give_back_memory()
     clock, taps = FarClock(Connection(int(sys.argv[1]))), SerialTaps()
     given = tomllib.loads("\n".join(sys.argv[3:]))
-    effective = settings([preset_options("best"), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    effective = build_settings(
+        [preset_options("best"), SMALL_COMPUTER, given, {"run": {"scene": REAL_SCENE}}]
+    )
     folder = claim_folder(Path(sys.argv[2]))
-    run(effective, REAL, opening(clock, taps), folder, as_json=True, taps=taps)
+    run(effective, REAL_SCENE, opening(clock, taps), folder, as_json=True, taps=taps)
     print(sorted({name.partition(".")[0] for name in sys.modules}), file=sys.stderr)
 
 
 @contextmanager
 def opening(clock, taps):
+    """Open the robot of the real drivers over the other process."""
     base = Tapped(FarLine("base", clock), clock, taps.base)
 
     def open_lidar():
+        """Return the lidar's serial line, tapped."""
         return Tapped(FarLine("lidar", clock), clock, taps.lidar)
 
     with open_over(base, open_lidar, clock, LINKS["usb"]) as robot:

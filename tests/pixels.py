@@ -1,11 +1,11 @@
-"""What colours a screenshot shows."""
+"""Test helper: the colours of views in a screenshot."""
 
 import io
 
 import numpy as np
 from PIL import Image
 
-from scan3d_twin.recording.colours import colour
+from scan3d_twin.recording.colours import view_colour
 
 SOON = 60_000
 """Patience with a busy computer [ms]."""
@@ -33,7 +33,7 @@ def drawn(page, wanted, views=(0, 1, 2)):
     """Return which of ``views`` show their colours, once it is ``wanted`` or patience has ended."""
     for _ in range(20):
         picture = page.screenshot(clip=SCENE)
-        seen = {k for k in views if share_of(picture, colour(k)) > 0.002}
+        seen = {k for k in views if share_of(picture, view_colour(k)) > 0.002}
         if seen == wanted:
             break
         page.wait_for_timeout(500)

@@ -1,4 +1,4 @@
-"""A short run of a robot that does what it is told, recorded as the program does it."""
+"""Test helper: a short run of a robot without physics, recorded as the program records it."""
 
 from __future__ import annotations
 

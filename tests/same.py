@@ -1,4 +1,4 @@
-"""Whether two values are the same bit by bit, which ``==`` does not tell of arrays and NaN."""
+"""Test helper: bitwise equality, also of arrays and NaN, which ``==`` does not compare."""
 
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def same(a: Any, b: Any) -> bool:
-    """Tell whether ``a`` and ``b`` are of one type and hold the same bits."""
+    """Return whether ``a`` and ``b`` are of one type and hold the same bits."""
     if type(a) is not type(b):
         return False
     if isinstance(a, np.ndarray):

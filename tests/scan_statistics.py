@@ -1,4 +1,4 @@
-"""What can be counted in a scan line, of the twin or of a real sensor."""
+"""Test helper: error codes, repeats and mixed pixels in lines of the twin or a real sensor."""
 
 import math
 from dataclasses import dataclass
@@ -20,6 +20,7 @@ class Share:
 
     @property
     def value(self) -> float:
+        """The share, 0..1; 0 without a total."""
         return self.count / max(1, self.total)
 
     def interval(self, z: float = 1.96) -> tuple[float, float]:

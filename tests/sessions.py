@@ -1,4 +1,4 @@
-"""Small sessions without a simulator: a look around and one view of something straight ahead."""
+"""Test helper: small sessions without a simulator: a panorama and views of boxes ahead."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def session_at(
     sigma: float = 0.004,
     seed: int = 4,
 ) -> Session:
-    """Return a session with a look around from the origin and a view from each pose.
+    """Return a session with a panorama from the origin and a view from each pose.
 
     Args:
         boxes: What there is.
@@ -69,4 +69,4 @@ def two_planned_views() -> Session:
         session = integrate(session, observe(Pose2(-0.4, y, 0.0)))
         plan = Plan(Pose2(-0.4, 0.0, 0.0), 0.8, math.nan, True, (), "the default")
         session = session.with_plan(plan)
-    return session.ended("enough")
+    return session.with_stop_reason("enough")

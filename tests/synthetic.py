@@ -1,4 +1,4 @@
-"""Range images of boxes and a floor, computed in closed form: no simulator, no noise."""
+"""Test helper: range images of boxes and a floor in closed form, without a simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A room with two things to scan."""
+"""Test helper: a scene with two targets in a room."""
 
 TWO = """
 <mujoco><worldbody>

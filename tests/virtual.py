@@ -1,4 +1,4 @@
-"""A clock without a wall and a lidar without a world, whose readings are known."""
+"""Test helper: a virtual clock, and a lidar with known readings instead of a scene."""
 
 import numpy as np
 
@@ -11,13 +11,17 @@ PHASE = 0.037
 
 
 class VirtualClock:
+    """A ``Clock`` that advances only by ``sleep``."""
+
     def __init__(self):
         self.time = 0.0
 
     def now(self):
+        """See ``Clock.now``."""
         return self.time
 
     def sleep(self, seconds):
+        """See ``Clock.sleep``."""
         self.time += max(0.0, seconds)
 
 
@@ -37,19 +41,23 @@ class KnownLidar:
 
     @staticmethod
     def stamp(turn):
+        """Return the time of step 0 of a ``turn`` [s]."""
         return PHASE + turn * urg04lx.REVOLUTION
 
     @staticmethod
     def turn_at(stamp):
+        """Return the number of the turn at ``stamp`` [s]."""
         return round((stamp - PHASE) / urg04lx.REVOLUTION)
 
     @staticmethod
     def values(turn):
+        """Return the readings of a ``turn`` as the sensor sends them [mm, codes]."""
         rng = np.random.default_rng(turn)
         values = rng.integers(urg04lx.MIN_RANGE_MM, urg04lx.MAX_RANGE_MM + 1, len(STEPS))
         return np.where(rng.random(len(STEPS)) < 0.15, rng.integers(0, 20, len(STEPS)), values)
 
     def read_line(self, timeout):
+        """See ``Lidar.read_line``."""
         last = int((self.clock.now() + 1e-9 - PHASE - urg04lx.REPLY_LATENCY) / urg04lx.REVOLUTION)
         self.next = max(self.next, last - 15)
         if self.clock.now() < self.stamp(self.next) + urg04lx.REPLY_LATENCY - 1e-9:
@@ -59,6 +67,7 @@ class KnownLidar:
 
 
 def line_of(stamp, values):
+    """Return a scan line of readings as the sensor sends them [mm, codes]."""
     valid = values >= urg04lx.MIN_RANGE_MM
     ranges = read_only(np.where(valid, values / 1000, np.nan))
     return ScanLine(stamp, ranges, read_only(np.where(valid, VALID, values), np.int64))

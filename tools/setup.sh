@@ -25,7 +25,7 @@ step() {
 # Why a download failed, from the log of the program that tried.
 download_failed() {
     if grep -qiE 'no space left' "$log"; then
-        fail "cannot set up .venv: the disk is full; free about 500 MB and run make again"
+        fail "cannot set up .venv: the disk is full; free about 1 GB and run make again"
     elif grep -qiE 'connect|resolution|resolve host|dns error|timed out|unreachable|retr(y|ies)|(proxy|ssl)error' "$log"; then
         fail "cannot download $1: the package index does not answer; check the network, or name a mirror in PIP_INDEX_URL (details: $log)"
     fi

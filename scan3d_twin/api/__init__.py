@@ -1,1 +1,1 @@
-"""What the front door does that takes several rooms: whole runs, and saving them."""
+"""Whole runs across several packages: digitise, watch, save, resume."""

@@ -1,4 +1,4 @@
-"""``--resume DIR``: what a run goes on with."""
+"""``--resume DIR``: continue a recorded run with the same robot, settings and session."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import check_planner
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.load import Recorded, commands, last_odometry, load_session
-from scan3d_twin.recording.resume import continued, reenact, warning
-from scan3d_twin.run.closed_loop import Earlier
+from scan3d_twin.recording.load import RecordedRun, load_session, read_commands, read_last_odometry
+from scan3d_twin.recording.resume import continue_odometry, moved_warning, reenact
+from scan3d_twin.run.closed_loop import EarlierRun
 from scan3d_twin.run.report import Journey
-from scan3d_twin.run.settings import REAL, Options, Settings, settings, settings_toml
+from scan3d_twin.run.settings import REAL_SCENE, Options, Settings, build_settings, settings_toml
 
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
+"""Shows a message to the user."""
 
 
 @dataclass(frozen=True)
-class Resume:
-    """A recorded run that goes on.
+class ResumedRun:
+    """A recorded run that is continued.
 
     Attributes:
-        recorded: As far as it got.
-        settings: The effective ones, those stated now over the recorded ones.
-        place: Returns a robot that was just opened as it is to be used; tells what is worth it.
+        recorded: The run up to its last finished view or plan.
+        settings: The effective settings: given options over the recorded ones.
+        place_robot: Takes a robot that was just opened to where the run was, and returns it.
     """
 
-    recorded: Recorded
+    recorded: RecordedRun
     settings: Settings
-    place: Callable[[Robot, Tell], Robot]
+    place_robot: Callable[[Robot, Notify], Robot]
 
     @property
     def folder(self) -> Path:
@@ -41,77 +42,77 @@ class Resume:
         return self.recorded.path.parent
 
     @property
-    def earlier(self) -> Earlier:
-        """What the loop goes on from."""
+    def earlier(self) -> EarlierRun:
+        """The finished part of the run, for the loop."""
         mark = self.recorded.mark
-        return Earlier(self.recorded.session, Journey(mark.path, mark.turn, mark.stamp))
+        return EarlierRun(self.recorded.session, Journey(mark.path, mark.turn, mark.stamp))
 
 
-def resume_sim(folder: Path, out: Path | None, given: Options) -> Resume:
-    """Return how the run of the twin in ``folder`` goes on, with what else is ``given``.
+def resume_sim(folder: Path, out: Path | None, given: Options) -> ResumedRun:
+    """Return the run of the twin in ``folder``, to be continued with the ``given`` options.
 
     Raises:
-        ConfigError: Something is given that would make it another run.
-        FileError: There is no such run, or nothing was finished in it.
+        ConfigError: A given option would make it another run.
+        FileError: There is no such run, or no view was finished in it.
     """
     recorded = _load(folder, out)
-    if recorded.settings.run.scene == REAL:
+    if recorded.settings.run.scene == REAL_SCENE:
         raise ConfigError(f"{folder} was scanned by the real robot: twin real --resume {folder}")
     effective = _settings(recorded, given)
     check_planner(effective.config.planner, truth_known=True)
-    sent = list(commands(recorded.path))
+    sent = list(read_commands(recorded.path))
 
-    def place(robot: Robot, tell: Tell) -> Robot:
-        tell(f"driving through the first {recorded.mark.stamp:.0f} s again")
+    def place_robot(robot: Robot, notify: Notify) -> Robot:
+        notify(f"driving through the first {recorded.mark.stamp:.0f} s again")
         if not reenact(robot, sent, recorded.mark):
-            tell("not quite where it was: this computer rounds otherwise than the one before")
+            notify("slightly off the recorded place: this computer rounds differently")
         return robot
 
-    return Resume(recorded, effective, place)
+    return ResumedRun(recorded, effective, place_robot)
 
 
-def resume_real(folder: Path, out: Path | None, given: Options) -> Resume:
-    """Return how the run of the real robot in ``folder`` goes on; errors as ``resume_sim``."""
+def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
+    """Return the run of the real robot in ``folder``; arguments and errors as ``resume_sim``."""
     recorded = _load(folder, out)
-    if recorded.settings.run.scene != REAL:
+    if recorded.settings.run.scene != REAL_SCENE:
         raise ConfigError(f"{folder} was scanned by the twin: twin sim --resume {folder}")
     effective = _settings(recorded, given)
     check_planner(effective.config.planner, truth_known=False)
-    stamp, T_odom_here = last_odometry(recorded.path)
+    stamp, T_odom_here = read_last_odometry(recorded.path)
 
-    def place(robot: Robot, tell: Tell) -> Robot:
-        tell("going on from where the robot was; it must not have been moved since")
-        return continued(robot, T_odom_here, stamp)
+    def place_robot(robot: Robot, notify: Notify) -> Robot:
+        notify("resuming where the robot stopped; it must not have been moved since")
+        return continue_odometry(robot, T_odom_here, stamp)
 
-    return Resume(recorded, effective, place)
+    return ResumedRun(recorded, effective, place_robot)
 
 
-def _load(folder: Path, out: Path | None) -> Recorded:
+def _load(folder: Path, out: Path | None) -> RecordedRun:
     if out is not None:
-        raise ConfigError("--resume goes on in its own folder; leave out --out")
+        raise ConfigError("--resume continues in the run's own folder; leave out --out")
     return load_session(folder)
 
 
-def _settings(recorded: Recorded, given: Options) -> Settings:
-    """Return the recorded settings under what is ``given``."""
+def _settings(recorded: RecordedRun, given: Options) -> Settings:
+    """Return the recorded settings, overridden by the ``given`` options."""
     before = recorded.settings
-    effective = settings([tomllib.loads(settings_toml(before)), given])
+    effective = build_settings([tomllib.loads(settings_toml(before)), given])
     if (effective.run, effective.twin) != (before.run, before.twin):
         raise ConfigError(
-            "--resume goes on with the run's own scene, seed, preset, world, robot, lidar link and "
-            "target; leave these out"
+            "--resume continues with the run's own scene, seed, preset, world, robot, lidar link "
+            "and target; leave these out"
         )
     return effective
 
 
 class MovedCheck(Unobserved):
-    """Says so if the first view that is taken after going on does not lie where it should."""
+    """Warns if the first view after resuming shows that the robot was moved."""
 
-    def __init__(self, known: int, tell: Tell) -> None:
+    def __init__(self, known: int, notify: Notify) -> None:
         self._known = known
-        self._tell = tell
+        self._notify = notify
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
-        if len(session.views) == self._known + 1 and (words := warning(session)):
-            self._tell(words)
+        if len(session.views) == self._known + 1 and (words := moved_warning(session)):
+            self._notify(words)

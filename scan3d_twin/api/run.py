@@ -1,4 +1,4 @@
-"""A run of a robot from the settings to the saved files, whatever ends it."""
+"""A run of a robot from its settings to its files, saved also when an error ends it."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from datetime import datetime
 from pathlib import Path
 from typing import cast
 
-from scan3d_twin.api.resume import MovedCheck, Resume
+from scan3d_twin.api.resume import MovedCheck, ResumedRun
 from scan3d_twin.api.save import save_run
 from scan3d_twin.api.view_saver import ViewSaver
-from scan3d_twin.api.watch import UNWATCHED, Onlooker, Watch
+from scan3d_twin.api.watch import UNWATCHED, RunWatcher, WatchOptions
 from scan3d_twin.core.errors import FileError, HazardError, LinkError, ScanError
 from scan3d_twin.core.observer import Observer, Observers
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.recorder import Recorder, SerialTaps
-from scan3d_twin.run.closed_loop import Loop, Opening, close_loop
+from scan3d_twin.run.closed_loop import LoopOutcome, RobotContext, close_loop
 from scan3d_twin.run.folder import release_folder
-from scan3d_twin.run.report import Effort, Report, failure
+from scan3d_twin.run.report import Effort, Report, failure_reason
 from scan3d_twin.run.settings import Settings
-from scan3d_twin.run.versions import versions
+from scan3d_twin.run.versions import collect_versions
 from scan3d_twin.sim.config import RobotName
 
 
 @dataclass(frozen=True)
-class RunResult:
-    """What came of a run.
+class RunOutcome:
+    """The result of a run.
 
     Attributes:
-        folder: Where it is saved.
-        report: What it was worth.
-        session: As far as it got.
-        ended: What ended it before its time or makes it a failure; None if nothing did.
+        folder: The folder with its files.
+        report: The content of ``report.json``.
+        session: All views and plans up to the end.
+        ended: The error that ended it early or makes it a failure; None for a success.
     """
 
     folder: Path
@@ -45,53 +45,53 @@ class RunResult:
     ended: BaseException | None
 
 
-def run_in(
+def run_in_folder(
     settings: Settings,
     name: str,
-    opening: Opening,
+    opening: RobotContext,
     folder: Path,
     observer: Observer,
     *,
     taps: SerialTaps | None = None,
-    resume: Resume | None = None,
-    watch: Watch = UNWATCHED,
+    resume: ResumedRun | None = None,
+    watch: WatchOptions = UNWATCHED,
     begun: float = 0.0,
-) -> RunResult:
+) -> RunOutcome:
     """Digitise with the robot of ``opening`` and save the results in ``folder``.
 
     Args:
-        settings: The effective ones.
-        name: Name of the scene, for people.
-        opening: Closed, with the wheels stopped, before anything is computed or saved.
-        folder: Claimed for the results; released on every way out.
-        observer: Sees every step, beside the recorder.
-        taps: On the serial lines of a real robot, to be recorded too.
-        resume: The run to go on with, in its own folder.
-        watch: Whether a live view is wanted, and how the scene looks.
-        begun: The robot's time from which its path and duration count [s].
+        settings: The effective settings.
+        name: Name of the scene in reports.
+        opening: Opens the robot; closed, with the wheels stopped, before anything is saved.
+        folder: Claimed for the results; removed if it stays empty.
+        observer: Sees every step, as the recorder does.
+        taps: Taps on the serial lines of a real robot, to be recorded too.
+        resume: The run to continue in its own folder; None for a new one.
+        watch: Whether to serve a live view, and the picture of the scene.
+        begun: Start of path and duration on the robot's clock [s].
 
     Returns:
-        The saved outcome; an error that ended the run after its first view stands in ``ended``.
+        The saved result; an error that ended the run after its first view stands in ``ended``.
 
     Raises:
-        BaseException: Whatever ended it before there was anything to save.
+        BaseException: Whatever ended the run before its first view.
     """
     try:
         with (
-            watch.onlooker(name, observer.on_event) as onlooker,
-            recording(folder, taps, resume) as recorder,
+            watch.open_watcher(name, observer.on_event) as watcher,
+            open_recorder(folder, taps, resume) as recorder,
         ):
             outcome = _digitize_and_save(
-                settings, name, opening, recorder, observer, resume, onlooker, begun
+                settings, name, opening, recorder, observer, resume, watcher, begun
             )
-            onlooker.end(outcome.report["stop_reason"], observer.on_event)
+            watcher.finish(outcome.report["stop_reason"], observer.on_event)
     finally:
         release_folder(folder)
     return outcome
 
 
-def end(outcome: RunResult) -> None:
-    """Raise what ended the run before its time or makes it a failure, if anything did."""
+def raise_if_failed(outcome: RunOutcome) -> None:
+    """Raise the error that ended the run early or makes it a failure, if there is one."""
     if isinstance(outcome.ended, KeyboardInterrupt):
         views = outcome.report["views"]
         raise KeyboardInterrupt(f"interrupted; finished views: {views}, saved in {outcome.folder}")
@@ -100,15 +100,16 @@ def end(outcome: RunResult) -> None:
 
 
 @contextmanager
-def recording(
-    folder: Path, taps: SerialTaps | None = None, resume: Resume | None = None
+def open_recorder(
+    folder: Path, taps: SerialTaps | None = None, resume: ResumedRun | None = None
 ) -> Iterator[Recorder]:
     """Open the session file of the run in ``folder``.
 
-    Of a run that ends without a view it is kept only for what it tells of a robot that failed.
+    If the run ends without a view, the file is removed, unless the robot failed: then it is kept
+    for diagnosis.
     """
     started = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
-    origin = {**versions(), "command": shlex.join(sys.argv), "started": started}
+    origin = {**collect_versions(), "command": shlex.join(sys.argv), "started": started}
     earlier = None if resume is None else resume.recorded
     recorder = Recorder(folder, time.monotonic, origin, earlier)
     if taps is not None:
@@ -123,42 +124,51 @@ def recording(
 def _digitize_and_save(
     settings: Settings,
     name: str,
-    opening: Opening,
+    opening: RobotContext,
     recorder: Recorder,
     observer: Observer,
-    resume: Resume | None,
-    onlooker: Onlooker,
+    resume: ResumedRun | None,
+    watcher: RunWatcher,
     begun: float,
-) -> RunResult:
-    """Digitise, save and judge."""
+) -> RunOutcome:
+    """Digitise, save the files and return the result."""
     started, folder = time.perf_counter(), recorder.path.parent
     with opening as (robot, truth):
+        # Describe the run
         name_of_base = cast(RobotName, robot.base.spec.name)
         settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
         recorder.describe(name, settings)
         watching: Observer = Observers(recorder, ViewSaver(folder, settings), observer)
+
+        # Resume an earlier run
         earlier = None
         if resume is not None:
-            robot, earlier = resume.place(robot, observer.on_event), resume.earlier
+            robot, earlier = resume.place_robot(robot, observer.on_event), resume.earlier
             known = len(earlier.session.views)
             watching = Observers(watching, MovedCheck(known, watching.on_event))
-        robot, watching = onlooker.attach(recorder.attach(robot), watching)
+
+        # Close the loop
+        robot, watching = watcher.attach(recorder.attach(robot), watching)
         loop = close_loop(robot, truth, settings, watching, time.perf_counter, earlier, begun)
         _finish(recorder, loop)
+
+    # Save all files and the report
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
     observer.on_event("evaluating and saving" if truth is not None else "saving")
-    picture = onlooker.picture()
+    picture = watcher.picture()
     try:
         report = save_run(
             folder, name, settings, loop.session, loop.journey, effort, truth, picture
         )
     except FileError as error:  # the disk that was full before is full now
         raise (loop.ended if isinstance(loop.ended, FileError) else error) from None
-    return RunResult(folder, report, loop.session, loop.ended or _failed(loop.session))
+
+    # Return it with its error
+    return RunOutcome(folder, report, loop.session, loop.ended or _scan_error(loop.session))
 
 
-def _finish(recorder: Recorder, loop: Loop) -> None:
-    """End the session file; a full disk that has ended the run has no room for an end either."""
+def _finish(recorder: Recorder, loop: LoopOutcome) -> None:
+    """End the session file; leave it unfinished where a full disk has ended the run."""
     try:
         recorder.finish(loop.session)
     except FileError:
@@ -167,15 +177,15 @@ def _finish(recorder: Recorder, loop: Loop) -> None:
             raise
 
 
-def _failed(session: Session) -> ScanError | None:
-    reason = failure(session)
+def _scan_error(session: Session) -> ScanError | None:
+    reason = failure_reason(session)
     return ScanError(reason) if reason else None
 
 
 def _peak_memory() -> float:
-    """Return the most memory this process held [bytes].
+    """Return the largest memory of this process [bytes].
 
-    ``getrusage`` would count what the parent held before it became this program.
+    ``getrusage`` would also count the parent's memory from before ``exec``.
     """
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     (peak,) = (line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))

@@ -1,4 +1,4 @@
-"""All files of a finished or broken-off run."""
+"""All files of a finished or interrupted run."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from scan3d_twin.core.model.evaluation import (
     Reference,
     Truth,
     evaluate_model,
-    mesh_accuracy,
-    shows_target,
+    is_of_target,
+    measure_mesh_accuracy,
 )
-from scan3d_twin.core.model.fused_cloud import Sighting, joined, sightings
+from scan3d_twin.core.model.fused_cloud import ViewCloud, build_view_clouds, join_models
 from scan3d_twin.core.model.mesh import build_mesh
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.ply import ply_bytes
@@ -23,8 +23,8 @@ from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.folder import write_file
 from scan3d_twin.run.report import Effort, Journey, Report, build_report, report_json
 from scan3d_twin.run.settings import Settings, settings_toml
-from scan3d_twin.viz.report_page import Pictures, report_page
-from scan3d_twin.viz.top_view import top_view
+from scan3d_twin.viz.report_page import Pictures, render_report_page
+from scan3d_twin.viz.top_view import draw_top_view
 
 
 def save_run(
@@ -39,15 +39,18 @@ def save_run(
 ) -> Report:
     """Write the files of ``session`` to ``folder`` and return the report.
 
-    The views are written once more, because the last alignment may have moved them.
-    The truth is asked only about the target it knows. ``scene_picture`` is a PNG of the scene, or
-    why there is none; empty where nobody can have one.
+    The views are written once more, because the final alignment may have moved them. The model is
+    evaluated only if it shows the target of the ground truth. ``scene_picture`` is a PNG of the
+    scene, or a sentence why there is none; empty for a real robot.
     """
-    seen = sightings(session)
-    model = joined([each.cleaned for each in seen])
-    known = truth is not None and len(model) and shows_target(session, truth)
+    # Evaluate against the ground truth
+    seen = build_view_clouds(session)
+    model = join_models([each.cleaned for each in seen])
+    known = truth is not None and len(model) and is_of_target(session, truth)
     reference = Reference.of(session, truth) if truth is not None and known else None
     evaluation = None if reference is None else evaluate_model(session, model, reference)
+
+    # Build the report
     report = build_report(
         scene,
         settings,
@@ -58,10 +61,14 @@ def save_run(
         evaluation,
         None if reference is None else _mesh_accuracy(session, seen, reference),
     )
+
+    # Write views in their final poses
     for index, each in enumerate(session.views):
         write_file(view_path(folder, index), view_bytes(each))
     _remove_views_from(len(session.views), folder)
-    picture = top_view(
+
+    # Write top view, model and report
+    picture = draw_top_view(
         model.points,
         model.view,
         [each.T_world_scan for each in session.views],
@@ -74,28 +81,30 @@ def save_run(
     write_file(folder / "report.json", report_json(report))
     if isinstance(scene_picture, bytes):
         write_file(folder / "scene.png", scene_picture)
+
+    # Write the report page
     pictures = Pictures(picture, scene_picture)
     options = settings_toml(settings)
-    page = report_page(report, options, session, model, pictures, evaluation)
+    page = render_report_page(report, options, session, model, pictures, evaluation)
     write_file(folder / "report.html", page)
     return report
 
 
 def _remove_views_from(count: int, folder: Path) -> None:
-    """Remove the files of views that were left out at last."""
+    """Remove the files of views that the final alignment has dropped."""
     while (path := view_path(folder, count)).exists():
         path.unlink()
         count += 1
 
 
 def _mesh_accuracy(
-    session: Session, seen: Sequence[Sighting], reference: Reference
+    session: Session, seen: Sequence[ViewCloud], reference: Reference
 ) -> Distances | None:
     """Return the distance of the target's mesh to the truth; None if it has no triangles."""
     mesh = build_mesh(session, seen)
     if len(mesh.faces) == 0:
         return None
-    return mesh_accuracy(mesh, reference, np.random.default_rng(session.seed))
+    return measure_mesh_accuracy(mesh, reference, np.random.default_rng(session.seed))
 
 
 def _title(report: Report) -> str:

@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from scan3d_twin.api.run import RunResult, end, run_in
-from scan3d_twin.api.watch import Watch
+from scan3d_twin.api.run import RunOutcome, raise_if_failed, run_in_folder
+from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.observer import Observer, Unobserved
-from scan3d_twin.core.png import png_bytes
+from scan3d_twin.core.png import encode_png
 from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.run.folder import claim_folder, default_folder
 from scan3d_twin.run.resolve import resolve_sim
-from scan3d_twin.run.settings import absolute_scene, merge
+from scan3d_twin.run.settings import absolute_scene, merge_options
 from scan3d_twin.sim.config import DEFAULT_WORLD, RobotName
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.pictures import render
+from scan3d_twin.sim.scenes.pictures import render_scene
 from scan3d_twin.sim.scenes.scene import Scene
 
 
@@ -30,7 +30,7 @@ def run_sim(
     options: Mapping[str, Any] | None = None,
     out: str | Path | None = None,
     observer: Observer | None = None,
-) -> RunResult:
+) -> RunOutcome:
     """Digitise a scene with the twin and save the results, as ``twin sim`` does.
 
     Args:
@@ -61,23 +61,23 @@ def run_sim(
     stated = {
         "run": {"scene": absolute_scene(scene), "seed": seed, "preset": preset, "world": world}
     }
-    settings, loaded = resolve_sim(merge([options or {}, stated]))
+    settings, loaded = resolve_sim(merge_options([options or {}, stated]))
     folder = claim_folder(default_folder(loaded.name) if out is None else Path(out))
-    result = run_in(
+    result = run_in_folder(
         settings,
         loaded.name,
         open_sim(loaded, seed, settings.twin),
         folder,
         observer or Unobserved(),
-        watch=Watch(picture=lambda: draw_scene(loaded, settings.twin.robot)),
+        watch=WatchOptions(picture=lambda: draw_scene(loaded, settings.twin.robot)),
     )
-    end(result)
+    raise_if_failed(result)
     return result
 
 
 def draw_scene(scene: Scene, robot: RobotName) -> bytes | str:
     """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
     try:
-        return png_bytes(render(scene, robot))
+        return encode_png(render_scene(scene, robot))
     except ConfigError as error:
         return str(error)

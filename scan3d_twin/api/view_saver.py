@@ -6,14 +6,14 @@ from pathlib import Path
 
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.image import NONE
+from scan3d_twin.recording.image import NO_COMPRESSION
 from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.folder import write_file
 from scan3d_twin.run.settings import Settings, settings_toml
 
 
 class ViewSaver(Unobserved):
-    """Saves each finished view, the settings with the first, and saves memory if wanted.
+    """Writes the settings and each finished view; compresses the session if memory is short.
 
     The files are compressed at the end of the run, when they are written once more.
     """
@@ -29,6 +29,6 @@ class ViewSaver(Unobserved):
         if not self._settings_saved:
             write_file(self._folder / "config.toml", settings_toml(self._settings))
             self._settings_saved = True
-        write_file(view_path(self._folder, index), view_bytes(session.views[index], NONE))
+        write_file(view_path(self._folder, index), view_bytes(session.views[index], NO_COMPRESSION))
         if session.config.optimize_for == "memory":
             session.compress()

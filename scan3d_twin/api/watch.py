@@ -1,4 +1,4 @@
-"""Watching a run: the live view on a web page, if one is wanted, and a picture of the scene."""
+"""The optional live view of a run on a web page, and the picture of its scene."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Onlooker:
+class RunWatcher:
     """The live view of one run, if there is one.
 
     Attributes:
-        view: The live view; None where none is wanted.
-        picture: Returns a picture of the scene as PNG, or why there is none.
+        view: The live view; None without one.
+        picture: Returns a picture of the scene as PNG, or a sentence why there is none.
     """
 
     view: LiveView | None
@@ -32,24 +32,24 @@ class Onlooker:
             return robot, observer
         return self.view.attach(robot), Observers(observer, self.view)
 
-    def end(self, reason: str, report: Callable[[str], None]) -> None:
-        """Show on the page why the run ended, and stay while somebody reads it."""
+    def finish(self, reason: str, report: Callable[[str], None]) -> None:
+        """Show on the page why the run ended, and serve it until nobody reads it."""
         if self.view is None:
             return
         self.view.finish(reason)
-        if self.view.is_read():
+        if self.view.has_readers():
             report("the live view stays until its page is closed, or Ctrl-C")
             self.view.wait_for_readers()
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
-    """How a run is to be watched.
+class WatchOptions:
+    """Options of the live view of a run.
 
     Attributes:
         address: Host and TCP port at which the live view is served; None for no live view.
-        speed: Speed of the twin while it is watched, such as ``10x``; None for a real robot.
-        picture: See ``Onlooker``.
+        speed: Speed limit of the twin while it is watched, such as ``10x``; None for a real robot.
+        picture: See ``RunWatcher``.
     """
 
     address: tuple[str, int] | None = None
@@ -57,20 +57,21 @@ class Watch:
     picture: Callable[[], bytes | str] = str
 
     @contextmanager
-    def onlooker(self, name: str, report: Callable[[str], None]) -> Iterator[Onlooker]:
-        """Serve the live view of the run called ``name`` if one is wanted.
+    def open_watcher(self, name: str, report: Callable[[str], None]) -> Iterator[RunWatcher]:
+        """Serve the live view of the run called ``name`` if there is an address.
 
         Raises:
-            LinkError: It cannot be served there.
+            LinkError: The view cannot be served there.
         """
         if self.address is None:
-            yield Onlooker(None, self.picture)
+            yield RunWatcher(None, self.picture)
             return
         from scan3d_twin.viz.live import open_live_view
 
         host, port = self.address
         with open_live_view(host, port, name, self.speed, report) as view:
-            yield Onlooker(view, self.picture)
+            yield RunWatcher(view, self.picture)
 
 
-UNWATCHED = Watch()
+UNWATCHED = WatchOptions()
+"""No live view and no picture of the scene."""

@@ -1,1 +1,1 @@
-"""Experiments: many closed loops in the twin, planners against planners on the same seeds."""
+"""Experiments of ``twin bench``: many closed loops in the twin, planners on the same seeds."""

@@ -1,7 +1,7 @@
-"""Workers of a Dask cluster that somebody else started.
+"""Workers of a Dask cluster that is already running.
 
 A task that hangs is ended by restarting its worker, which needs the worker's nanny (the default).
-Dask sends Python objects and trusts whoever it talks to: private networks, or TLS.
+Dask sends pickled Python objects without authentication: use a private network, or TLS.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from typing import Any
 
 from scan3d_twin.bench.engine import WorkerLostError
 from scan3d_twin.bench.task import Task
-from scan3d_twin.bench.work import Done, code_hash, perform
+from scan3d_twin.bench.work import TaskResult, code_hash, run_task
 from scan3d_twin.core.errors import ConfigError, LinkError
 
 CONNECT_TIMEOUT = 15.0
-"""For the scheduler to answer [s]; a loopback takes 2."""
+"""Time for the scheduler to answer [s]; over loopback it takes 2."""
 WORKER_TIMEOUT = 60.0
-"""For a worker to come [s]; one begins in 5 on a quiet computer."""
-POLL = 0.5
-"""Time between two looks at the clock of the tasks [s]."""
+"""Time for a worker to register [s]; on an idle computer it takes 5."""
+POLL_PERIOD = 0.5
+"""Time between two checks for overdue tasks [s]."""
 
 
 @contextmanager
@@ -31,13 +31,14 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
 
     Raises:
         ConfigError: Dask is not installed here, or the workers run other sources.
-        LinkError: Nobody answers, or no worker comes.
+        LinkError: The scheduler does not answer, or has no workers.
     """
+    # Connect to the scheduler
     try:
         from distributed import Client
     except ImportError:
         raise ConfigError(
-            "the cluster's client is not installed; pip install 'scan3d-twin[cluster]'"
+            "the cluster's client is not installed: pip install distributed"
         ) from None
     try:
         client: Any = Client(address, timeout=CONNECT_TIMEOUT)  # type: ignore[no-untyped-call]
@@ -45,13 +46,16 @@ def cluster_engine(address: str, timeout: float) -> Iterator[ClusterEngine]:
         raise LinkError(
             f"no Dask scheduler answers at {address}; start one with `dask scheduler`"
         ) from error
+
+    # Check the workers and serve
     with client:
         _check(client, address, code_hash())
         yield ClusterEngine(client, address, timeout)
 
 
 def _check(client: Any, address: str, here: str) -> None:
-    """Raise if there are no workers, or some whose sources have another hash than ``here``."""
+    """Raise if there are no workers, or the sources of one differ from the hash ``here``."""
+    # Wait for the first worker
     try:
         client.wait_for_workers(1, timeout=WORKER_TIMEOUT)
     except TimeoutError as error:
@@ -64,6 +68,8 @@ def _check(client: Any, address: str, here: str) -> None:
         raise ConfigError(
             f"a worker of {address} cannot run scan3d_twin ({error}); install this version there"
         ) from error
+
+    # Compare their sources
     for worker, code in codes.items():
         if code != here:
             raise ConfigError(
@@ -79,30 +85,30 @@ class ClusterEngine:
         self._client = client
         self._address = address
         self._timeout = timeout
-        self._inner: dict[Future[Done], Any] = {}
-        self._begun: dict[Future[Done], float] = {}
+        self._inner: dict[Future[TaskResult], Any] = {}
+        self._begun: dict[Future[TaskResult], float] = {}
 
     @property
     def slots(self) -> int:
-        """See ``Engine``: one task a thread, so that what is under way is running."""
+        """See ``Engine``: one task per thread, so that every submitted task is running."""
         threads: dict[str, int] = self._ask(self._client.nthreads)
         return max(1, sum(threads.values()))
 
-    def submit(self, task: Task) -> Future[Done]:
+    def submit(self, task: Task) -> Future[TaskResult]:
         """See ``Engine``."""
-        outer: Future[Done] = Future()
-        self._inner[outer] = self._ask(lambda: self._client.submit(perform, task, pure=False))
+        outer: Future[TaskResult] = Future()
+        self._inner[outer] = self._ask(lambda: self._client.submit(run_task, task, pure=False))
         self._begun[outer] = time.monotonic()
         return outer
 
-    def wait(self, futures: Collection[Future[Done]]) -> Collection[Future[Done]]:
+    def wait(self, futures: Collection[Future[TaskResult]]) -> Collection[Future[TaskResult]]:
         """See ``Engine``."""
         from distributed import wait
 
         while True:
             try:
                 inner = [self._inner[future] for future in futures]
-                wait(inner, timeout=POLL, return_when="FIRST_COMPLETED")  # type: ignore[no-untyped-call]
+                wait(inner, timeout=POLL_PERIOD, return_when="FIRST_COMPLETED")  # type: ignore[no-untyped-call]
             except TimeoutError:
                 self._end_overdue(futures)
             except CancelledError as error:
@@ -114,14 +120,17 @@ class ClusterEngine:
                 return finished
             self._ask(self._client.nthreads)
 
-    def _settle(self, outer: Future[Done]) -> None:
-        """Give ``outer`` the outcome of its task, in the engine's words."""
+    def _settle(self, outer: Future[TaskResult]) -> None:
+        """Set the result or the error of ``outer`` from its Dask task."""
+        # Forget the task
         inner = self._inner.pop(outer)
         del self._begun[outer]
         if outer.done():
             return
         if inner.status == "cancelled":
             raise self._gone()
+
+        # Pass on result or error
         error = inner.exception()
         if error is None:
             outer.set_result(inner.result())
@@ -130,14 +139,19 @@ class ClusterEngine:
         else:
             outer.set_exception(error)
 
-    def _end_overdue(self, futures: Collection[Future[Done]]) -> None:
-        """Give up tasks whose time is over, and restart the workers that hang on them."""
+    def _end_overdue(self, futures: Collection[Future[TaskResult]]) -> None:
+        """Give up overdue tasks, and restart the workers that hang on them."""
+        # Find the overdue tasks
         now = time.monotonic()
         overdue = [f for f in futures if now - self._begun[f] > self._timeout]
         if not overdue:
             return
+
+        # Find the workers that hang
         keys = {self._inner[future].key for future in overdue}
         workers = [w for w, mine in self._client.processing().items() if keys & set(mine)]
+
+        # Give up tasks, restart workers
         for future in overdue:
             self._inner[future].cancel()
             future.set_exception(WorkerLostError(f"not finished after {self._timeout:g} s"))
@@ -145,7 +159,7 @@ class ClusterEngine:
             self._client.restart_workers(workers, timeout=WORKER_TIMEOUT, raise_for_error=False)
 
     def _ask(self, question: Callable[[], Any]) -> Any:
-        """Return the scheduler's answer."""
+        """Return the scheduler's answer, with Dask's errors as ``LinkError``."""
         try:
             return question()
         except (OSError, RuntimeError, CancelledError) as error:

@@ -1,7 +1,7 @@
-"""The journal: one line per finished task, written at once, so that a killed bench goes on.
+"""The journal: one line per finished task, written at once, so that a killed bench can resume.
 
-A line is complete with its line feed; a torn last line is what a killed bench leaves, and counts
-for nothing. A task that stands there twice counts with its last line.
+A line is complete with its line feed; an incomplete last line, left by a killed bench, is ignored.
+The last line of a task counts.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import Any
 from scan3d_twin.bench.record import Record, from_row, to_json
 from scan3d_twin.core.errors import FileError
 
-PATTERN = "journal*.jsonl"
+JOURNAL_PATTERN = "journal*.jsonl"
 
 
 def journal_path(folder: Path, shard: tuple[int, int]) -> Path:
-    """Return the journal of ``shard`` (number from 1, count): shards may share a folder."""
+    """Return the journal's path of ``shard`` (number from 1, count); shards may share a folder."""
     number, count = shard
     return folder / ("journal.jsonl" if count == 1 else f"journal-{number}of{count}.jsonl")
 
@@ -54,24 +54,27 @@ def _row(path: Path, number: int, line: bytes) -> Record:
         return from_row(row)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FileError(
-            f"{path}, line {number} is no record ({error}); remove that line to go on"
+            f"{path}, line {number} is no record ({error}); remove that line to continue"
         ) from error
 
 
 class Journal:
-    """A journal open for appending; no other bench can open it meanwhile."""
+    """A journal open for appending, locked against other benches."""
 
     def __init__(self, path: Path) -> None:
-        """Open ``path`` and cut off a torn last line.
+        """Open ``path`` and cut off an incomplete last line.
 
         Raises:
-            FileError: It cannot be written, or another bench has it open.
+            FileError: The journal cannot be written, or another bench has it open.
         """
+        # Create and open the file
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         except OSError as error:
             raise FileError(f"cannot write {path}: {error.strerror}") from error
+
+        # Lock it against other benches
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -79,18 +82,20 @@ class Journal:
             raise FileError(
                 f"another bench writes {path}; wait for it, or name another folder with --out"
             ) from None
+
+        # Cut off an incomplete line
         self._path = path
         self._cut()
 
     def _cut(self) -> None:
-        """Remove what follows the last line feed."""
+        """Remove everything after the last line feed."""
         content = self._path.read_bytes()
         whole = content.rfind(b"\n") + 1
         if whole < len(content):
             os.ftruncate(self._file, whole)
 
     def append(self, record: Record) -> None:
-        """Write ``record`` and wait until the disk has it.
+        """Write ``record`` and wait until it is on the disk.
 
         Raises:
             FileError: The disk is full.

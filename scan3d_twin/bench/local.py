@@ -1,4 +1,4 @@
-"""Workers on this computer: processes of which one can be lost alone."""
+"""Workers on this computer: a pool of processes that survives the loss of one."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from typing import Any
 
 from scan3d_twin.bench.engine import WorkerLostError
 from scan3d_twin.bench.task import Task
-from scan3d_twin.bench.work import Done, perform
+from scan3d_twin.bench.work import TaskResult, run_task
 from scan3d_twin.core.errors import ConfigError
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""One thread per worker: the arrays are small, and more only get into each other's way."""
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that limit a worker to one thread: the arrays are small, more threads slow it down."""
 
 
 @contextmanager
 def local_engine(jobs: int, timeout: float) -> Iterator[LocalEngine]:
-    """Open ``jobs`` workers that may spend ``timeout`` [s] on a task; they end with the block.
+    """Open ``jobs`` workers with a time limit of ``timeout`` [s] per task; they end with the block.
 
     Raises:
         ConfigError: The process pool is not installed.
     """
-    with _environment(dict.fromkeys(THREADS, "1")):
+    with _environment(dict.fromkeys(THREAD_VARIABLES, "1")):
         engine = LocalEngine(jobs, timeout)
         try:
             yield engine
@@ -44,23 +44,23 @@ class LocalEngine:
 
     @property
     def slots(self) -> int:
-        """See ``Engine``: as many again wait at the pool's door."""
+        """See ``Engine``: one running and one queued task per worker."""
         return 2 * self._jobs
 
-    def submit(self, task: Task) -> Future[Done]:
+    def submit(self, task: Task) -> Future[TaskResult]:
         """See ``Engine``."""
-        outer: Future[Done] = Future()
+        outer: Future[TaskResult] = Future()
         try:
-            inner = self._pool.schedule(perform, args=(task,), timeout=self._timeout)
+            inner = self._pool.schedule(run_task, args=(task,), timeout=self._timeout)
         except (BrokenProcessPool, RuntimeError):
             # A pool breaks when its last idle worker is killed; the tasks are not to blame.
             self.stop()
             self._pool = self._open()
-            inner = self._pool.schedule(perform, args=(task,), timeout=self._timeout)
+            inner = self._pool.schedule(run_task, args=(task,), timeout=self._timeout)
         inner.add_done_callback(lambda future: _pass_on(future, outer, self._timeout))
         return outer
 
-    def wait(self, futures: Collection[Future[Done]]) -> Collection[Future[Done]]:
+    def wait(self, futures: Collection[Future[TaskResult]]) -> Collection[Future[TaskResult]]:
         """See ``Engine``."""
         return wait(futures, return_when=FIRST_COMPLETED).done
 
@@ -74,15 +74,15 @@ class LocalEngine:
             from pebble import ProcessPool
         except ImportError:
             raise ConfigError(
-                "the process pool is not installed; pip install 'scan3d-twin[bench]'"
+                "the process pool is not installed: pip install pebble duckdb"
             ) from None
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["scan3d_twin.bench.work"])
         return ProcessPool(max_workers=self._jobs, context=context)
 
 
-def _pass_on(inner: Future[Done], outer: Future[Done], timeout: float) -> None:
-    """Give ``outer`` the outcome of ``inner``, in the engine's words."""
+def _pass_on(inner: Future[TaskResult], outer: Future[TaskResult], timeout: float) -> None:
+    """Set the result or the error of ``outer`` from the pool's ``inner`` future."""
     from pebble import ProcessExpired
 
     if inner.cancelled():
@@ -103,7 +103,7 @@ def _pass_on(inner: Future[Done], outer: Future[Done], timeout: float) -> None:
 
 @contextmanager
 def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Set variables for the processes that are begun in the block."""
+    """Set environment variables for processes that are started in the block."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

@@ -1,7 +1,7 @@
 """The record of one closed loop: a row of the journal and of the Parquet file.
 
-SI units and radians, as everywhere inside. One task gives the same record again, except for
-``TIMINGS``. Null is what was not measured or is not finite.
+SI units and radians, as everywhere inside. Two runs of one task give the same record, except for
+``TIMING_FIELDS``. Null stands for a value that was not measured or is not finite.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ Status = Literal["done", "failed", "lost"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One view of a run, and the plan that led to it; what the first view has none of is None.
+    """One view of a run, and the plan that led to it; the first view has no plan and no errors.
 
     Attributes:
         view: Index, from 0.
         x, y, yaw: ``T_world_scan`` [m, rad].
-        path: Driven by the end of the view [m].
-        turn: Turned by the end of the view [rad].
-        time: On the robot's clock at the end of the view [s].
-        coverage: Of the coverable surface by this and the earlier views.
+        path: Path by the end of the view [m].
+        turn: Sum of turns by the end of the view [rad].
+        time: Time on the robot's clock at the end of the view [s].
+        coverage: Share of the coverable surface that this and the earlier views cover.
         plan_cpu: Processor time of the planner after this view [s].
-        feature: Feature score of the surface the planner then had to overlap with (curvature.py).
-        overlap: The eta chosen for this view.
-        predicted: E by the planner [m].
-        expected: E by the registration itself, from its own covariance [m].
-        error: Of the registration against the truth [m].
-        pose_error: Of the pose in the world, after the last alignment [m].
-        odometry_error: Before registration [m].
+        feature: Feature score of the surface that the next view had to overlap (curvature.py).
+        overlap: The overlap eta chosen for this view.
+        predicted: Error E predicted by the planner [m].
+        expected: Error E predicted by the registration from its own covariance [m].
+        error: Error of the registration against the truth [m].
+        pose_error: Error of the pose in the world, after the final alignment [m].
+        odometry_error: Error of the odometry, before registration [m].
         fitness: Share of points with a correspondence.
         converged: Whether the registration did.
         fell_back: Whether no overlap met epsilon.
-        candidates: How many viewpoints the planner considered.
+        candidates: Number of viewpoints that the planner considered.
     """
 
     view: int
@@ -69,27 +69,28 @@ class Record:
 
     Attributes:
         key: Hash of the effective task.
-        variant, scene, seed: Which run it is.
-        planner, preset, world, tour, scope, engine: The settings people compare by.
-        epsilon, lambda_, gamma, sigma, standoff: Those with units [m, 1, 1, m, m].
+        variant, scene, seed: The run's place in the experiment.
+        planner, preset, world, tour, scope, engine: Settings to compare by.
+        epsilon, lambda_, gamma, sigma, standoff: Settings with units [m, 1, 1, m, m].
         trials: Draws per overlap of the simulated registration.
-        settings: All of them, as the TOML file that `twin sim --config` runs.
-        status: `done`; `failed` when the scan could not go on; `lost` when the worker was.
-        stop: Why it ended, in words.
-        complete: Whether the planner ended it because nothing was left to scan.
-        views: How many.
+        settings: All settings, as the TOML file that `twin sim --config` runs.
+        status: `done`; `failed` when the scan had an error; `lost` when the worker was lost.
+        stop: The stop reason in words.
+        complete: Whether the planner ended the run because nothing was left to scan.
+        views: Number of views.
         success: At least two views, and every registration error is at most epsilon.
-        max_error: The largest of them [m].
-        coverage, coverable_share: Of the coverable surface; of the whole surface.
+        max_error: The largest registration error [m].
+        coverage: Share of the coverable surface that the model covers.
+        coverable_share: Share of the whole surface that is coverable.
         f10, f20, f30: F-scores at 10, 20 and 30 mm.
         accuracy, completeness: Medians [m].
         accuracy_p95, completeness_p95: Their 95 % quantiles [m].
-        points: Of the model.
-        path, turn, duration: What the robot did [m, rad, s].
+        points: Number of points of the model.
+        path, turn, duration: Journey of the robot [m, rad, s].
         plan_cpu, cpu, wall: Processor time of the planner, of the run, and its wall time [s].
-        attempts: How often the task was begun.
-        version, code, python: Of the software; ``code`` is a hash of its sources.
-        steps: One per view.
+        attempts: Number of attempts at the task.
+        version, code, python: Versions of the software; ``code`` is a hash of its sources.
+        steps: One step per view.
     """
 
     key: str
@@ -138,39 +139,39 @@ class Record:
     steps: tuple[Step, ...] = ()
 
 
-TIMINGS = ("plan_cpu", "cpu", "wall", "attempts")
-"""What differs between two runs of one task, in a record and in its steps."""
+TIMING_FIELDS = ("plan_cpu", "cpu", "wall", "attempts")
+"""Fields of a record and of its steps that differ between two runs of one task."""
 
 
-def lasting(record: Record) -> dict[str, Any]:
-    """Return what every run of the task gives again."""
-    row = {name: value for name, value in asdict(record).items() if name not in TIMINGS}
-    steps = [{k: v for k, v in step.items() if k not in TIMINGS} for step in row["steps"]]
+def without_timings(record: Record) -> dict[str, Any]:
+    """Return the fields that are equal in every run of the task."""
+    row = {name: value for name, value in asdict(record).items() if name not in TIMING_FIELDS}
+    steps = [{k: v for k, v in step.items() if k not in TIMING_FIELDS} for step in row["steps"]]
     return {**row, "steps": steps}
 
 
 def to_json(record: Record) -> str:
     """Return ``record`` as one line."""
-    return json.dumps(finite(asdict(record)), ensure_ascii=False, allow_nan=False)
+    return json.dumps(replace_nonfinite(asdict(record)), ensure_ascii=False, allow_nan=False)
 
 
 def from_row(row: Mapping[str, Any]) -> Record:
-    """Return the record of a row of the journal or of the Parquet file.
+    """Return the record in a row of the journal or of the Parquet file.
 
     Raises:
-        KeyError, TypeError: It is none.
+        KeyError, TypeError: The row is no record.
     """
-    steps = tuple(Step(**_known(Step, step)) for step in row["steps"])
-    return Record(**{**_known(Record, row), "steps": steps})
+    steps = tuple(Step(**_select_known(Step, step)) for step in row["steps"])
+    return Record(**{**_select_known(Record, row), "steps": steps})
 
 
-def columns(cls: type = Record) -> dict[str, str]:
+def sql_columns(cls: type = Record) -> dict[str, str]:
     """Return DuckDB's type of each field of ``cls``."""
     hints = get_type_hints(cls)
     return {field.name: _sql_type(hints[field.name]) for field in fields(cls)}
 
 
-_SQL: Mapping[Any, str] = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE", bool: "BOOLEAN"}
+_SQL_TYPES: Mapping[Any, str] = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE", bool: "BOOLEAN"}
 
 
 def _sql_type(hint: Any) -> str:
@@ -181,21 +182,21 @@ def _sql_type(hint: Any) -> str:
     if get_origin(hint) is tuple:
         return _sql_type(get_args(hint)[0]) + "[]"
     if is_dataclass(hint) and isinstance(hint, type):
-        inner = ", ".join(f'"{name}" {kind}' for name, kind in columns(hint).items())
+        inner = ", ".join(f'"{name}" {kind}' for name, kind in sql_columns(hint).items())
         return f"STRUCT({inner})"
-    return _SQL[hint]
+    return _SQL_TYPES[hint]
 
 
-def _known(cls: type, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what ``cls`` has fields for: records of a later version may say more."""
+def _select_known(cls: type, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that ``cls`` has fields for; records of a later version may have more."""
     names = {field.name for field in fields(cls)}
     return {name: value for name, value in row.items() if name in names}
 
 
-def finite(value: Any) -> Any:
-    """Return ``value`` with None for what JSON has no number for."""
+def replace_nonfinite(value: Any) -> Any:
+    """Return ``value`` with None for infinities and NaN, which JSON cannot express."""
     if isinstance(value, dict):
-        return {name: finite(each) for name, each in value.items()}
+        return {name: replace_nonfinite(each) for name, each in value.items()}
     if isinstance(value, (list, tuple)):
-        return [finite(each) for each in value]
+        return [replace_nonfinite(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,4 +1,4 @@
-"""What an experiment is: variants of the options, and grids of scenes, variants and seeds.
+"""Experiments: variants of the options, and grids of scenes, variants and seeds.
 
 As a TOML file::
 
@@ -18,8 +18,8 @@ As a TOML file::
     seeds = 30
     first_seed = 0                    # default
 
-All variants meet the same seeds, which are the same robots and the same noise: their differences
-are paired.
+All variants run with the same seeds, which give the same robots and the same noise, so that their
+differences are paired.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from typing import Any
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.run.resolve import resolve_sim
-from scan3d_twin.run.settings import Options, merge, read_settings
+from scan3d_twin.run.settings import Options, merge_options, read_settings
 
 SUITES = files("scan3d_twin.bench") / "suites"
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Scenes x variants x seeds.
+    """The product of scenes, variants and seeds.
 
     Attributes:
-        scenes: Names, or files.
+        scenes: Names or files of scenes.
         variants: Names of variants.
-        seeds: Consecutive ones.
+        seeds: Consecutive seeds.
     """
 
     scenes: tuple[str, ...]
@@ -57,13 +57,13 @@ class Grid:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What ``twin bench`` runs.
+    """An experiment of ``twin bench``.
 
     Attributes:
-        name: For people and for the default folder.
+        name: Name, also of the default folder.
         description: One line.
-        variants: Options by name.
-        grids: What meets what.
+        variants: Options by the name of the variant.
+        grids: The runs.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Experiment:
     grids: tuple[Grid, ...]
 
     def with_seeds(self, count: int | None, first: int | None) -> Experiment:
-        """Return the experiment with another number or start of seeds; None leaves them."""
+        """Return the experiment with another number or first of seeds; None keeps it."""
         grids = []
         for grid in self.grids:
             start = grid.seeds.start if first is None else first
@@ -82,13 +82,13 @@ class Experiment:
         return replace(self, grids=tuple(grids))
 
     def with_options(self, options: Options) -> Experiment:
-        """Return the experiment with ``options`` stated for every variant."""
-        variants = {name: merge([own, options]) for name, own in self.variants.items()}
+        """Return the experiment with ``options`` over those of every variant."""
+        variants = {name: merge_options([own, options]) for name, own in self.variants.items()}
         return replace(self, variants=variants)
 
 
-def tasks(experiment: Experiment) -> list[Task]:
-    """Return the tasks of ``experiment``, seed by seed, so that what there is stays paired.
+def list_tasks(experiment: Experiment) -> list[Task]:
+    """Return the tasks of ``experiment``, seed by seed, so that a partial run is paired.
 
     Raises:
         ConfigError, SceneError: A scene, variant or option is wrong.
@@ -103,15 +103,15 @@ def tasks(experiment: Experiment) -> list[Task]:
     return [task for _, task in sorted(rows.values(), key=lambda row: row[0])]
 
 
-def shard_of(whole: Sequence[Task], number: int, count: int) -> list[Task]:
-    """Return every ``count``-th of the ``whole``, from ``number`` - 1 on."""
+def select_shard(whole: Sequence[Task], number: int, count: int) -> list[Task]:
+    """Return shard ``number`` (from 1) of ``count``: every ``count``-th task of the ``whole``."""
     return list(whole[number - 1 :: count])
 
 
 def _task(scene: str, variant: str, variants: Mapping[str, Options]) -> Task:
     path = Path(scene)
     found = str(path.resolve()) if path.suffix and path.is_file() else scene
-    given = merge([variants[variant], {"run": {"scene": found}}])
+    given = merge_options([variants[variant], {"run": {"scene": found}}])
     try:
         settings, loaded = resolve_sim(given)
     except ConfigError as error:
@@ -131,10 +131,10 @@ def suite_names() -> tuple[str, ...]:
 
 
 def load_suite(name: str) -> Experiment:
-    """Return the experiment ``name`` of the package.
+    """Return the experiment ``name`` that comes with the package.
 
     Raises:
-        UnknownNameError: There is none.
+        UnknownNameError: There is no such experiment.
     """
     if name not in suite_names():
         raise UnknownNameError("suite", name, suite_names())
@@ -145,17 +145,20 @@ def read_experiment(path: Path) -> Experiment:
     """Return the experiment in the TOML file ``path``.
 
     Raises:
-        FileError: It cannot be read.
+        FileError: The file cannot be read.
         ConfigError: A key or value is wrong.
     """
+    # Read the variants
     document = read_settings(path)
     where = str(path)
     _check_keys(document, ("description", "options", "variants", "grids"), where)
     common = _table(document, "options", where)
     own = {
-        name: merge([common, _table(document["variants"], name, f"{where}: variants")])
+        name: merge_options([common, _table(document["variants"], name, f"{where}: variants")])
         for name in _table(document, "variants", where)
     }
+
+    # Read the grids
     grids = document.get("grids", [])
     if not own or not isinstance(grids, list) or not grids:
         raise ConfigError(f"{where} needs [variants.NAME] and [[grids]]")
@@ -167,10 +170,10 @@ def read_experiment(path: Path) -> Experiment:
     )
 
 
-def experiment_of(
+def make_experiment(
     scenes: Sequence[str], planners: Sequence[str], presets: Sequence[str]
 ) -> Experiment:
-    """Return planners x presets on ``scenes``; without planners each preset's own."""
+    """Return an experiment of planners x presets on ``scenes``; by default the preset's planner."""
     variants: dict[str, Options] = {}
     for preset, planner in product(presets, planners or [""]):
         options: dict[str, Any] = {"run": {"preset": preset}}

@@ -1,4 +1,4 @@
-"""All records of a folder as one Parquet file, and back."""
+"""Collects the records of a folder into one Parquet file, and reads them back."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from scan3d_twin.bench.journal import PATTERN, read_journals
-from scan3d_twin.bench.record import Record, columns, from_row, to_json
+from scan3d_twin.bench.journal import JOURNAL_PATTERN, read_journals
+from scan3d_twin.bench.record import Record, from_row, sql_columns, to_json
 from scan3d_twin.core.errors import ConfigError, FileError
 
-RESULTS = "results.parquet"
+RESULTS_FILE = "results.parquet"
 
 
-def collect(folder: Path) -> list[Record]:
-    """Return the records of all journals in ``folder``: of each run the last one, in order.
+def collect_records(folder: Path) -> list[Record]:
+    """Return the last record of each run in the journals of ``folder``, sorted.
 
-    A run is a scene, a variant and a seed: what was run anew with other options under the same
-    name counts once.
+    A run is a scene, a variant and a seed: a variant that was run again with other options counts
+    once.
     """
-    records = read_journals(sorted(folder.glob(PATTERN))).values()
+    records = read_journals(sorted(folder.glob(JOURNAL_PATTERN))).values()
     runs = {(record.scene, record.variant, record.seed): record for record in records}
     return [runs[run] for run in sorted(runs)]
 
 
 def write_parquet(records: Iterable[Record], path: Path) -> None:
-    """Write ``records`` to ``path`` so that it is there as a whole or not at all.
+    """Write ``records`` to ``path`` atomically: the whole file or nothing.
 
     Raises:
         ConfigError: DuckDB is not installed.
@@ -35,12 +35,16 @@ def write_parquet(records: Iterable[Record], path: Path) -> None:
     """
     duckdb = _duckdb()
     part = path.with_name(path.name + ".part")
+
+    # Convert JSON lines, then rename
     with tempfile.NamedTemporaryFile("w", suffix=".jsonl", encoding="utf-8") as lines:
         lines.writelines(to_json(record) + "\n" for record in records)
         lines.flush()
         try:
             with duckdb.connect() as database:
-                rows = database.read_json(lines.name, columns=columns(), format="newline_delimited")
+                rows = database.read_json(
+                    lines.name, columns=sql_columns(), format="newline_delimited"
+                )
                 rows.write_parquet(str(part), compression="zstd")
             os.replace(part, path)
         except (OSError, duckdb.Error) as error:
@@ -52,10 +56,14 @@ def read_results(path: Path) -> list[Record]:
 
     Raises:
         ConfigError: DuckDB is not installed.
-        FileError: There are none.
+        FileError: There are no results.
     """
     if path.is_dir():
-        records = collect(path) if any(path.glob(PATTERN)) else _read_parquet(path / RESULTS)
+        records = (
+            collect_records(path)
+            if any(path.glob(JOURNAL_PATTERN))
+            else _read_parquet(path / RESULTS_FILE)
+        )
     else:
         records = _read_parquet(path)
     if not records:
@@ -80,5 +88,5 @@ def _duckdb() -> Any:
     try:
         import duckdb
     except ImportError:
-        raise ConfigError("DuckDB is not installed; pip install 'scan3d-twin[bench]'") from None
+        raise ConfigError("DuckDB is not installed: pip install duckdb pebble") from None
     return duckdb

@@ -1,4 +1,4 @@
-"""A task: one closed loop that an experiment wants."""
+"""A task: one closed loop of an experiment, before it is run."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from scan3d_twin.run.settings import Settings, settings_toml
 
 @dataclass(frozen=True)
 class Task:
-    """One closed loop.
+    """One closed loop to run.
 
     Attributes:
-        scene: Its name, for people.
+        scene: Name of the scene in reports.
         variant: Name of the set of options.
-        settings: The effective ones; they hold the seed and the scene.
-        picture: Whether the top view is wanted too.
+        settings: The effective settings, with seed and scene.
+        picture: Whether to draw the top view.
     """
 
     scene: str
@@ -34,7 +34,7 @@ class Task:
 
     @cached_property
     def key(self) -> str:
-        """Hash of all that decides on the record; a scene's file by its content."""
+        """Hash of everything that determines the record; a scene's file by its content."""
         digest = hashlib.sha256(f"{self.variant}\n{settings_toml(self.settings)}".encode())
         if Path(self.settings.run.scene).suffix:
             digest.update(Path(self.settings.run.scene).read_bytes())
@@ -45,12 +45,12 @@ class Task:
         run = replace(self.settings.run, seed=seed)
         return replace(self, settings=replace(self.settings, run=run), picture=picture)
 
-    def lost(self, reason: str, attempts: int) -> Record:
-        """Return the record of a task whose workers were lost, ``attempts`` times."""
-        return replace(self.blank(), status="lost", stop=reason, attempts=attempts)
+    def lost_record(self, reason: str, attempts: int) -> Record:
+        """Return the record of a task whose worker was lost in the last of ``attempts``."""
+        return replace(self.blank_record(), status="lost", stop=reason, attempts=attempts)
 
-    def blank(self) -> Record:
-        """Return the record of a task of which nothing is known but its settings."""
+    def blank_record(self) -> Record:
+        """Return the record of the task before its run: the settings alone."""
         config, run = self.settings.config, self.settings.run
         return Record(
             key=self.key,

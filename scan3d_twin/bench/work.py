@@ -1,4 +1,4 @@
-"""What a worker does: one task, from the settings to the record."""
+"""Runs one task in a worker: from the settings to the record."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import scan3d_twin
-from scan3d_twin.bench.features import feature_before
+from scan3d_twin.bench.features import feature_score_before
 from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.task import Task
 from scan3d_twin.core.errors import TwinError
@@ -19,34 +19,35 @@ from scan3d_twin.core.model.evaluation import Evaluation, Reference, evaluate_mo
 from scan3d_twin.core.model.fused_cloud import Model, build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
-from scan3d_twin.run.closed_loop import Loop, close_loop
+from scan3d_twin.run.closed_loop import LoopOutcome, close_loop
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
-from scan3d_twin.viz.top_view import top_view
+from scan3d_twin.viz.top_view import draw_top_view
 
-COMPLETE = ("front complete", "contour complete")
-"""Reasons to stop that mean that nothing is left to scan start so."""
+COMPLETE_REASONS = ("front complete", "contour complete")
+"""Beginnings of the stop reasons of a complete scan."""
 
 
 @dataclass(frozen=True)
-class Done:
-    """What came of a task.
+class TaskResult:
+    """The result of a task.
 
     Attributes:
-        record: Its row.
-        picture: The top view as SVG, where it was wanted and there is one.
+        record: The record.
+        picture: The top view as SVG; None where it was not wanted or nothing was seen.
     """
 
     record: Record
     picture: str | None = None
 
 
-def perform(task: Task) -> Done:
-    """Run ``task``; a scan that cannot go on is a result too.
+def run_task(task: Task) -> TaskResult:
+    """Run ``task`` and return its result; a failed scan is a result too.
 
     Raises:
-        Exception: A bug, and nothing that a robot or a scene can do.
+        Exception: A bug; errors of a robot or a scene are in the record.
     """
+    # Run the closed loop
     wall, cpu = time.perf_counter(), time.process_time()
     run = task.settings.run
     try:
@@ -54,28 +55,35 @@ def perform(task: Task) -> Done:
         with open_sim(scene, run.seed, task.settings.twin) as (robot, truth):
             loop = close_loop(robot, truth, task.settings, Unobserved(), time.process_time)
     except TwinError as error:
-        blank = replace(task.blank(), stop=f"{type(error).__name__}: {error}")
-        return Done(_signed(blank, wall, cpu))
+        blank = replace(task.blank_record(), stop=f"{type(error).__name__}: {error}")
+        return TaskResult(_add_provenance(blank, wall, cpu))
+
+    # Raise what is a bug
     if loop.ended is not None and not isinstance(loop.ended, TwinError):
         raise loop.ended
+
+    # Evaluate and draw the result
     seen = any(len(view.target) for view in loop.session.views)
     model = build_model(loop.session)
     evaluation = (
         evaluate_model(loop.session, model, Reference.of(loop.session, truth)) if seen else None
     )
-    record = _filled(task.blank(), loop, model, evaluation)
-    picture = _picture(task, record, loop.session, model) if task.picture and seen else None
-    return Done(_signed(record, wall, cpu), picture)
+    record = _fill_record(task.blank_record(), loop, model, evaluation)
+    picture = _draw_picture(task, record, loop.session, model) if task.picture and seen else None
+    return TaskResult(_add_provenance(record, wall, cpu), picture)
 
 
-def _filled(blank: Record, loop: Loop, model: Model, evaluation: Evaluation | None) -> Record:
-    """Return the record of ``loop``; without ``evaluation`` nothing of the target was seen."""
+def _fill_record(
+    blank: Record, loop: LoopOutcome, model: Model, evaluation: Evaluation | None
+) -> Record:
+    """Return the record of ``loop``; without ``evaluation`` no view showed the target."""
+    # Fill in the loop
     errors = [pair.error for pair in evaluation.pairs] if evaluation else []
     record = replace(
         blank,
         status="failed" if loop.ended else "done",
         stop=loop.session.stop_reason,
-        complete=loop.session.stop_reason.startswith(COMPLETE),
+        complete=loop.session.stop_reason.startswith(COMPLETE_REASONS),
         views=len(loop.session.views),
         success=bool(errors) and max(errors) <= blank.epsilon,
         max_error=max(errors, default=None),
@@ -85,6 +93,8 @@ def _filled(blank: Record, loop: Loop, model: Model, evaluation: Evaluation | No
         plan_cpu=sum(loop.plan_times),
         steps=tuple(_step(loop, k, evaluation) for k in range(len(loop.session.views))),
     )
+
+    # Add the quality of the model
     return record if evaluation is None else replace(record, **_quality(model, evaluation))
 
 
@@ -101,8 +111,9 @@ def _quality(model: Model, evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _step(loop: Loop, k: int, evaluation: Evaluation | None) -> Step:
+def _step(loop: LoopOutcome, k: int, evaluation: Evaluation | None) -> Step:
     """Return the row of view ``k``."""
+    # Take pose and journey
     view, journey = loop.session.views[k], loop.journeys[k]
     step = Step(
         view=k,
@@ -114,13 +125,16 @@ def _step(loop: Loop, k: int, evaluation: Evaluation | None) -> Step:
         time=journey.duration,
         coverage=evaluation.coverage_by_view[k] if evaluation else None,
         plan_cpu=loop.plan_times[k] if k < len(loop.plan_times) else None,
-        feature=feature_before(loop.session, k),
+        feature=feature_score_before(loop.session, k),
     )
+
+    # Add the registration
     return step if k == 0 else replace(step, **_registered(loop.session, k, evaluation))
 
 
 def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict[str, Any]:
-    """Return what was planned for view ``k`` and what came of it."""
+    """Return the plan of view ``k`` and the errors of its registration, as fields of a step."""
+    # Take plan and registration
     plan, result = session.plans[k - 1], session.views[k].registration
     planned = {
         "overlap": plan.overlap,
@@ -134,6 +148,8 @@ def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict
             "fitness": result.fitness,
             "converged": result.converged,
         }
+
+    # Add errors against the truth
     if evaluation is None:
         return planned
     pair = evaluation.pairs[k - 1]
@@ -141,8 +157,8 @@ def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict
     return planned | errors
 
 
-def _picture(task: Task, record: Record, session: Session, model: Model) -> str:
-    return top_view(
+def _draw_picture(task: Task, record: Record, session: Session, model: Model) -> str:
+    return draw_top_view(
         model.points,
         model.view,
         [each.T_world_scan for each in session.views],
@@ -153,8 +169,8 @@ def _picture(task: Task, record: Record, session: Session, model: Model) -> str:
     )
 
 
-def _signed(record: Record, wall: float, cpu: float) -> Record:
-    """Return ``record`` with what it took and by which software."""
+def _add_provenance(record: Record, wall: float, cpu: float) -> Record:
+    """Return ``record`` with its computing time and the version of the software."""
     return replace(
         record,
         wall=time.perf_counter() - wall,
@@ -166,7 +182,7 @@ def _signed(record: Record, wall: float, cpu: float) -> Record:
 
 @cache
 def code_hash() -> str:
-    """Return a hash of the package's sources: figures of different ones are not to be mixed."""
+    """Return a hash of the package's sources: results of different sources must not be mixed."""
     digest = hashlib.sha256()
     root = Path(scan3d_twin.__file__).parent
     for path in sorted(root.rglob("*.py")):

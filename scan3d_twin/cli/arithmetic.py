@@ -1,10 +1,10 @@
-"""The same bits on every processor: which loops of the linear algebra library are taken.
+"""The same bits on every processor: which kernels the linear algebra library uses.
 
-OpenBLAS, which NumPy and SciPy bring, chooses its loops by the processor, and they round
-differently (0.3.31: its loops for Haswell and for SkylakeX give two models of three_boxes). NumPy's
-own loops do not (2.4: with AVX-512, with AVX2 and without). Where there is AVX2, those for Haswell
-are taken on all processors; with one thread, since more only get into each other's way on arrays as
-small as ours, and divide sums otherwise. Whoever sets the variables keeps the choice.
+OpenBLAS, which comes with NumPy and SciPy, chooses its kernels by the processor, and they round
+differently (0.3.31: those for Haswell and for SkylakeX give two models of three_boxes). NumPy's own
+loops do not (2.4: with AVX-512, with AVX2 and without). Where there is AVX2, the kernels for
+Haswell are used on all processors. One thread is used, because several are slower on arrays as
+small as ours, and add up in another order. Variables that the user has set are kept.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pathlib import Path
 
 CPUINFO = Path("/proc/cpuinfo")
 FIRST = 4096
-"""Characters that tell of the first processor."""
+"""Characters that describe the first processor."""
 
 
 def fix_arithmetic() -> None:
-    """Set what OpenBLAS reads when NumPy loads it; without effect once it is loaded."""
+    """Set the variables that OpenBLAS reads when NumPy loads it; does nothing once it is loaded."""
     if "numpy" in sys.modules:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

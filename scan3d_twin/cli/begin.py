@@ -1,27 +1,27 @@
-"""How a run begins: with its folder and a first line, before what is slow to import."""
+"""How a run begins: with its folder and a first line, before the slow imports."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from scan3d_twin.cli.output import say
 from scan3d_twin.run.folder import claim_folder, default_folder, release_folder
 
 
 @contextmanager
 def begun(scene: str, out: Path | None) -> Iterator[Path]:
-    """Claim the folder ``out`` of a run in ``scene`` and say so; None makes one under ``runs``.
+    """Claim the folder ``out`` for a run in ``scene`` and say so; None makes one under ``runs``.
 
-    Nothing is left of it if nothing is written.
+    The folder is removed again if nothing is written to it.
 
     Raises:
         FileError: It cannot be written, or something is in it already.
     """
     folder = claim_folder(default_folder(scene) if out is None else out)
     try:
-        print(f"digitising {scene} into {folder}", file=sys.stderr, flush=True)
+        say(f"digitising {scene} into {folder}")
         yield folder
     finally:
         release_folder(folder)

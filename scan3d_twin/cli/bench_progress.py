@@ -1,8 +1,7 @@
-"""How far a bench is: a bar with the time left, or lines off a terminal; on standard error."""
+"""Progress of a bench on standard error: a bar with the time left, or lines off a terminal."""
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,20 +18,23 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from scan3d_twin.cli.output import say
+from scan3d_twin.cli.summary import count
+
 if TYPE_CHECKING:
     from scan3d_twin.bench.record import Record
 
 SPEED_WINDOW = 600.0
-"""The time left is reckoned by the speed of so many last seconds."""
+"""The time left is estimated from the speed in this last stretch [s]."""
 
 
 class BenchProgress(Protocol):
-    """Where finished runs are told; ``count`` is how many there are."""
+    """What finished runs are reported to; ``count`` is how many there are."""
 
     count: int
 
     def done(self, record: Record) -> None:
-        """Tell that a run is done."""
+        """Report a run that is done."""
         ...
 
 
@@ -59,19 +61,18 @@ class PlainProgress:
         self._total, self._before = total, before
         self._started = time.monotonic()
         if before:
-            print(f"{before} of {total} runs are done already", file=sys.stderr, flush=True)
+            say(f"{before} of {total} runs are done already")
 
     def done(self, record: Record) -> None:
         """See ``BenchProgress``."""
         self.count += 1
         each = (time.monotonic() - self._started) / (self.count - self._before)
         left = each * (self._total - self.count)
-        words = f"{self.count}/{self._total}, {_duration(left)} left: {run_words(record)}"
-        print(words, file=sys.stderr, flush=True)
+        say(f"{self.count}/{self._total}, {_duration(left)} left: {run_words(record)}")
 
 
 class LiveProgress:
-    """A bar; runs that came to nothing are told above it."""
+    """A bar; runs that failed are listed above it."""
 
     def __init__(self, bar: Progress, task: TaskID, before: int) -> None:
         self.count = before
@@ -91,7 +92,8 @@ def run_words(record: Record) -> str:
     if record.status != "done":
         return f"{which}: {record.status.upper()}, {record.stop}"
     worst = "-" if record.max_error is None else f"{1e3 * record.max_error:.1f} mm"
-    return f"{which}: {record.views} views, worst error {worst}, {record.coverage:.0%} covered"
+    views = count(record.views, "view")
+    return f"{which}: {views}, worst error {worst}, surface {record.coverage:.0%} covered"
 
 
 def _duration(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""The options that every scan has, and how they become settings.
+"""The options that several commands have, and how they become settings.
 
 No postponed annotations here: those of inherited fields are looked up where the child is defined.
 """
@@ -10,71 +10,98 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from scan3d_twin.cli.dotted import ENVIRONMENT
+from scan3d_twin.cli.defaults import default_text
+from scan3d_twin.cli.environment import PREFIX
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.run.settings import Options, absolute_scene, merge, read_settings
+from scan3d_twin.run.settings import Options, absolute_scene, merge_options, read_settings
 
 
-def env(name: str) -> Parameter:
-    """Return a parameter that the variable TWIN_``name`` sets too."""
-    return Parameter(env_var=ENVIRONMENT + name)
+def env(name: str, default: str | None = None) -> Parameter:
+    """Return a parameter that the variable TWIN_``name`` sets too.
+
+    Args:
+        name: The variable's name without its prefix.
+        default: What help pages show as the default, see ``default_text``; None shows the default
+            of the field itself.
+    """
+    if default is None:
+        return Parameter(env_var=PREFIX + name)
+    return Parameter(env_var=PREFIX + name, show_default=lambda _: default_text(default))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """What only the twin has a choice of; None is not stated."""
+
+    scene: Annotated[str | None, env("SCENE", "{run.scene}")] = None
+    """Name of a scene (`twin scenes`), random:SEED for a drawn one, or a file: .xml, .stl, .ply,
+    .obj or .glb."""
+    mesh_scale: Annotated[float | None, env("MESH_SCALE", "{run.mesh_scale:g}")] = None
+    """Metres per unit of a mesh file."""
+    robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
+    """Robot profile: create1 or create2."""
+    world: Annotated[str | None, env("WORLD", "{run.world}")] = None
+    """Level of the twin's errors: ideal, typical or harsh."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanOptions:
     """The options people use most; None is not stated."""
 
-    epsilon: Annotated[float | None, env("EPSILON")] = None
-    """Wanted registration error, root mean square [mm] (default 10)."""
-    tour: Annotated[Literal["front", "full"] | None, env("TOUR")] = None
-    """Scan the front only, or all round (default: the scene's, or front)."""
-    lidar_link: Annotated[str | None, env("LIDAR_LINK")] = None
-    """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
-    (682 steps, 5 Hz) (default usb)."""
-    planner: Annotated[str | None, env("PLANNER")] = None
-    """Name of the planner, see `twin planners` (default: the preset's)."""
-    preset: Annotated[str | None, env("PRESET")] = None
-    """Named set of options: paper or best (default paper)."""
-    seed: Annotated[int | None, env("SEED")] = None
-    """The run's one seed; in the twin the same seed gives the same files (default 0)."""
-    max_views: Annotated[int | None, env("MAX_VIEWS")] = None
-    """Stop after this many views (default 20)."""
-    optimize_for: Annotated[Literal["speed", "memory"] | None, env("OPTIMIZE_FOR")] = None
-    """What this computer has least of; the results are the same (default: time; memory for the
-    real robot)."""
-    target: Annotated[str | None, Parameter(env_var="TWIN_TARGET", allow_leading_hyphen=True)] = (
+    epsilon: Annotated[float | None, env("EPSILON", "{epsilon_mm:g}")] = None
+    """Wanted registration error, root mean square [mm]."""
+    tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front, or the scene's own")] = (
         None
     )
-    """What to scan: its place x,y in the odometry frame [m], or in the twin a target's name
-    (default: what stands out)."""
+    """Scan the front or all round."""
+    lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
+    """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
+    (682 steps, 5 Hz)."""
+    preset: Annotated[str | None, env("PRESET", "{run.preset}")] = None
+    """Named set of options: paper or best."""
+    planner: Annotated[str | None, env("PLANNER", "the preset's, {config.planner}")] = None
+    """Viewpoint planner (`twin planners`), or module:attribute of your own."""
+    seed: Annotated[int | None, env("SEED", "{run.seed}")] = None
+    """Random seed; in the twin, one seed gives the same files."""
+    max_views: Annotated[int | None, env("MAX_VIEWS", "{config.max_views}")] = None
+    """Stop after this number of views."""
+    optimize_for: Annotated[
+        Literal["speed", "memory"] | None,
+        env("OPTIMIZE_FOR", "{config.optimize_for}; memory for twin real"),
+    ] = None
+    """Save time or memory; same results."""
+    target: Annotated[
+        str | None,
+        env("TARGET", "the most salient thing"),
+        Parameter(allow_leading_hyphen=True),
+    ] = None
+    """Place x,y of the target in the odometry frame [m], or its name in the twin."""
     targets: int | None = None
-    """Scan this many things one after the other, what stands out most first, each into its own
-    folder target-0, target-1, ... of --out."""
+    """Scan this number of things, most salient first, each into OUT/target-N."""
     config: Annotated[Path | None, env("CONFIG")] = None
-    """TOML file with options; the command line and the environment win over it."""
-    out: Annotated[Path | None, env("OUT")] = None
-    """Folder for the results, new or empty (default runs/SCENE-TIME)."""
+    """TOML file of options; TWIN_* variables and the command line override it."""
+    out: Annotated[Path | None, env("OUT", "runs/SCENE-TIME")] = None
+    """Folder for the results, new or empty."""
     resume: Path | None = None
-    """Folder of a run to go on with, from its last finished view; the options stated now win over
-    its own."""
+    """Continue the run in this folder; options given now override its own."""
     json: bool = False
-    """Print the report, and nothing else, on standard output."""
+    """Print only the report, as JSON, on standard output."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PortOptions:
     """Where the robot is plugged in."""
 
-    port: Annotated[str | None, env("PORT")] = None
-    """Serial port of the base, such as /dev/ttyUSB0 (default: found by its USB id)."""
-    lidar_port: Annotated[str | None, env("LIDAR_PORT")] = None
-    """Serial port of the lidar, such as /dev/ttyACM0 (default: found by its USB id)."""
+    port: Annotated[str | None, env("PORT", "found by its USB id")] = None
+    """Serial port of the base, such as /dev/ttyUSB0."""
+    lidar_port: Annotated[str | None, env("LIDAR_PORT", "found by its USB id")] = None
+    """Serial port of the lidar, such as /dev/ttyACM0."""
 
 
 def stated_options(options: ScanOptions, sections: Options) -> Options:
     """Return what the file, the dotted ``sections`` and the flat ``options`` state, merged."""
     file = {} if options.config is None else read_settings(options.config)
-    return merge([file, sections, _flat(options, sections)])
+    return merge_options([file, sections, _flat(options, sections)])
 
 
 def _flat(options: ScanOptions, sections: Options) -> Options:

@@ -1,4 +1,9 @@
-"""How far a run is: a live line on a terminal, plain lines elsewhere; always on standard error."""
+"""Progress of a run on standard error: a live line on a terminal, plain lines elsewhere.
+
+Views are numbered from 0, as in the files of a run. The share of the outline is what the robot
+itself can know: in the top view, and of what it found when it first looked around. How much of the
+surface is covered needs the truth, see ``summary``.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +14,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from scan3d_twin.core.model.fused_cloud import scanned_share
+from scan3d_twin.cli.output import say
+from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import ScanLine
@@ -18,7 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.status import Status
 
-_OUTLINE = {"front": "front", "full": "contour"}
+_OUTLINES = {"front": "front outline", "full": "outline all round"}
 
 
 @contextmanager
@@ -38,7 +44,7 @@ def make_progress() -> Iterator[Observer]:
 
 
 class Pace:
-    """How long a run has taken and will take at most, told after each view."""
+    """How long a run has taken and will take at most, after each view."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -46,10 +52,10 @@ class Pace:
         self._views = 0
 
     def words(self, session: Session) -> str:
-        """Return the time on the robot's clock, the computer's and what is left of it at most.
+        """Return the views taken, the robot's time, the computer's and how much is left at most.
 
-        What is left is what as many views as are allowed would take at the pace of those so far;
-        most runs are complete before.
+        The time left is that of a run of ``max_views`` at the pace of the views taken; most runs
+        are complete before.
         """
         elapsed, done = self._clock() - self._began, len(session.views)
         self._views += 1
@@ -63,16 +69,17 @@ class Pace:
 
 
 def steps(progress: Observer, what: str, count: int) -> Callable[[int], None]:
-    """Return what is to be told the index of each of ``count`` steps that is done.
+    """Return a function that reports each of ``count`` steps done, by its index from 0.
 
-    It says how many are, and how long the others will take.
+    With ``what`` was done, how many steps are, and how long the others will take.
     """
     started = time.monotonic()
 
     def step(index: int) -> None:
         done = index + 1
         left = (time.monotonic() - started) / done * (count - done)
-        progress.on_event(f"{what} {done} of {count}" + (f", {left:.0f} s left" if left else ""))
+        words = f"{what} {index}: {done} of {count} done"
+        progress.on_event(words + (f", {left:.0f} s left" if left else ""))
 
     return step
 
@@ -85,7 +92,7 @@ class PlainProgress(Unobserved):
 
     def on_event(self, text: str) -> None:
         """See ``Observer``."""
-        print(text, file=sys.stderr, flush=True)
+        say(text)
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
@@ -97,7 +104,7 @@ class PlainProgress(Unobserved):
 
 
 class LiveProgress(Unobserved):
-    """One line per view and plan, and below them a line that moves."""
+    """One line per view and plan, and below them a live line."""
 
     def __init__(self, console: Console, status: Status) -> None:
         self._console = console
@@ -127,18 +134,19 @@ class LiveProgress(Unobserved):
 
 
 def view_words(session: Session) -> str:
-    """Return what is worth telling about the last view."""
+    """Return the last view in a line."""
     index, view = len(session.views) - 1, session.views[-1]
+    share = measure_scanned_share(session)
     words = (
-        f"view {index}: {view.observation.image.n_lines} lines, {len(view.target)} points, "
-        f"{scanned_share(session):.0%} of the {_OUTLINE[session.config.tour]} scanned"
+        f"view {index}: {view.observation.image.n_lines} lines, {len(view.target)} points; "
+        f"{_OUTLINES[session.config.tour]} in top view: {share:.0%} scanned"
     )
     lost = view.registration is not None and not view.registration.converged
-    return words + (", NOT registered: placed by odometry" if lost else "")
+    return words + ("; NOT registered: placed by odometry" if lost else "")
 
 
 def plan_words(session: Session) -> str:
-    """Return what is worth telling about the last plan."""
+    """Return the last plan in a line."""
     plan = session.plans[-1]
     if plan.viewpoint is None:
         return f"finished: {plan.reason}"

@@ -16,22 +16,27 @@ _COLUMNS = (
 
 
 def summary(report: Report, folder: Path) -> str:
-    """Return the headline numbers, a table of the registrations and where the files are."""
+    """Return the headline numbers, a table of the registrations and the names of the files."""
     lines = [
-        f"{report['scene']}: {report['views']} views, {report['points']} points; "
+        f"{report['scene']}: {count(report['views'], 'view')}, {report['points']} points; "
         f"{report['stop_reason']}",
         f"{report['sim_time_s']:.0f} s on the robot's clock, {report['path_m']:.1f} m driven, "
         f"{report['wall_time_s']:.0f} s computed",
     ]
     if report["coverage_20mm"] is not None:
         lines.append(
-            f"{report['coverage_20mm']:.1%} of the coverable surface within 20 mm, "
-            f"accuracy {report['accuracy_mm']['median']:.1f} mm (median)"
+            f"surface: {report['coverage_20mm']:.1%} of what the lidar can reach is covered "
+            f"(within 20 mm); accuracy {report['accuracy_mm']['median']:.1f} mm (median)"
         )
     lines += ["", *_table(report), ""] if report["registration"] else []
     files = "model.ply report.html report.json top_view.svg config.toml session.mcap views/"
     lines.append(f"{folder}: {files}")
     return "\n".join(lines) + "\n"
+
+
+def count(number: int, noun: str) -> str:
+    """Return ``number`` things: ``1 view``, ``2 views``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _table(report: Report) -> list[str]:

@@ -16,7 +16,7 @@ class ViewOptions:
     view: Annotated[bool, env("VIEW")] = False
     """Serve a web page that shows the run and can pause and stop it."""
     host: Annotated[str, env("HOST")] = "127.0.0.1"
-    """Address at which the page is served; 0.0.0.0 lets others watch, and stop the robot."""
+    """Address of the page; 0.0.0.0 lets others watch, and stop the robot."""
     view_port: Annotated[int, env("VIEW_PORT")] = 8080
     """TCP port of the page; 0 takes a free one."""
 

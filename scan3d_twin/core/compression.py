@@ -1,10 +1,8 @@
-"""Lossless compression of large arrays that are kept for long but seldom read.
+"""Lossless compression of large arrays that a session keeps but seldom reads.
 
-A session keeps all its views, and a robot's computer may be small. A compressed
-array reads as before, only slower: it is decompressed when it is read, and the last ones read are
-cached. Ranges are
-whole millimetres and codes small numbers, so that two bytes do for each; headings run smoothly, so
-that their second differences are small.
+A compressed array reads as before, only slower: it is decompressed on access, and the arrays read
+last are cached. Ranges are whole millimetres and codes small numbers, so that most of them fit into
+two bytes; headings change smoothly, so that their second differences are small.
 """
 
 from __future__ import annotations
@@ -23,16 +21,16 @@ from scan3d_twin.core.errors import ConfigError
 
 AnyArray = npt.NDArray[Any]
 T = TypeVar("T")
-AT_HAND = 4
-"""Arrays that were read last and are kept decompressed: most of those of one view."""
-LIMIT = 32_000
-"""Whole numbers, or thousandths, up to this are kept in two bytes."""
-OTHER = -32_768
-"""Stands for all others; of floating-point numbers it reads as NaN."""
-SOME = 8
-"""So many times more numbers than there are others make two bytes each worth while."""
-FAST = 1
-"""Level of compression: higher ones take longer and gain little."""
+CACHED_ARRAYS = 4
+"""Arrays read last that are cached decompressed: most of those of one view."""
+MAX_SHORT = 32_000
+"""Largest whole number, or number of thousandths, that is stored in two bytes."""
+ESCAPE = -32_768
+"""Two-byte code of all other numbers; as a floating-point number it reads as NaN."""
+MIN_SHORTS_PER_ESCAPE = 8
+"""Ratio of all numbers to those that need ``ESCAPE`` from which on two bytes each are smaller."""
+ZSTD_LEVEL = 1
+"""Compression level: higher ones take longer and gain little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +38,10 @@ class CompressedArray:
     """A compressed array of 8-byte numbers.
 
     Attributes:
-        shape: Of the array.
-        dtype: Of its numbers.
-        packed: The numbers in two bytes, or second differences along the rows, compressed.
-        others: Places (n,) of numbers that two bytes do not hold; None for differences.
+        shape: Shape of the array.
+        dtype: Type of its numbers.
+        packed: The numbers in two bytes, or their second differences along the rows, compressed.
+        others: Flat indices (n,) of the numbers coded by ``ESCAPE``; None for differences.
         values: These numbers (n,), as bits.
     """
 
@@ -55,62 +53,63 @@ class CompressedArray:
 
     @staticmethod
     def of(array: AnyArray) -> CompressedArray:
-        """Fold ``array`` (n_lines, n_beams).
+        """Return ``array`` (n_lines, n_beams), compressed.
 
         Raises:
-            ConfigError: It has other than 8-byte numbers.
+            ConfigError: The numbers are not of 8 bytes.
         """
         if array.dtype.itemsize != 8:
             raise ConfigError(f"only numbers of 8 bytes can be compressed, not {array.dtype}")
         bits = np.ascontiguousarray(array).view(np.uint64)
-        short = _shortened(array)
-        others = np.flatnonzero(_lengthened(short, array.dtype).view(np.uint64) != bits)
-        if len(others) * SOME > bits.size:
-            packed = _packed(_differences(_differences(bits)))
+        short = _to_shorts(array)
+        others = np.flatnonzero(_from_shorts(short, array.dtype).view(np.uint64) != bits)
+        if len(others) * MIN_SHORTS_PER_ESCAPE > bits.size:
+            packed = _pack(_difference(_difference(bits)))
             return CompressedArray(array.shape, array.dtype, packed, None, bits[:0].ravel())
         values = bits.reshape(-1)[others]
         return CompressedArray(
-            array.shape, array.dtype, _packed(short), others.astype(np.int32), values
+            array.shape, array.dtype, _pack(short), others.astype(np.int32), values
         )
 
     def decompress(self) -> AnyArray:
-        """Return the array, which refuses writes."""
-        return _decompressed(self)
+        """Return the array, read-only."""
+        return _decompress(self)
 
 
-@lru_cache(maxsize=AT_HAND)
-def _decompressed(compressed: CompressedArray) -> AnyArray:
+@lru_cache(maxsize=CACHED_ARRAYS)
+def _decompress(compressed: CompressedArray) -> AnyArray:
+    """Return the array behind ``compressed``, read-only."""
     if compressed.others is None:
-        twice = _unpacked(compressed.packed, np.dtype(np.uint64)).reshape(compressed.shape)
+        twice = _unpack(compressed.packed, np.dtype(np.uint64)).reshape(compressed.shape)
         once = np.cumsum(twice, axis=-1, dtype=np.uint64)
         bits = np.cumsum(once, axis=-1, dtype=np.uint64, out=once)
     else:
-        short = _unpacked(compressed.packed, np.dtype(np.int16)).reshape(compressed.shape)
-        bits = _lengthened(short, compressed.dtype).view(np.uint64)
+        short = _unpack(compressed.packed, np.dtype(np.int16)).reshape(compressed.shape)
+        bits = _from_shorts(short, compressed.dtype).view(np.uint64)
         bits.reshape(-1)[compressed.others] = compressed.values
     array = np.asarray(bits.view(compressed.dtype))
     array.flags.writeable = False
     return array
 
 
-def _shortened(array: AnyArray) -> npt.NDArray[np.int16]:
-    """Return whole numbers, and floating-point ones in thousandths; ``OTHER`` if too large."""
+def _to_shorts(array: AnyArray) -> npt.NDArray[np.int16]:
+    """Return integers as they are and floats in thousandths; ``ESCAPE`` where too large."""
     whole = np.rint(1e3 * array) if array.dtype.kind == "f" else array
-    near = (whole >= -LIMIT) & (whole <= LIMIT)
-    return np.where(near, whole, OTHER).astype(np.int16)
+    near = (whole >= -MAX_SHORT) & (whole <= MAX_SHORT)
+    return np.where(near, whole, ESCAPE).astype(np.int16)
 
 
-def _lengthened(short: npt.NDArray[np.int16], dtype: np.dtype[Any]) -> AnyArray:
-    """Return the numbers of type ``dtype`` that were shortened."""
+def _from_shorts(short: npt.NDArray[np.int16], dtype: np.dtype[Any]) -> AnyArray:
+    """Return ``short`` as numbers of type ``dtype``: the inverse of ``_to_shorts``."""
     if dtype.kind != "f":
         return short.astype(dtype)
     numbers = short / 1e3
-    numbers[short == OTHER] = np.nan
+    numbers[short == ESCAPE] = np.nan
     return numbers
 
 
 class Compressed(Protocol):
-    """Stands for an array that was put away."""
+    """An array in compressed form."""
 
     def decompress(self) -> AnyArray:
         """Return the array."""
@@ -118,7 +117,7 @@ class Compressed(Protocol):
 
 
 class CompressibleField:
-    """A field whose array may have been put away; reading it gives the array."""
+    """Descriptor of a field whose array may be compressed; reading it returns the array."""
 
     def __init__(self, name: str) -> None:
         self._place = f"_{name}"
@@ -132,7 +131,7 @@ class CompressibleField:
 
 
 def compressible(*names: str) -> Callable[[type[T]], type[T]]:
-    """Return a decorator for a dataclass whose fields ``names`` are ``CompressibleField``."""
+    """Return a decorator that makes the fields ``names`` of a dataclass compressible."""
 
     def decorate(cls: type[T]) -> type[T]:
         for name in names:
@@ -143,12 +142,12 @@ def compressible(*names: str) -> Callable[[type[T]], type[T]]:
 
 
 def is_compressed(instance: object, name: str) -> bool:
-    """Tell whether the array in the ``CompressibleField`` of that ``name`` was put away."""
+    """Return whether the ``CompressibleField`` ``name`` of ``instance`` is compressed."""
     return not isinstance(instance.__dict__[f"_{name}"], np.ndarray)
 
 
 def compress_fields(names: Sequence[str], *instances: object) -> None:
-    """Compress the ``CompressibleField`` of those ``names``; doing so twice does nothing.
+    """Compress the fields ``names`` of all ``instances`` that are not compressed yet.
 
     An array that several of the ``instances`` share is compressed once.
     """
@@ -161,19 +160,20 @@ def compress_fields(names: Sequence[str], *instances: object) -> None:
             object.__setattr__(instance, name, compressed[id(array)][1])
 
 
-def _differences(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+def _difference(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     """Return each row's first number and the differences of the others, modulo 2^64."""
     result = bits.copy()
     result[..., 1:] -= bits[..., :-1]
     return result
 
 
-def _packed(numbers: npt.NDArray[Any]) -> bytes:
-    """Return all numbers' first bytes, then the second ones and so on, compressed."""
+def _pack(numbers: npt.NDArray[Any]) -> bytes:
+    """Return the first bytes of all numbers, then the second bytes and so on, compressed."""
     columns = numbers.reshape(-1, 1).view(np.uint8).T
-    return zstandard.compress(columns.tobytes(), FAST)
+    return zstandard.compress(columns.tobytes(), ZSTD_LEVEL)
 
 
-def _unpacked(packed: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+def _unpack(packed: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Return the numbers of type ``dtype`` in ``packed``: the inverse of ``_pack``."""
     columns = np.frombuffer(zstandard.decompress(packed), np.uint8).reshape(dtype.itemsize, -1)
     return np.ascontiguousarray(columns.T).view(dtype).reshape(-1)

@@ -1,4 +1,4 @@
-"""Every knob of a run: nested frozen dataclasses in SI units, defaults with their source.
+"""The options of a run: nested frozen dataclasses in SI units, defaults with their source.
 
 Importing this module costs nothing (no numpy), so that ``twin --help`` can list the options.
 The docstring below a field is its help text; invalid values are refused, never repaired.
@@ -43,18 +43,18 @@ class SweepConfig:
     """Horizontal angle of a sweep, the paper's C [rad]; 60 deg in the paper. To 45 deg from its
     middle, lines of 0.5 deg are 17 mm apart on a flat front at the standoff of 1 m."""
     margin: float = number(math.radians(30.0), 0.0, math.pi)
-    """Swept beyond the width on either side, for registration and the model alone [rad]."""
+    """Angle swept beyond the width on either side, for registration and the model only [rad]."""
     yaw_rate: float = number(math.radians(5.0), most=2.0)
-    """Speed of the turn [rad/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
+    """Turn rate of a sweep [rad/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
     look_rate: float = number(math.radians(20.0), most=4.0)
-    """Speed of a look around [rad/s]; 2 deg between lines are enough to find a target."""
+    """Turn rate of a panorama [rad/s]; 2 deg between lines are enough to find a target."""
     turning: Turning = "look"
-    """How far the robot turns: as the odometry tells, or corrected by the first look around, a full
-    turn whose ends must meet."""
+    """Source of the angle turned: odometry as it is, or corrected by the first panorama (look),
+    whose two ends must meet."""
     settle: float = number(0.3, 0.0, 60.0)
-    """Rest before a sweep [s]: several periods of the mast (11 to 18 Hz), till it is still."""
+    """Rest before a sweep until the mast is still [s]: several of its periods (11 to 18 Hz)."""
     retries: int = number(5, 0, 1000)
-    """How often missing lines are scanned again before the run gives up."""
+    """Number of further passes over missing lines before the run gives up."""
 
     def __post_init__(self) -> None:
         check_options(self, "sweep")
@@ -67,18 +67,18 @@ class SweepConfig:
 
 @dataclass(frozen=True, slots=True)
 class MountConfig:
-    """Where the lidar really sits, as `twin calibrate lidar` finds it; all 0 is as designed."""
+    """Extrinsics: corrections of the lidar's mount by `twin calibrate lidar`; 0 is as designed."""
 
     lateral: float = number(0.0, -0.2, 0.2)
-    """To the left of where it should be [m]."""
+    """Offset of the lidar to the left [m]."""
     roll: float = number(0.0, -0.5, 0.5)
-    """Leans to its right by this, about the axis ahead [rad]."""
+    """Lean of the lidar to its right, about the axis ahead [rad]."""
     pitch: float = number(0.0, -0.5, 0.5)
-    """Looks down by this, about the axis to the left [rad]."""
+    """Tilt of the lidar downwards, about the axis to the left [rad]."""
     yaw_scale: float = number(0.0, -0.2, 0.2)
-    """The robot turns by this share more than its odometry tells."""
+    """Relative error of turns: the robot turns by this share more than odometry measures."""
     time_offset: float = number(0.0, -1.0, 1.0)
-    """The readings are of this much later than their stamps tell [s]."""
+    """Delay of the readings relative to their timestamps [s]."""
 
     def __post_init__(self) -> None:
         check_options(self, "mount")
@@ -91,7 +91,8 @@ class GapConfig:
     max_angle: float = number(math.radians(3.0), most=math.pi)
     """Widest gap that is filled, along a line or across lines [rad]."""
     depth_edge: float = number(0.04, most=10.0)
-    """Readings that differ by more than this are of different surfaces [m]; 4 sigma at 4 m."""
+    """Difference of neighbouring ranges above which they are on different surfaces [m]; 4 sigma at
+    4 m."""
 
     def __post_init__(self) -> None:
         check_options(self, "gaps")
@@ -102,15 +103,16 @@ class TargetConfig:
     """Target extraction (paper section 4.2)."""
 
     window: float = number(math.radians(75.0), most=math.tau)
-    """Vertical angle around the horizontal that is modelled [rad]; paper section 4.2: 75 deg."""
+    """Vertical field of view that is modelled, centred on the horizontal [rad]; paper section 4.2:
+    75 deg."""
     max_range: float = number(4.0, most=100.0)
-    """Readings beyond this are not used [m]; URG-04LX data sheet."""
+    """Longest range that is used [m]; URG-04LX data sheet."""
     floor_height: float = number(0.03, 0.0, 1.0)
-    """Points below this are floor [m]; 3 sigma of the range noise at 1 m."""
+    """Height below which points are floor [m]; 3 sigma of the range noise at 1 m."""
     cluster_gap: float = number(0.20, most=10.0)
-    """Two things closer than this in the top view are one target [m]."""
+    """Distance in the top view below which two things are one target [m]."""
     min_points: int = number(30, 1, 1_000_000)
-    """Smaller groups of points are stray points."""
+    """Number of points below which a group is stray points."""
 
     def __post_init__(self) -> None:
         check_options(self, "target")
@@ -121,30 +123,32 @@ class RegistrationConfig:
     """Registration of two views (paper eq. 1)."""
 
     scope: Scope = "sweep"
-    """Which points are registered: the target's alone as in the paper, or the whole sweep's."""
+    """Points that are registered: only the target's as in the paper, or the whole sweep's."""
     max_correspondence_distance: float = number(0.10, most=10.0)
-    """Pairs farther apart than this are no correspondence [m]."""
+    """Largest distance of two points that correspond [m]."""
     engine: Engine = "grid"
-    """How: the paper's point-to-point ICP, or surfels on the grid of lines and beams."""
+    """Method: the paper's point-to-point ICP, or point-to-plane on a grid of surfels."""
     bias_sigma: float = number(0.003, 0.0, 0.1)
-    """Range error that neighbouring readings share, for the grid engine [m]; within the +-10 mm of
-    the URG-04LX's data sheet, and more than its noise in the mean of a surface."""
+    """Standard deviation of the range error that neighbouring readings share, for the grid engine
+    [m]; within the +-10 mm of the URG-04LX's data sheet."""
     starts: int = number(16, 1, 1000)
-    """Starts of the grid engine, spread over the odometry's error."""
+    """Number of starting poses of the grid engine, spread over the odometry's error."""
     yaw_scale_sigma: float = number(0.01, 0.0, 0.2)
-    """Relative error of all yaws for the grid engine: the wheel base is known to 1 %."""
+    """Standard deviation of the relative error of all yaws, for the grid engine: the wheel base is
+    known to 1 %."""
     border: Border = "drop"
-    """Pairs on the border of the target scan, where the surface goes on unseen: drop or keep."""
+    """Pairs on the border of the target scan, beyond which the surface goes on unseen: drop or keep
+    them."""
     max_iterations: int = number(100, 1, 100_000)
-    """Iterations after which ICP stops."""
+    """Largest number of iterations of ICP."""
     translation_epsilon: float = number(5e-5)
-    """Converged when a step is shorter than this [m] ..."""
+    """Step length below which ICP has converged, with rotation_epsilon [m]."""
     rotation_epsilon: float = number(5e-5)
-    """... and turns less than this [rad]."""
+    """Step rotation below which ICP has converged, with translation_epsilon [rad]."""
     max_points: int = number(3000, 1, 10_000_000)
-    """Source points used per registration; more are thinned out evenly."""
+    """Largest number of source points of a registration; more are thinned out evenly."""
     min_fitness: float = number(0.3)
-    """A smaller share of source points with a correspondence is no registration."""
+    """Smallest share of source points with a correspondence in a valid registration."""
 
     def __post_init__(self) -> None:
         check_options(self, "registration")
@@ -157,11 +161,11 @@ class AlignmentConfig:
     mode: AlignmentMode = renamed(
         "loop_closure", "when", {"never": "off", "closed": "loop_closure"}
     )
-    """Pose-graph optimization of all views: off, or on loop closure and at the end."""
+    """Pose-graph optimisation of all views: off, or on loop closure and at the end."""
     misfits: Misfits = "keep"
-    """Views that contradict most others at the end: keep them, with a warning, or drop them."""
+    """Views that contradict most others at the end: keep them with a warning, or drop them."""
     min_overlap: float = number(0.15)
-    """Two views are registered when so much of the smaller one finds a partner; less than
+    """Share of the smaller view that must overlap for two views to be registered; less than
     planning.eta_min, so that no neighbours are left out."""
 
     def __post_init__(self) -> None:
@@ -183,52 +187,54 @@ class PlanningConfig:
     default_overlap: float = number(0.8)
     """Overlap taken when none meets epsilon; paper section 5."""
     alpha: float = number(0.9)
-    """Share of Q that the virtual scan holds, eq. (5)."""
+    """Share of the lines of Q that make the virtual scan, eq. (5)."""
     lambda_: float = number(0.005, 0.0, 10.0)
     """Translation error per metre of the move, eq. (2); 0.003 for 30 robots by
-    benchmarks/motion_error.py, rounded up, as a run's own innovations scale it. Plain odometry:
+    benchmarks/motion_error.py, rounded up, as the innovations of a run scale it. Plain odometry:
     0.030."""
     gamma: float = number(0.013, 0.0, 10.0)
     """Rotation error per radian of the turn, eq. (2) [rad/rad]; fitted there too: 0.011."""
     drift: float = number(0.030, 0.0, 10.0)
     """Heading error per metre driven, not in the paper [rad/m]; fitted there too: 0.029."""
     sigma: float = number(0.005, 0.0, 1.0)
-    """N_noise of eq. (2) in x, y and z [m]; URG-04LX: 4 to 5 mm up to 2 m."""
+    """Standard deviation of N_noise of eq. (2) in x, y and z [m]; URG-04LX: 4 to 5 mm up to 2 m."""
     virtual_scan: VirtualScan = "smoothed"
-    """What Q'' is made from: the surface behind the noise of P, P's very readings, or what would be
-    visible from O2, read anew and registered by the grid engine."""
+    """Source of the virtual scan Q'': the smoothed surface of P, a copy of its readings, or what
+    would be visible from O2, scanned anew and registered by the grid engine."""
     criterion: Criterion = "displacement"
-    """Error E: eq. (3) on noise-free points, as printed, or the nearest-neighbour residual."""
+    """Error measure E: eq. (3) on noise-free points (displacement) or as printed (eq3), or the
+    nearest-neighbour residual (nn)."""
     calibration: float = number(2.67, most=100.0)
-    """Factor on the closed-form prediction: the conformal factor by benchmarks/calibrate_error.py
-    on random:1000 to random:1024 (68 steps: 2.67; from the odd seeds alone 3.18, which none of the
-    even ones' 35 steps exceeds)."""
+    """Calibration factor of the closed-form prediction: the conformal factor by
+    benchmarks/calibrate_error.py on random:1000 to random:1024 (68 steps: 2.67; from the odd seeds
+    alone 3.18, which none of the 35 steps of the even seeds exceeds)."""
     trials: int = number(1, 1, 100_000)
-    """Random draws per overlap; the paper draws once."""
+    """Number of simulated registrations per overlap; the paper has one."""
     draws: Draws = "common"
-    """Whether all overlaps are tried with the same luck, or each with its own."""
+    """Motion errors of the simulations: the same for all overlaps, or drawn anew for each."""
     quantile: float = number(0.8)
-    """Share of the draws that must meet epsilon."""
+    """Share of the simulated registrations that must meet epsilon."""
     certainty: float = number(0.95)
-    """Of the outcome at which ``visible`` draws end early; 1 only where it is settled."""
+    """Confidence at which sampling of `visible` simulations stops early; 1 disables early stopping
+    before the outcome is certain."""
     checks: int = number(6, 0, 1000)
-    """Simulated registrations that the closed form's choice must stand, 0 for none."""
+    """Number of simulated registrations that check the choice of `fisher`; 0 for none."""
     standoff: float = number(1.0, most=100.0)
-    """Distance from the surface at which a viewpoint is wanted [m]."""
+    """Wanted distance of a viewpoint from the surface [m]."""
     foresight: Foresight = "none"
-    """Whether the surface beyond the scan's edge is predicted to place the next view: not, or by
-    the predictor that wins a hold-out on the scan itself."""
+    """Prediction of the surface beyond the scan's edge, to place the next view: none, or by the
+    predictor that is best on a part of the scan held out from it."""
     foresight_sigma: float = number(0.03, most=10.0)
-    """A prediction with a larger hold-out error is not used [m]; a few per cent of the standoff."""
+    """Largest hold-out error of a prediction that is used [m]; a few per cent of the standoff."""
     corner_model: CornerModel = renamed("silhouette", "bend")
-    """How the surface goes on where the target ends in view: as curved as its contour, or, since
-    that end is a silhouette, by a right angle."""
+    """Shape of the surface beyond an end of the target that is in view: as curved as its contour,
+    or, as that end is a silhouette, at a right angle."""
     closing: Closing = "hidden"
-    """Whether views are added when the contour is done: none, or where niches and gaps hide
-    more."""
+    """Views that are added when the contour is complete: none, or of surface hidden in niches and
+    gaps."""
     least_hidden: float = number(0.010, most=100.0)
-    """Hidden surface that a view must be expected to show to be added, as it sees it, foreshortened
-    [m2]; 10 by 10 cm."""
+    """Smallest area of hidden surface, foreshortened, for which a view is added [m2]; 10 by 10
+    cm."""
 
     def __post_init__(self) -> None:
         check_options(self, "planning")
@@ -246,11 +252,12 @@ class BaselineConfig:
     fixed_overlap: float = number(0.5)
     """Overlap of `fixed`."""
     resampled_area: float = number(0.3, 0.0, 1.0)
-    """`pito`: share of the current area that must be sampled again, weighted by the incidence."""
+    """`pito`: share of the current area that must be sampled again, weighted by incidence."""
     feature: Feature = "normals"
-    """`curvature`: what is a feature, spread of the normals or surface variation."""
+    """`curvature`: kind of feature, spread of the normals or surface variation."""
     feature_score: float = number(0.05, 0.0, 1.0)
-    """`curvature`: share of the current area that must be features seen again; an assumption."""
+    """`curvature`: share of the current area that must be features in the overlap; an
+    assumption."""
     gain: Gain = "rse"
     """`ig`: gain of a ray: occlusion aware (oa), rear side entropy (rse), area factor (af)."""
     frontier: FrontierRule = "surmann"
@@ -258,13 +265,13 @@ class BaselineConfig:
     min_solid_edge: float = number(0.5, 0.0, 100.0)
     """`frontier2d` by Gonzalez-Banos: length of known edge that must be seen again [m]."""
     travel_weight: float = number(0.1, 0.0, 1000.0)
-    """`ig`: weight of a viewpoint's share of all travel against its share of all gain."""
+    """`ig`: weight of a viewpoint's share of the total travel against its share of the gain."""
     min_new_area: float = number(0.03, 0.0, 10_000.0)
-    """Unseen area at the target's border below which there is nothing more to see [m2]."""
+    """Unseen area at the target's border below which the scan is complete [m2]."""
     grid_step: float = number(0.25, 0.05, 1.0)
-    """Distance of the places that are candidates [m]."""
+    """Spacing of the grid of candidate places [m]."""
     min_overlap: float = number(0.2, 0.0, 1.0)
-    """`oracle`: least overlap of consecutive views."""
+    """`oracle`: smallest overlap of consecutive views."""
     coverage: float = number(0.95)
     """`oracle`: share of the coverable surface that its views see."""
 
@@ -277,28 +284,28 @@ class MotionConfig:
     """Driving from one viewpoint to the next."""
 
     speed: float = number(0.2, most=0.5)
-    """Speed ahead [m/s]; well under the 0.5 m/s of the base, so that bumps are gentle."""
+    """Driving speed [m/s]; well under the 0.5 m/s of the base, so that bumps are gentle."""
     turn_rate: float = number(math.radians(45.0), most=5.0)
-    """Speed of a turn on the spot [rad/s]."""
+    """Turn rate on the spot [rad/s]."""
     acceleration: float = number(0.5, most=10.0)
-    """Of the wheels when starting and stopping [m/s2]; the base itself can do 1.8."""
+    """Acceleration of the wheels when starting and stopping [m/s2]; the base is capable of 1.8."""
     robot_radius: float = number(0.17)
     """Radius of the round body [m]; 0.165 for Create 1 and 2."""
     robot_height: float = number(0.35, most=3.0)
-    """Height of the robot with its lidar [m]; things that begin higher are driven under."""
+    """Height of the robot with its lidar [m]; it drives under things that begin higher."""
     clearance: float = number(0.05, 0.0, 2.0)
-    """Room kept between the body and anything else [m]."""
+    """Clearance between the body and obstacles [m]; with robot_radius the costmap's inflation."""
     position_tolerance: float = number(0.01)
-    """A waypoint is reached within this distance [m]."""
+    """Distance within which a waypoint is reached [m]."""
     yaw_tolerance: float = number(math.radians(0.5), most=math.pi)
-    """A heading is reached within this angle [rad]."""
+    """Angle within which a heading is reached [rad]."""
     bump_retries: int = number(3, 0, 1000)
-    """Bumps on the way to a viewpoint after which another way is tried; 0: the first one ends the
-    run."""
+    """Number of bumps on the way to a viewpoint after which another path is tried; 0: the first
+    bump ends the run."""
 
     @property
     def self_radius(self) -> float:
-        """Readings nearer to the axis than this are the robot itself [m]."""
+        """Distance from the axis below which readings are the robot itself [m]."""
         return self.robot_radius + 0.03
 
     def __post_init__(self) -> None:
@@ -318,14 +325,14 @@ class Config:
     """
 
     tour: Tour = "front"
-    """Scan the front only, or all round."""
+    """Part of the target that is scanned: its front, or all round (full)."""
     planner: str = "fisher"
     """Name of the planner, or module:attribute of one of your own."""
     max_views: int = number(20, 1, 1000)
-    """The run stops after this many views."""
+    """Number of views after which the run stops."""
     optimize_for: Resource = renamed("speed", "spare", {"time": "speed"})
-    """Optimise for speed or for memory: what a run computed and may need again is kept, or
-    computed anew; the results are the same."""
+    """Optimise for speed or for memory: intermediate results are cached or computed again; the
+    outcome is the same."""
     sweep: SweepConfig = field(default_factory=SweepConfig)
     mount: MountConfig = field(default_factory=MountConfig)
     gaps: GapConfig = field(default_factory=GapConfig)

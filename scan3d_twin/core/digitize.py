@@ -1,7 +1,7 @@
 """The main loop: the flow chart of the paper's Fig. 5.
 
-``observe`` touches the robot; ``integrate`` and ``planner.plan`` are pure, so that simulation, the
-real robot, replay and tests all run the same algorithm.
+Only ``observe`` touches the robot; ``integrate`` and ``planner.plan`` are pure functions, so that
+simulation, the real robot, replay and tests all run the same algorithm.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.scanning.extrinsic_calibration import (
+    apply_yaw_scale,
     calibrate_on_panorama,
-    suspicion,
-    with_turning,
+    describe_suspicion,
 )
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
-from scan3d_twin.core.scanning.mixed_pixels import without_mixed_pixels
+from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
-from scan3d_twin.core.scanning.target_extraction import all_points, extract_target, find_target
+from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target, find_target
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import (
     FloatArray,
@@ -38,18 +38,19 @@ from scan3d_twin.core.types import (
     Pose2,
 )
 from scan3d_twin.core.viewpoints import (
-    first_segment,
-    panorama_contour,
-    place,
-    sweep_width,
+    choose_viewpoint,
+    extract_panorama_contour,
+    find_first_segment,
+    measure_sweep_width,
 )
 
-REGISTRATION, PLANNING = 1, 2
-"""Random streams of view k: ``default_rng([seed, k, stream])``; stream 0 is the sensor's."""
-PAUSE = 0.1
-"""Time between two looks at the pause button [s]."""
 DEFAULT_CONFIG = Config()
 """The preset ``best``."""
+PLANNING_STREAM = 2
+"""Random stream of planning: view k draws from ``default_rng([seed, k, stream])``; stream 0 belongs
+to the sensor and the motion, stream 1 to registration."""
+PAUSE_PERIOD = 0.1
+"""Period at which a paused run asks for the next command [s]."""
 
 
 def digitize(
@@ -116,11 +117,13 @@ def run_loop(
         ScanError, HazardError, LinkError: From the robot; the wheels are stopped, and the observer
             has seen all finished views.
     """
-    scout = _Watched(robot, observer)
+    scout = _WatchedRobot(robot, observer)
     if earlier is None:
-        loop = views(scout, *begin(robot, config, seed, observer, target))
+        loop = iterate_views(scout, *begin_session(robot, config, seed, observer, target))
     else:
-        loop = views(scout, unplanned(replace(earlier, config=config_for(earlier, config))), None)
+        loop = iterate_views(
+            scout, drop_latest_plan(replace(earlier, config=tune_config(earlier, config))), None
+        )
     known = 0 if earlier is None else len(earlier.views)
     session = next(loop)
     while True:
@@ -129,18 +132,18 @@ def run_loop(
         session, plan = _plan(planner, session, loop)
         planned = session.with_plan(plan)
         observer.on_plan(planned)
-        if plan.viewpoint is None or not _go_on(robot, observer):
+        if plan.viewpoint is None or not _wait_while_paused(robot, observer):
             break
         session = loop.send(plan)
     reason = plan.reason if plan.viewpoint is None else "stopped by the user"
-    return conclude(planned, observer).ended(reason)
+    return conclude_session(planned, observer).with_stop_reason(reason)
 
 
 class ScanSource(Protocol):
-    """Takes the images that the loop asks for, by whatever means."""
+    """The source of the sweeps and panoramas of the loop: a robot, a twin or a recording."""
 
-    def look(self, session: Session) -> Observation:
-        """Return a look around from where the robot stands."""
+    def take_panorama(self, session: Session) -> Observation:
+        """Return a panorama from where the robot stands."""
         ...
 
     def observe(self, viewpoint: Pose2, session: Session) -> Observation:
@@ -148,42 +151,43 @@ class ScanSource(Protocol):
         ...
 
 
-def unplanned(session: Session) -> Session:
-    """Return ``session`` as it was when its latest view had been taken and no plan made yet."""
+def drop_latest_plan(session: Session) -> Session:
+    """Return ``session`` as it was right after its latest view, before the plan that followed."""
     return replace(session, plans=session.plans[: max(0, len(session.views) - 1)], stop_reason="")
 
 
-def views(
+def iterate_views(
     scout: ScanSource, session: Session, viewpoint: Pose2 | None
 ) -> Generator[Session, Plan, None]:
-    """The loop of Fig. 5, the decisions left open: yield the session after each view, take a plan.
+    """Run the loop of Fig. 5 with the decisions left to the caller, who sends plans to it.
 
-    A plan that needs a look gets the session with it, and another plan is due. The loop has no end:
-    whoever drives it stops when a plan has no viewpoint.
+    It yields the session after each view and expects a plan. After a plan that needs a panorama it
+    yields the session with the panorama and expects another plan. The loop has no end: the caller
+    stops when a plan has no viewpoint.
 
     Args:
-        scout: Takes the sweeps and looks.
-        session: So far, as ``begin`` returns it.
-        viewpoint: The next one in ``odom``; None when a plan is due after the latest view.
+        scout: Takes the sweeps and panoramas.
+        session: The session at the start, as ``begin_session`` returns it.
+        viewpoint: The next viewpoint in ``odom``; None when a plan is due after the latest view.
     """
     while True:
         if viewpoint is not None:
             session = integrate(session, scout.observe(viewpoint, session))
         plan = yield session
         if plan.needs_panorama:
-            session = session.with_panorama(scout.look(session))
+            session = session.with_panorama(scout.take_panorama(session))
             plan = yield session
         session = session.with_plan(plan)
-        viewpoint = _in_odom(session, plan)
+        viewpoint = _to_odom(session, plan)
 
 
-class _Watched:
-    """The scout that drives a robot while an observer watches."""
+class _WatchedRobot:
+    """The scan source that drives a robot while an observer watches."""
 
     def __init__(self, robot: Robot, observer: Observer) -> None:
         self._robot, self._observer = robot, observer
 
-    def look(self, session: Session) -> Observation:
+    def take_panorama(self, session: Session) -> Observation:
         """See ``ScanSource``."""
         self._observer.on_event("looking around for free space")
         return take_panorama(self._robot, session.config, self._observer.on_line)
@@ -193,52 +197,72 @@ class _Watched:
         return observe(self._robot, viewpoint, session, self._observer)
 
 
-def begin(
+def begin_session(
     robot: Robot,
     config: Config,
     seed: int,
     observer: Observer,
     target: tuple[float, float] | None,
 ) -> tuple[Session, Pose2]:
-    """Look around for the target; return an empty session and the first viewpoint in ``odom``."""
+    """Take a panorama; return an empty session and the first viewpoint in ``odom``."""
     observer.on_event("looking around for the target")
-    look = take_panorama(robot, config, observer.on_line)
-    found = calibrate_on_panorama(look.image)
-    if warning := suspicion(found):
+    panorama = take_panorama(robot, config, observer.on_line)
+
+    # Check the extrinsics and the yaw scale
+    found = calibrate_on_panorama(panorama.image)
+    if warning := describe_suspicion(found):
         observer.on_event(f"warning: {warning}")
-    tuned = with_turning(config, found)
+    tuned = apply_yaw_scale(config, found)
     if tuned != config:
         observer.on_event(f"turns are corrected by {tuned.mount.yaw_scale:+.2%}")
-    return start(look, robot.base.odometry().T_odom_base, tuned, seed, target)
+
+    # Choose target and first viewpoint
+    return start_session(panorama, robot.base.odometry().T_odom_base, tuned, seed, target)
 
 
-def config_for(session: Session, config: Config) -> Config:
-    """Return ``config`` as a run has it that goes on from ``session``: by its first look around."""
-    return with_turning(config, calibrate_on_panorama(session.panoramas[0][1].image))
+def tune_config(session: Session, config: Config) -> Config:
+    """Return ``config`` for a run that continues ``session``, tuned by its first panorama."""
+    return apply_yaw_scale(config, calibrate_on_panorama(session.panoramas[0][1].image))
 
 
-def start(
-    look: Observation,
+def start_session(
+    panorama: Observation,
     here: Pose2,
     config: Config,
     seed: int,
     target: tuple[float, float] | None,
 ) -> tuple[Session, Pose2]:
-    """Return an empty session and the first viewpoint in ``odom``, from a look around.
+    """Return an empty session and the first viewpoint in ``odom``, from a panorama.
 
-    Pure, as ``integrate``. The robot stands ``here`` in ``odom``.
+    Pure: the same arguments give the same result.
+
+    Args:
+        panorama: The panorama.
+        here: Where the robot stands in ``odom``.
+        config: The effective configuration.
+        seed: The run's one seed.
+        target: Place (x, y) in ``odom`` [m] of the target; the most salient thing by default.
+
+    Raises:
+        SceneError: There is no target.
+        ScanError: No viewpoint of the target can be reached.
     """
-    hint = find_target(look, target, config)
-    contour = panorama_contour(here.inverse().apply(hint))
-    session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, look),))
+    # Find the target
+    hint = find_target(panorama, target, config)
+    contour = extract_panorama_contour(here.inverse().apply(hint))
+    session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, panorama),))
+
+    # Choose the first viewpoint
     costmap = build_costmap(session.observations(), config, here)
-    segment = first_segment(contour, sweep_width(config), from_left=config.tour == "front")
+    segment = find_first_segment(
+        contour, measure_sweep_width(config), from_left=config.tour == "front"
+    )
 
     def feasible(viewpoint: Pose2) -> bool:
         there = here @ viewpoint
-        return costmap.feasible(there.x, there.y)
+        return costmap.is_feasible(there.x, there.y)
 
-    viewpoint, _ = place(segment, config, feasible)
+    viewpoint, _ = choose_viewpoint(segment, config, feasible)
     if viewpoint is None:
         raise ScanError(
             "no viewpoint of the target can be reached; clear the floor in front of it, or allow "
@@ -248,7 +272,7 @@ def start(
 
 
 def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer) -> Observation:
-    """Drive to ``viewpoint`` in ``odom``, around obstacles seen and felt, and sweep there."""
+    """Drive to ``viewpoint`` in ``odom``, around obstacles, and return a sweep from there."""
     observer.on_event(f"driving to viewpoint {len(session.views)}")
     touched = drive(robot, viewpoint, session, observer)
     observer.on_event(f"scanning view {len(session.views)}")
@@ -257,33 +281,45 @@ def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer
 
 
 def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
-    """Return the waypoints (n, 2) in ``odom`` [m] to ``viewpoint``, around obstacles."""
-    path = costmap.path(viewpoint.x, viewpoint.y)
+    """Return the waypoints (n, 2) in ``odom`` [m] to ``viewpoint``, around obstacles.
+
+    Raises:
+        ScanError: There is no path.
+    """
+    path = costmap.find_path(viewpoint.x, viewpoint.y)
     if path is None:
         raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
     return path
 
 
 def integrate(session: Session, observation: Observation) -> Session:
-    """Clean the image, extract the target, register with the previous view and append the new one.
+    """Return ``session`` with the view that ``observation`` makes, aligned on loop closure.
 
     Pure: the same session and observation give the same result.
     """
     config = session.config
-    image = without_mixed_pixels(observation.image, config.gaps)
+
+    # Clean the range image
+    image = remove_mixed_pixels(observation.image, config.gaps)
     image = fill_gaps(image, config.gaps)
-    points = all_points(image, config)
-    prior = _prior(session, observation)
-    known = prior.inverse().apply(_known_target(session))
+
+    # Predict by odometry
+    prior = _predict_pose(session, observation)
+
+    # Extract the target
+    points = extract_points(image, config)
+    known = prior.inverse().apply(_gather_known_target(session))
     target = extract_target(image, points, known, config.target)
+
+    # Register on the previous view
     view = View(observation, image, target, points, prior, None)
     if session.views:
         view = match_to_previous(view, session.views, config)
     return align_on_loop_closure(session.with_view(view))
 
 
-def conclude(session: Session, observer: Observer) -> Session:
-    """Return a finished session with its views aligned, if wanted; tell which do not fit."""
+def conclude_session(session: Session, observer: Observer) -> Session:
+    """Return a finished session with its views aligned, if wanted; report those that do not fit."""
     result = align_final(session)
     if len(result.views) < len(session.views):
         observer.on_event(
@@ -294,8 +330,8 @@ def conclude(session: Session, observer: Observer) -> Session:
     return result
 
 
-def _prior(session: Session, observation: Observation) -> Pose2:
-    """Return ``T_world_scan`` by odometry from the previous view; world is odom at the first."""
+def _predict_pose(session: Session, observation: Observation) -> Pose2:
+    """Return ``T_world_scan`` by odometry from the previous view; the first view defines world."""
     if not session.views:
         return observation.T_odom_scan
     previous = session.views[-1]
@@ -303,8 +339,8 @@ def _prior(session: Session, observation: Observation) -> Pose2:
     return previous.T_world_scan @ move
 
 
-def _known_target(session: Session) -> FloatArray:
-    """Return the top view (n, 2) in ``world`` of all that is known of the target."""
+def _gather_known_target(session: Session) -> FloatArray:
+    """Return the top view (n, 2) in ``world`` of all known points of the target."""
     seen = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
     return np.concatenate([session.hint, *seen])
 
@@ -312,30 +348,30 @@ def _known_target(session: Session) -> FloatArray:
 def _plan(
     planner: Planner, session: Session, loop: Generator[Session, Plan, None]
 ) -> tuple[Session, Plan]:
-    """Plan; if the way is not known to be free, look around once and plan again."""
-    plan = ask(planner, session)
+    """Return the session and the plan; a plan that needs a panorama is made again with it."""
+    plan = ask_planner(planner, session)
     if plan.needs_panorama:
         session = loop.send(plan)
-        plan = ask(planner, session)
+        plan = ask_planner(planner, session)
     return session, plan
 
 
-def ask(planner: Planner, session: Session) -> Plan:
-    """Return what ``planner`` wants after the latest view, by the run's own chance."""
-    rng = np.random.default_rng([session.seed, len(session.views) - 1, PLANNING])
+def ask_planner(planner: Planner, session: Session) -> Plan:
+    """Return the plan of ``planner`` after the latest view, with the run's random stream."""
+    rng = np.random.default_rng([session.seed, len(session.views) - 1, PLANNING_STREAM])
     return planner.plan(session, rng)
 
 
-def _in_odom(session: Session, plan: Plan) -> Pose2:
-    """Return the planned viewpoint in ``odom``, relative to the latest view: drift cancels."""
+def _to_odom(session: Session, plan: Plan) -> Pose2:
+    """Return the planned viewpoint in ``odom``, by the latest view so that drift cancels."""
     if plan.viewpoint is None:
         raise ScanError("a plan without a viewpoint ends the run")
     view = session.views[-1]
     return view.observation.T_odom_scan @ view.T_world_scan.inverse() @ plan.viewpoint
 
 
-def _go_on(robot: Robot, observer: Observer) -> bool:
-    """Wait while the user pauses; tell whether to go on."""
+def _wait_while_paused(robot: Robot, observer: Observer) -> bool:
+    """Wait while the user pauses; return whether to go on."""
     while (command := observer.command()) == "pause":
-        robot.clock.sleep(PAUSE)
+        robot.clock.sleep(PAUSE_PERIOD)
     return command == "go"

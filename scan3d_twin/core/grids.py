@@ -1,6 +1,6 @@
-"""Binary grids of square cells: dilation, erosion, connected components and shortest paths.
+"""Boolean grids of square cells: dilation and erosion by a disc, connectivity, shortest paths.
 
-``native/grids.h`` computes dilation and components.
+``native/grids.h`` has the loops.
 """
 
 from __future__ import annotations
@@ -17,24 +17,26 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArra
 
 
 def dilate(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
-    """Return ``grid`` dilated by a disc: the cells within ``radius`` of one of its cells (nx, ny).
+    """Return the cells (nx, ny) whose middle is within ``radius`` of that of a cell of ``grid``.
 
-    Distances are between centres. The result equals a threshold on the distance transform, in a
-    hundredth of the time for small discs.
+    The same as a threshold on the distance transform, in a hundredth of its time for small discs.
 
     Args:
         grid: (nx, ny).
         radius: In the unit of ``cell``.
         cell: Side of a cell.
     """
-    disc, result = _make_disc(radius, cell), np.empty(grid.shape, dtype=bool)
+    disc, result = _disc(radius, cell), np.empty(grid.shape, dtype=bool)
     if engine.dilate(np.ascontiguousarray(grid), *grid.shape, disc, len(disc), result) < 0:
         raise MemoryError
     return result
 
 
-def label_components(grid: BoolArray) -> SmallIntArray:
-    """Return the 8-connected components of ``grid`` (nx, ny) as labels 1, 2, ...; 0 is outside."""
+def label_cells(grid: BoolArray) -> SmallIntArray:
+    """Return a number (nx, ny) for each cell: 0 outside of ``grid`` (nx, ny).
+
+    Connected cells, also those that touch at a corner only, share one. They count from 1.
+    """
     labels = np.empty(grid.shape, dtype=np.int32)
     if engine.label_components(np.ascontiguousarray(grid), *grid.shape, labels) < 0:
         raise MemoryError
@@ -42,21 +44,21 @@ def label_components(grid: BoolArray) -> SmallIntArray:
 
 
 def erode(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
-    """Return ``grid`` eroded by a disc (nx, ny); beyond the border counts as outside.
+    """Return the cells (nx, ny) of ``grid`` with no other cell within ``radius``, nor the border.
 
     Args:
         grid: (nx, ny).
         radius: In the unit of ``cell``.
         cell: Side of a cell.
     """
-    inside, part = np.zeros_like(grid), _bound(grid)
+    inside, part = np.zeros_like(grid), _bounding_box(grid)
     outside = np.pad(~grid[part], 1, constant_values=True)
     inside[part] = ~dilate(outside, radius, cell)[1:-1, 1:-1]
     return inside
 
 
-def _bound(grid: BoolArray) -> tuple[slice, slice]:
-    """Return the bounding box of the cells of ``grid`` (nx, ny), as slices."""
+def _bounding_box(grid: BoolArray) -> tuple[slice, slice]:
+    """Return the slices of the smallest box that holds all cells of ``grid`` (nx, ny)."""
     rows, columns = np.flatnonzero(grid.any(axis=1)), np.flatnonzero(grid.any(axis=0))
     if len(rows) == 0:
         return np.s_[:0, :0]
@@ -64,8 +66,8 @@ def _bound(grid: BoolArray) -> tuple[slice, slice]:
 
 
 @lru_cache(64)
-def _make_disc(radius: float, cell: float) -> IntArray:
-    """Return row offset and half width (k, 2), in cells, of the rows of a disc to one side."""
+def _disc(radius: float, cell: float) -> IntArray:
+    """Return (row offset, half width) (k, 2) [cells] of the rows of half a disc."""
     reach = max(0, math.floor(radius / cell) + 1)
     away = np.hypot(*np.indices((reach + 1, reach + 1))) * cell <= radius
     rows = [(i, int(row.sum()) - 1) for i, row in enumerate(away) if row[0]]
@@ -73,9 +75,9 @@ def _make_disc(radius: float, cell: float) -> IntArray:
 
 
 def find_connected(grid: BoolArray, start: tuple[int, int]) -> BoolArray:
-    """Return the component (nx, ny) of ``grid`` that is connected to its cell ``start``."""
-    part = _bound(grid)
-    labels = label_components(grid[part])
+    """Return the cells (nx, ny) of ``grid`` that are connected with ``start``, one of them."""
+    part = _bounding_box(grid)
+    labels = label_cells(grid[part])
     reached = np.zeros_like(grid)
     reached[part] = labels == labels[start[0] - part[0].start, start[1] - part[1].start]
     return reached
@@ -84,35 +86,36 @@ def find_connected(grid: BoolArray, start: tuple[int, int]) -> BoolArray:
 def find_shortest_paths(
     grid: BoolArray, start: tuple[int, int], cell: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return the shortest paths from ``start`` to all cells, by Dijkstra's algorithm.
+    """Return the shortest paths from ``start`` to all cells of ``grid``, by Dijkstra's algorithm.
 
     Args:
-        grid: Connected cells (nx, ny); n = nx ny.
-        start: One of them.
-        cell: Side of a cell; the lengths are in its unit.
+        grid: Cells that are all connected with ``start`` (nx, ny); n = nx ny.
+        start: One of the cells.
+        cell: Side of a cell; the unit of the path lengths.
 
     Returns:
-        Length of the path to each cell (n,), inf outside of ``grid``; and the flat index of the
+        By flat index: the length of the path to each cell (n,), inf outside of ``grid``, and the
         cell before it on the path (n,), negative for none.
     """
     places = np.flatnonzero(grid)
-    way, before = np.full(grid.size, np.inf), np.full(grid.size, -1)
+    length, before = np.full(grid.size, np.inf), np.full(grid.size, -1)
     first = np.searchsorted(places, np.ravel_multi_index(start, grid.shape))
     found, previous = csgraph.dijkstra(
-        _make_graph(grid, cell), indices=np.array([first]), return_predecessors=True
+        _build_graph(grid, cell), indices=np.array([first]), return_predecessors=True
     )
-    way[places] = found[0]
+    length[places] = found[0]
     before[places] = np.where(previous[0] >= 0, places[np.maximum(previous[0], 0)], -1)
-    return way, before
+    return length, before
 
 
-def _make_graph(grid: BoolArray, cell: float) -> sparse.csr_array:
+def _build_graph(grid: BoolArray, cell: float) -> sparse.csr_array:
     """Return the 8-connected graph of the cells of ``grid``, weighted by distance."""
+    # Number the cells
     n = np.count_nonzero(grid)
     index = np.zeros(grid.shape, dtype=np.int64)
     index[grid] = np.arange(n)
 
-    # Link neighbours in four directions.
+    # Link neighbours in four directions
     rows, columns, weights = [], [], []
     for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
         a = np.s_[: -dx or None, max(0, -dy) : (-dy if dy > 0 else None)]
@@ -122,7 +125,7 @@ def _make_graph(grid: BoolArray, cell: float) -> sparse.csr_array:
         columns.append(index[b][linked])
         weights.append(np.full(np.count_nonzero(linked), cell * np.hypot(dx, dy)))
 
-    # Make the links symmetric.
+    # Make the links symmetric
     i, j, w = (np.concatenate(part) for part in (rows, columns, weights))
     return sparse.csr_array(
         (np.tile(w, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)

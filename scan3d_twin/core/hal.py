@@ -1,9 +1,9 @@
-"""Seam A: what the core needs of a robot, and nothing else.
+"""Hardware abstraction layer (HAL): all that the core needs of a robot.
 
-Two implementations exist: the MuJoCo twin (``sim``) and the serial drivers (``real``). An object
-that exists is open; both are made by context managers (``open_sim``, ``open_real``) that stop the
-wheels on every way out. All stamps are on ``Clock.now()``. ``sleep`` and ``read_line`` service both
-devices and raise ``HazardError`` within 50 ms of a hazard.
+Two implementations exist: the MuJoCo twin (``sim``) and the serial drivers (``real``). Context
+managers (``open_sim``, ``open_real``) make them and stop the wheels however they are left; an
+object that exists is open. All stamps are on ``Clock.now()``. ``sleep`` and ``read_line`` service
+both devices and raise ``HazardError`` within 50 ms of a hazard.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BaseSpec:
-    """What a drive base can do.
+    """Dimensions and limits of a drive base.
 
     Attributes:
         name: Model, such as ``create2``.
@@ -72,20 +72,20 @@ class DriveBase(Protocol):
         ...
 
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
-        """Drive at ``linear`` [m/s] and ``angular`` [rad/s], until told otherwise.
+        """Drive at ``linear`` [m/s] and ``angular`` [rad/s] until the next command.
 
         Returns:
-            The (linear, angular) really sent, after clipping to the wheel speed (the ratio is kept)
-            and rounding to the base's resolution.
+            The (linear, angular) that was sent, after clipping to the wheel speed (which keeps the
+            ratio) and rounding to the base's resolution.
         """
         ...
 
     def odometry(self) -> Odometry:
-        """Return the latest odometry; the identity pose when the robot was opened."""
+        """Return the latest odometry; its pose was the identity when the robot was opened."""
         ...
 
     def odometry_since(self, stamp: float) -> tuple[Odometry, ...]:
-        """Return the recorded odometry from the last sample up to ``stamp`` on, oldest first."""
+        """Return the recorded odometry, oldest first, from the last sample before ``stamp`` on."""
         ...
 
     def hazards(self) -> Hazards:
@@ -94,17 +94,17 @@ class DriveBase(Protocol):
 
 
 class Lidar(Protocol):
-    """A 2D laser scanner that turns by itself."""
+    """A 2D laser scanner that scans continuously."""
 
     @property
     def spec(self) -> LidarSpec:
-        """The geometry of its lines."""
+        """Geometry and timing of its lines."""
         ...
 
     def read_line(self, timeout: float) -> ScanLine:
         """Return the oldest line not yet returned, waiting up to ``timeout`` [s] for it.
 
-        Lines come in order, each once; only the last few unread ones are kept.
+        Lines come in order, each once; only the last few unread lines are kept.
 
         Raises:
             LinkTimeoutError: No line within ``timeout``.
@@ -127,7 +127,7 @@ class BunchingLidar(Lidar, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A base that carries a lidar, with the clock both are stamped by.
+    """A base that carries a lidar, with the clock that stamps the data of both.
 
     >>> with s3d.open_sim("three_boxes") as (robot, truth):
     ...     line = robot.lidar.read_line(1.0)

@@ -1,4 +1,4 @@
-"""How progress, recording, live views and stop buttons attach to a run, and how they share it."""
+"""Observers: how progress, recording, live views and stop buttons attach to a run."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _STRONGEST_FIRST: tuple[Command, ...] = ("stop", "pause", "go")
 
 
 class Observer(Protocol):
-    """How progress, recording, views and stop buttons attach to a run.
+    """Callbacks for what happens in a run, and the user's command to it.
 
-    Whatever a method raises ends the run as an error of the robot would: the wheels are stopped.
+    An exception from a method ends the run as an error of the robot does: the wheels are stopped.
 
     >>> class StopAfterOne(s3d.Unobserved):
     ...     finished = False
@@ -34,19 +34,19 @@ class Observer(Protocol):
     """
 
     def on_event(self, text: str) -> None:
-        """Something worth a line happened."""
+        """Handle an event that is worth one line of text."""
         ...
 
     def on_line(self, line: ScanLine) -> None:
-        """A scan line arrived."""
+        """Handle a scan line as it arrives."""
         ...
 
     def on_view(self, session: Session) -> None:
-        """The last view of ``session`` was added."""
+        """Handle the last view of ``session``, which was just added."""
         ...
 
     def on_plan(self, session: Session) -> None:
-        """The last plan of ``session`` was made."""
+        """Handle the last plan of ``session``, which was just made."""
         ...
 
     def command(self) -> Command:
@@ -55,7 +55,7 @@ class Observer(Protocol):
 
 
 class Unobserved:
-    """A null object behind the ``Observer`` protocol.
+    """An observer that does nothing (a null object).
 
     >>> s3d.Unobserved().command()
     'go'
@@ -79,7 +79,7 @@ class Unobserved:
 
 
 class Observers:
-    """Several observers as one; each is told everything, in the order in which they were given."""
+    """Several observers as one: each call goes to all of them, in the order they were given."""
 
     def __init__(self, *observers: Observer) -> None:
         self._observers = observers
@@ -105,31 +105,31 @@ class Observers:
             each.on_plan(session)
 
     def command(self) -> Command:
-        """See ``Observer``: one stop stops all, one pause pauses all."""
+        """See ``Observer``; the strongest command wins: stop, then pause, then go."""
         wanted = {each.command() for each in self._observers}
         return next((command for command in _STRONGEST_FIRST if command in wanted), "go")
 
 
-class _AttendedClock:
-    """A clock that calls whoever attends the run each time the robot has waited."""
+class _ObservedClock:
+    """A clock that calls back each time the robot has waited."""
 
-    def __init__(self, clock: Clock, attendants: tuple[Callable[[], None], ...]) -> None:
+    def __init__(self, clock: Clock, callbacks: tuple[Callable[[], None], ...]) -> None:
         self._clock = clock
-        self._attendants = attendants
+        self._callbacks = callbacks
         self.now = clock.now
 
     def sleep(self, seconds: float) -> None:
         """See ``Clock.sleep``."""
         self._clock.sleep(seconds)
-        for attend in self._attendants:
-            attend()
+        for callback in self._callbacks:
+            callback()
 
 
-def attended(robot: Robot, *attendants: Callable[[], None]) -> Robot:
-    """Return ``robot`` with all ``attendants`` called while it drives and turns, where no line is.
+def with_clock_callbacks(robot: Robot, *callbacks: Callable[[], None]) -> Robot:
+    """Return ``robot`` with a clock that calls all ``callbacks`` whenever it has waited.
 
-    The motions wait on the robot's clock every 30 ms, so that the attendants see the odometry of
-    the whole way. What one of them raises ends the motion with the wheels stopped; between the
-    lines of a sweep ``Observer.on_line`` does the same.
+    Drives and turns wait on the clock every 30 ms, so that the callbacks see the odometry of the
+    whole way; during a sweep ``Observer.on_line`` is called instead. An exception from a callback
+    ends the motion with the wheels stopped.
     """
-    return replace(robot, clock=_AttendedClock(robot.clock, attendants))
+    return replace(robot, clock=_ObservedClock(robot.clock, callbacks))

@@ -1,4 +1,4 @@
-"""Fields of a configuration: a default with its bounds, and the checks that hold for all of them.
+"""Fields of a configuration dataclass: defaults with bounds, and the checks of their values.
 
 Importing this module costs nothing (no numpy), so that ``twin --help`` can list the options.
 """
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The values that a number may have; ``low`` itself only if it is not ``open``.
+    """The range of values that a number may have.
 
     Attributes:
         low: Lower bound, in the number's own unit.
@@ -30,8 +30,8 @@ class Bounds:
     high: float
     open: bool
 
-    def broken_by(self, value: float) -> str:
-        """Return what ``value`` [unit of the bounds] should be and is not; empty if it is."""
+    def find_violation(self, value: float) -> str:
+        """Return the bound that ``value`` violates, such as ``<= 1``; empty if it violates none."""
         if not math.isfinite(value):
             return "finite"
         if value < self.low or (self.open and value == self.low):
@@ -46,13 +46,13 @@ def number(
     *,
     above: float = 0.0,
 ) -> T:
-    """Return the field of a number: its default, and its bounds.
+    """Return a dataclass field for a number with bounds.
 
     Args:
-        default: Value where none is stated.
-        least: Lower bound, allowed; None where ``above`` is the bound.
-        most: Upper bound, allowed.
-        above: Lower bound, not allowed itself.
+        default: Value of the field by default.
+        least: Inclusive lower bound; None where ``above`` is the bound.
+        most: Inclusive upper bound.
+        above: Exclusive lower bound.
     """
     bounds = Bounds(above if least is None else least, most, least is None)
     result: T = field(default=default, metadata={"bounds": bounds})
@@ -60,19 +60,19 @@ def number(
 
 
 def renamed(default: T, formerly: str, values: Mapping[str, str] | None = None) -> T:
-    """Return the field of an option that older files know as ``formerly``.
+    """Return a dataclass field for an option that older files call ``formerly``.
 
     Args:
-        default: Value where none is stated.
-        formerly: Its name in those files.
-        values: Its values of today, by what they were called.
+        default: Value of the field by default.
+        formerly: Its name in older files.
+        values: Today's values by the names they have in older files.
     """
     result: T = field(default=default, metadata={"formerly": formerly, "values": values or {}})
     return result
 
 
 def former_names(cls: type) -> dict[str, tuple[str, Mapping[str, str]]]:
-    """Return today's name and values of each field of ``cls`` by the name that it once had."""
+    """Return today's name and values of each renamed field of ``cls`` by its former name."""
     return {
         f.metadata["formerly"]: (f.name, f.metadata["values"])
         for f in fields(cls)
@@ -84,12 +84,12 @@ def check_options(options: Any, section: str = "") -> None:
     """Check every field of the dataclass ``options`` against its type and bounds.
 
     Args:
-        options: What was just built.
-        section: Name of its table in a configuration file, for messages; empty at the top.
+        options: The dataclass, from its ``__post_init__``.
+        section: Name of its table in a configuration file, for messages; empty at the top level.
 
     Raises:
-        ConfigError: A value is of the wrong type, no choice of its literal, not finite or out of
-            its bounds.
+        ConfigError: A value has the wrong type, is none of its choices, not finite or out of
+            bounds.
     """
     where = f"{section}." if section else ""
     for name, hint, bounds in _rules(type(options)):  # type: ignore[arg-type]
@@ -112,7 +112,7 @@ def _check(name: str, value: Any, hint: Any, bounds: Bounds | None) -> None:
     expected = (int, float) if hint is float else hint
     if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):
         raise ConfigError(f"{name} must be {_WORDS.get(hint, hint.__name__)}, got {value!r}")
-    if bounds is not None and (wanted := bounds.broken_by(value)):
+    if bounds is not None and (wanted := bounds.find_violation(value)):
         raise ConfigError(f"{name} must be {wanted}, got {value:g}")
 
 

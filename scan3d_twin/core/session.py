@@ -1,4 +1,4 @@
-"""What a run knows so far: an immutable record that every pure function reads."""
+"""The session: an immutable record of all views and plans of a run."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from scan3d_twin.core.types import (
 
 @dataclass(frozen=True)
 class View:
-    """One sweep placed in the world.
+    """A keyframe: one sweep with its pose in the world.
 
     Attributes:
-        observation: As it came from the robot.
+        observation: The sweep as it came from the robot.
         image: Its range image with the gaps filled (section 4.1).
         target: The target's points in ``scan`` (section 4.2).
         sweep: All points in ``scan`` except the floor.
-        T_world_scan: Where registration put the scan.
-        registration: Against the previous view; None for the first.
+        T_world_scan: Pose of the scan, by registration.
+        registration: Result of registering it on the previous view; None for the first view.
 
     >>> view = session.views[1]
     >>> points_in_world = view.T_world_scan.apply(view.target.points)
@@ -44,7 +44,7 @@ class View:
     registration: RegistrationResult | None
 
     def compress(self) -> None:
-        """Put the large arrays away: earlier views are kept, but seldom read."""
+        """Compress the large arrays, as earlier views are seldom read."""
         self.sweep.compress(self.image)
         self.image.compress(self.observation.image)
 
@@ -53,19 +53,19 @@ class View:
 class Session:
     """All views and plans of a run.
 
-    ``world`` is the odometry frame as it was at the first view.
+    Frame ``world`` is the odometry frame as it was at the first view.
 
     Attributes:
         config: The effective configuration.
-        seed: The run's one seed.
-        hint: Top-view points (n, 2) of the target in ``odom``, found by the look around [m].
+        seed: The one seed of the run.
+        hint: Top-view points (n, 2) of the target in ``odom``, from the first panorama [m].
         front: Outward unit normal (2,) in ``world`` of the target as the robot first saw it.
-        panoramas: Coarse sweeps all round, each with the number of views taken before it.
-        views: In the order they were taken.
+        panoramas: Coarse sweeps of a full turn, each with the number of views taken before it.
+        views: The views in the order in which they were taken.
         plans: ``plans[k]`` was made after ``views[k]``.
-        misfits: Views that contradict most others, by the latest alignment.
+        misfits: Indices of the views that contradict most others, by the latest alignment.
         stop_reason: Why the run ended; empty while it goes on.
-        version: Of the software.
+        version: Version of the software.
 
     >>> len(session.views), session.seed, session.config.planner
     (2, 0, 'fisher')
@@ -86,29 +86,29 @@ class Session:
         """Return a session with ``view`` appended."""
         return replace(self, views=(*self.views, view))
 
-    def with_panorama(self, look: Observation) -> Session:
-        """Return a session with a look around from the latest viewpoint appended."""
-        return replace(self, panoramas=(*self.panoramas, (len(self.views), look)))
+    def with_panorama(self, panorama: Observation) -> Session:
+        """Return a session with a panorama from the latest viewpoint appended."""
+        return replace(self, panoramas=(*self.panoramas, (len(self.views), panorama)))
 
     def with_plan(self, plan: Plan) -> Session:
         """Return a session with ``plan`` appended."""
         return replace(self, plans=(*self.plans, plan))
 
-    def ended(self, reason: str) -> Session:
-        """Return a session that ended for ``reason``."""
+    def with_stop_reason(self, reason: str) -> Session:
+        """Return the session of a run that ended for ``reason``."""
         return replace(self, stop_reason=reason)
 
     def compress(self) -> None:
-        """Put the large arrays of all but the latest view away; everything reads as before."""
-        for _, look in self.panoramas:
-            look.image.compress()
+        """Compress the large arrays of all but the latest view; everything reads as before."""
+        for _, panorama in self.panoramas:
+            panorama.image.compress()
         for view in self.views[:-1]:
             view.compress()
 
     def observations(self) -> tuple[Observation, ...]:
-        """Return all looks around and sweeps in the order in which they were taken."""
+        """Return all panoramas and sweeps in the order in which they were taken."""
         result: list[Observation] = []
         for k in range(len(self.views) + 1):
-            result += [look for taken, look in self.panoramas if taken == k]
+            result += [panorama for taken, panorama in self.panoramas if taken == k]
             result += [view.observation for view in self.views[k : k + 1]]
         return tuple(result)

@@ -1,8 +1,9 @@
-"""Values that pass between the parts of the house: frozen, SI units and radians.
+"""The value types of the package: frozen dataclasses in SI units and radians.
 
-Frames: ``world, odom, base, lidar, scan, target, source``; ``T_a_b`` maps coordinates in b to
-coordinates in a. ``base`` lies on the floor below the axle's middle, x ahead, y left, z up. Frame
-``scan`` belongs to one sweep: origin where the robot stood, x along the middle of the sweep.
+Frames are ``world, odom, base, lidar, scan, target, source``; ``T_a_b`` maps coordinates in b to
+coordinates in a. The origin of ``base`` is on the floor below the middle of the axle, x ahead, y
+left, z up. Each sweep has a frame ``scan``: its origin is where the robot stood, x points along the
+middle of the sweep.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ SmallIntArray = npt.NDArray[np.int32]
 BoolArray = npt.NDArray[np.bool_]
 
 VALID = -1
-"""Entry of a ``codes`` array where the reading is a distance and not an error code."""
+"""Entry of a ``codes`` array where the reading is a distance, not an error code."""
 MIXED = -2
-"""Entry of a ``codes`` array where the reading was a mixed pixel and is not used."""
+"""Entry of a ``codes`` array where the reading was removed as a mixed pixel."""
 
 
 def wrap(angle: float) -> float:
-    """Return ``angle`` [rad] wrapped to [-pi, pi); an angle in it is returned as it is."""
+    """Return ``angle`` [rad] wrapped to [-pi, pi); angles in that range keep their exact value."""
     if -math.pi <= angle < math.pi:
         return angle
     return (angle + math.pi) % math.tau - math.pi
@@ -47,7 +48,7 @@ def rms(vectors: FloatArray) -> float:
 
 
 def read_only(array: npt.ArrayLike, dtype: Any = np.float64) -> npt.NDArray[Any]:
-    """Return ``array`` as a contiguous array that refuses writes; writable input is copied."""
+    """Return ``array`` as a contiguous, read-only array; writable input is copied."""
     result = np.ascontiguousarray(array, dtype=dtype)
     if result.flags.writeable:
         result = result.copy()
@@ -94,7 +95,7 @@ class Pose2:
         return Pose2(-c * self.x - s * self.y, s * self.x - c * self.y, -self.yaw)
 
     def apply(self, points: FloatArray) -> FloatArray:
-        """Map ``points`` (..., 2 or 3) [m] from b to a; z is kept."""
+        """Return ``points`` (..., 2 or 3) [m], mapped from b to a; z is kept."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         x, y = points[..., 0], points[..., 1]
         result = np.array(points, dtype=np.float64)
@@ -103,7 +104,7 @@ class Pose2:
         return result
 
     def rotate(self, vectors: FloatArray) -> FloatArray:
-        """Map directions ``vectors`` (..., 2 or 3) from b to a."""
+        """Return the directions ``vectors`` (..., 2 or 3), rotated from b to a."""
         return Pose2(0.0, 0.0, self.yaw).apply(vectors)
 
     def matrix(self) -> FloatArray:
@@ -125,13 +126,13 @@ class Pose2:
 
 @dataclass(frozen=True, slots=True)
 class LidarSpec:
-    """What a scan line looks like.
+    """Geometry and timing of a scan line.
 
     Attributes:
         elevations: Beam angle in the vertical scan plane (n_beams,) [rad]; 0 ahead, positive up.
         beam_times: Time of each beam after the line's stamp (n_beams,) [s].
         line_period: Time between two lines [s].
-        min_range: Shortest distance reported [m].
+        min_range: Shortest distance that the lidar reports [m].
         max_range: Longest distance that is trusted [m].
     """
 
@@ -164,12 +165,12 @@ class ScanLine:
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """Pose by dead reckoning.
+    """Pose of the base by dead reckoning.
 
     Attributes:
         stamp: Time on ``Clock.now()`` [s].
         T_odom_base: Pose in the frame in which the robot was opened.
-        covariance: Of x, y [m] and yaw [rad] since opening (3, 3).
+        covariance: Covariance of x, y [m] and yaw [rad] since opening (3, 3).
     """
 
     stamp: float
@@ -179,7 +180,7 @@ class Odometry:
 
 @dataclass(frozen=True, slots=True)
 class Hazards:
-    """What can stop the robot; all False and a full battery is safe.
+    """The conditions that stop the robot; all False with a charged battery is safe.
 
     Attributes:
         battery: State of charge, 0..1.
@@ -198,7 +199,7 @@ class Hazards:
     battery: float = 1.0
 
     def active(self) -> tuple[str, ...]:
-        """Return the names of the hazards that are on, in words."""
+        """Return the active hazards in words."""
         flags = (name for name in self.__slots__ if name != "battery")
         return tuple(name.replace("_", " ") for name in flags if getattr(self, name))
 
@@ -206,17 +207,19 @@ class Hazards:
 @compressible("yaws", "ranges", "codes")
 @dataclass(frozen=True)
 class RangeImage:
-    """One sweep, the paper's P = {l_1 .. l_n}: lines by beams, in frame ``scan``.
+    """One sweep, the paper's P = {l_1 .. l_n}: ranges by line and beam, in frame ``scan``.
 
-    Lines are ordered left to right as the robot sees them (falling yaw), whichever way it turned.
+    Lines are ordered left to right as the robot sees them (falling yaw), in whichever direction it
+    turned.
 
     Attributes:
         stamps: Time of each line (n_lines,) [s].
         yaws: Heading of the base when each beam was measured, in ``scan`` (n_lines, n_beams) [rad].
-        ranges: Distances [m], NaN = no valid return (n_lines, n_beams).
-        codes: Error codes, ``VALID`` where measured; a filled gap keeps its code (as ``ranges``).
+        ranges: Distances, NaN where there is no valid return (n_lines, n_beams) [m].
+        codes: Error codes, ``VALID`` where measured; a filled gap keeps its code (n_lines,
+            n_beams).
         spec: The lidar's geometry.
-        T_base_lidar: The lidar's mount (4, 4).
+        T_base_lidar: Extrinsics of the lidar (4, 4).
 
     >>> image = session.views[0].observation.image
     >>> image.ranges.shape == image.yaws.shape == image.points.shape[:2]
@@ -236,7 +239,7 @@ class RangeImage:
         return len(self.stamps)
 
     def compress(self, *others: RangeImage) -> None:
-        """Put the large arrays of this and ``others`` away, as images kept but seldom read."""
+        """Compress the large arrays of this image and ``others``, which are seldom read."""
         compress_fields(("yaws", "ranges", "codes"), self, *others)
 
     @cached_property
@@ -246,7 +249,7 @@ class RangeImage:
 
     @property
     def directions(self) -> FloatArray:
-        """Beam directions in ``scan`` (n_lines, n_beams, 3); made anew, as a session keeps many."""
+        """Beam directions in ``scan`` (n_lines, n_beams, 3); computed anew each time."""
         yaws = self.yaws
         return np.stack(_rotated(self.beams, np.cos(yaws), np.sin(yaws)), axis=-1)
 
@@ -254,7 +257,7 @@ class RangeImage:
     def points(self) -> FloatArray:
         """Measured points in ``scan`` (n_lines, n_beams, 3) [m]; NaN where there is no return.
 
-        Made anew each time: a session keeps its images, and points take six times their room.
+        Computed anew each time: a session keeps its images, and points take six times their memory.
         """
         return self._placed(self.ranges, self.beams, self.yaws)
 
@@ -308,8 +311,8 @@ class Observation:
 
     Attributes:
         image: The raw range image in frame ``scan``.
-        T_odom_scan: Where the sweep was taken, by odometry.
-        touched: Places (x, y) in ``odom`` [m] of what the robot bumped into on the way there.
+        T_odom_scan: Pose of the sweep by odometry.
+        touched: Places (x, y) in ``odom`` [m] where the robot bumped into something on the way.
     """
 
     image: RangeImage
@@ -326,7 +329,7 @@ class Scan3D:
         points: (n, 3) [m].
         lines: Index of each point's line in its range image (n,), ascending.
         beams: Index of each point's beam (n,).
-        n_lines: Lines of the range image the points came from.
+        n_lines: Number of lines of that range image.
 
     >>> scan = session.views[0].target
     >>> scan.points.shape == (len(scan), 3)
@@ -344,25 +347,25 @@ class Scan3D:
         return len(self.points)
 
     def compress(self, image: RangeImage) -> None:
-        """Put the arrays away, as a scan that is kept but seldom read.
+        """Compress the arrays, which are seldom read.
 
-        Its points are looked up in ``image`` from then on, if they are those.
+        Points that equal those of ``image`` are computed from it from then on.
         """
         if is_compressed(self, "points"):
             return
         lines, beams = CompressedArray.of(self.lines), CompressedArray.of(self.beams)
         placed = _PointsOf(image, lines, beams)
         if np.array_equal(placed.decompress(), self.points):
-            for name, folded in (("points", placed), ("lines", lines), ("beams", beams)):
-                object.__setattr__(self, name, folded)
+            for name, compressed in (("points", placed), ("lines", lines), ("beams", beams)):
+                object.__setattr__(self, name, compressed)
 
     @cached_property
     def occupied_lines(self) -> IntArray:
         """Indices of the lines that hold at least one point, ascending: the paper's l_1 .. l_n."""
         return np.flatnonzero(np.bincount(self.lines))
 
-    def on(self, image: RangeImage) -> Scan3D:
-        """Return the same lines and beams with the points of another ``image`` of the sweep."""
+    def with_points_of(self, image: RangeImage) -> Scan3D:
+        """Return the scan with its points taken from another ``image`` of the same sweep."""
         lines, beams = self.lines, self.beams
         return Scan3D(image.points_at(lines, beams), lines, beams, self.n_lines)
 
@@ -403,7 +406,7 @@ class _PointsOf:
     beams: CompressedArray
 
     def decompress(self) -> FloatArray:
-        """Return the points (n, 3) [m], which refuse writes."""
+        """Return the points (n, 3) [m], read-only."""
         points = self.image.points_at(self.lines.decompress(), self.beams.decompress())
         points.flags.writeable = False
         return points
@@ -411,19 +414,20 @@ class _PointsOf:
 
 @dataclass(frozen=True)
 class RegistrationResult:
-    """How a source scan lies on a target scan, and how far to believe it.
+    """The pose of a source scan in a target scan, and its uncertainty.
 
     Attributes:
-        T_target_source: (4, 4).
-        covariance: Of x, y, z [m] and rx, ry, rz [rad] about the target's origin (6, 6).
-        information: Its inverse on the estimated directions, 0 on the others (6, 6).
+        T_target_source: The pose (4, 4).
+        covariance: Covariance of x, y, z [m] and rx, ry, rz [rad] about the target's origin (6, 6).
+        information: Information matrix (6, 6): the inverse of the covariance on the estimated
+            directions, 0 on the others.
         fitness: Share of source points with a correspondence, 0..1.
         inlier_rmse: Root mean square distance of the correspondences [m].
         predicted_rmse: Expected root mean square displacement of the source points [m].
         num_inliers: Number of correspondences.
         iterations: Iterations run.
         converged: Whether the result may be used.
-        degenerate_directions: Unit directions (k, 6) that the data did not determine.
+        degenerate_directions: Unit directions (k, 6) that the data do not determine.
         ambiguity_gap: Score distance to the next best basin, 0..1; 1 where none was searched.
 
     >>> result = session.views[1].registration
@@ -447,9 +451,12 @@ class RegistrationResult:
     def unregistered(
         T: FloatArray, covariance: FloatArray, information: FloatArray
     ) -> RegistrationResult:
-        """Return the result for scans that cannot be registered: the guess ``T`` (4, 4) as it was.
+        """Return the result for scans that cannot be registered: the initial guess as it was.
 
-        ``covariance`` and ``information`` (6, 6) say what the guess is worth.
+        Args:
+            T: The initial guess (4, 4).
+            covariance: Its covariance (6, 6).
+            information: Its information matrix (6, 6).
         """
         return RegistrationResult(
             T_target_source=T,
@@ -468,13 +475,13 @@ class RegistrationResult:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One viewpoint a planner looked at.
+    """One viewpoint that a planner considered.
 
     Attributes:
         viewpoint: ``T_world_scan`` of the sweep that would be taken there.
-        overlap: The paper's eta, share of the current target lines seen again.
-        predicted_rmse: Predicted registration error E [m]; NaN where it was not simulated.
-        feasible: Whether the robot can get there and stand there.
+        overlap: The paper's eta: share of the current target lines that are seen again.
+        predicted_rmse: Predicted registration error E [m]; NaN where it was not predicted.
+        feasible: Whether the robot can reach it and stand there.
     """
 
     viewpoint: Pose2
@@ -485,16 +492,16 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a planner decided and why.
+    """The decision of a planner and its reason.
 
     Attributes:
         viewpoint: ``T_world_scan`` of the next sweep; None when the scan is finished.
         overlap: The chosen eta; 0 when finished.
         predicted_rmse: E of the chosen overlap [m]; NaN when unknown.
         fell_back: Whether no overlap met epsilon, so that the 80 % default was taken.
-        candidates: Everything that was considered, in the order of consideration.
-        reason: In words, for people.
-        needs_panorama: Whether a look around from here could show that a better viewpoint is free.
+        candidates: All viewpoints that were considered, in that order.
+        reason: Why the planner decided so, in words.
+        needs_panorama: Whether a panorama from here may show that a better viewpoint is free.
 
     >>> plan = session.plans[0]
     >>> plan.viewpoint is not None, 0.0 < plan.overlap < 1.0

@@ -119,7 +119,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
 
     def completion_reason(self) -> str | None:
         """Return why the tour is complete, or None."""
-        return self.episode.context.finished()
+        return self.episode.context.termination_reason()
 
     # Gymnasium's interface.
 
@@ -141,7 +141,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
 
     @property
     def session(self) -> Session:
-        """The session so far, which planners as policies read."""
+        """The session of the current episode, which planners as policies read."""
         return self.episode.session
 
     def reset(

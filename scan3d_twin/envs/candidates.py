@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from scan3d_twin.core.planning.context import in_world
+from scan3d_twin.core.planning.context import to_world
 from scan3d_twin.core.types import Candidate, Plan, Pose2, wrap
 from scan3d_twin.envs.base import Mask, Observation, ViewPlanEnv
 from scan3d_twin.envs.observations import POSITION_SCALE
@@ -75,10 +75,10 @@ class CandidatesEnv(ViewPlanEnv[np.int64]):
         context, offered = self.episode.context, []
         standoff = self.session.config.planning.standoff
         for eta in OVERLAPS:
-            place = context.place(eta).viewpoint
+            place = context.find_placement(eta).viewpoint
             for turn in BEARING_OFFSETS:
                 pose = Pose2() if place is None else _rotate_about_target(place, standoff, turn)
-                feasible = place is not None and context.feasible(pose)
+                feasible = place is not None and context.is_feasible(pose)
                 offered.append(Candidate(pose, eta, math.nan, feasible))
         return tuple(offered)
 
@@ -89,7 +89,7 @@ class CandidatesEnv(ViewPlanEnv[np.int64]):
         if index not in free:
             index = min(free, key=lambda k: self._candidates[k].viewpoint.distance(wanted))
         chosen = self._candidates[index]
-        pose = in_world(self.episode.context, chosen.viewpoint)
+        pose = to_world(self.episode.context, chosen.viewpoint)
         reason = f"action {int(action)}: candidate {index}"
         return Plan(pose, chosen.overlap, math.nan, False, (), reason), index != int(action)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
-from scan3d_twin.core.digitize import start, views
+from scan3d_twin.core.digitize import iterate_views, start_session
 from scan3d_twin.core.navigation.costmap import Costmap
 from scan3d_twin.core.planning.context import PlanningContext
+from scan3d_twin.core.scanning.extrinsic_calibration import apply_yaw_scale, calibrate_on_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.observations import sees_target
@@ -30,8 +31,15 @@ class Episode:
 
     def __init__(self, prepared: PreparedScene, source: EpisodeScanSource, seed: int) -> None:
         self.prepared, self.source = prepared, source
-        session, viewpoint = start(source.look(), source.here, source.config, seed, None)
-        self._loop = views(source, session, viewpoint)
+
+        # Calibrate on the first panorama.
+        panorama = source.take_panorama()
+        calibration = calibrate_on_panorama(panorama.image)
+        source.config = apply_yaw_scale(source.config, calibration)
+
+        # Take the first view.
+        session, viewpoint = start_session(panorama, source.here, source.config, seed, None)
+        self._loop = iterate_views(source, session, viewpoint)
         self.session: Session = next(self._loop)
         self.score = Score(prepared, source.truth, self.session)
         self.score.update(self.session)
@@ -69,7 +77,7 @@ class Episode:
 
     def look(self) -> None:
         """Take a panorama from here, unless there is one."""
-        if not self.context.looked:
+        if not self.context.has_panorama:
             self.session = self._loop.send(PANORAMA_PLAN)
 
     def close(self) -> None:

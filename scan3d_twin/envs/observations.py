@@ -59,7 +59,7 @@ def observe(context: PlanningContext) -> dict[str, Any]:
 
 def sees_target(context: PlanningContext) -> bool:
     """Return whether the latest view shows enough of the target to plan the next one."""
-    return not (context.finished() or "").startswith(TARGET_LOST)
+    return not (context.termination_reason() or "").startswith(TARGET_LOST)
 
 
 def encode_topdown(session: Session, costmap: Costmap) -> Image:
@@ -196,7 +196,7 @@ def encode_stats(context: PlanningContext) -> Values:
         len(views) / config.max_views,
         abs(turned) / math.tau,
         lines / view.image.n_lines,
-        float(sees_target(context) and context.ends),
+        float(sees_target(context) and context.has_end_in_view),
         fit,
         predicted,
         residual,

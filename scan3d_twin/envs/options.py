@@ -17,8 +17,8 @@ from scan3d_twin.envs.prepared_scenes import (
 )
 from scan3d_twin.envs.rewards import RewardWeights
 from scan3d_twin.envs.scan_sources import EpisodeScanSource, KinematicScanSource, PhysicsScanSource
-from scan3d_twin.run.resolve import settings_for
-from scan3d_twin.run.settings import Options, merge, settings
+from scan3d_twin.run.resolve import settings_for_scene
+from scan3d_twin.run.settings import Options, build_settings, merge_options
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import Thinning, thin_config, thin_spec
 from scan3d_twin.sim.lidar.scanner import lidar_spec
@@ -93,13 +93,13 @@ class EnvOptions:
             raise ConfigError(f"goal must be in (0, 1], got {goal:g}")
 
         # Check the nested options.
-        given = merge([{"run": {"preset": preset, "world": world}}, options or {}])
+        given = merge_options([{"run": {"preset": preset, "world": world}}, options or {}])
         if "run" in (options or {}):
             raise ConfigError(
                 "options.run: scene, preset, world and seed are arguments of their own"
             )
         preset_options(preset)
-        settings([given])
+        build_settings([given])
 
         return EnvOptions(
             scenes=scenes,
@@ -123,7 +123,7 @@ class EnvOptions:
         self, prepared: PreparedScene, rng: np.random.Generator
     ) -> tuple[EpisodeScanSource, int]:
         """Return the scan source of an episode, and the seed of its run."""
-        effective = settings_for(prepared.scene, self.given)
+        effective = settings_for_scene(prepared.scene, self.given)
         factor, seed = float(rng.uniform(*self.noise)), int(rng.integers(2**31))
         twin = _scale_noise(effective.twin, factor)
 

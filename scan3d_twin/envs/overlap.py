@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from scan3d_twin.core.planning.context import Placement, in_world
+from scan3d_twin.core.planning.context import Placement, to_world
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.base import Mask, Observation, ViewPlanEnv
 
@@ -47,14 +47,14 @@ class OverlapEnv(ViewPlanEnv[np.int64]):
             self._placements = [Placement(None, False)] * len(OVERLAPS)
             return False
         self._placements = self._place_viewpoints()
-        if not any(placement.wanted for placement in self._placements):
+        if not any(placement.is_wanted for placement in self._placements):
             self.episode.look()
             self._placements = self._place_viewpoints()
         return any(placement.viewpoint is not None for placement in self._placements)
 
     def _place_viewpoints(self) -> list[Placement]:
         context = self.episode.context
-        return [context.place(eta) for eta in OVERLAPS]
+        return [context.find_placement(eta) for eta in OVERLAPS]
 
     def plan_of_action(self, action: np.int64) -> tuple[Plan, bool]:
         """See ``ViewPlanEnv``."""
@@ -63,7 +63,7 @@ class OverlapEnv(ViewPlanEnv[np.int64]):
         viewpoint = self._placements[index].viewpoint
         if viewpoint is None:
             raise ValueError("no overlap has a viewpoint, but the episode was not truncated")
-        pose = in_world(self.episode.context, viewpoint)
+        pose = to_world(self.episode.context, viewpoint)
         reason = f"action {int(action)}: overlap {OVERLAPS[index]:.0%}"
         return Plan(pose, OVERLAPS[index], math.nan, False, (), reason), index != int(action)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium
 
-from scan3d_twin.core.digitize import ask
+from scan3d_twin.core.digitize import ask_planner
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.types import Plan
@@ -20,10 +20,19 @@ class PlannerPolicy:
     It gets the session of the episode and the random numbers that ``digitize`` would give it. In
     ``ViewPlanOverlap-v0`` a planner that chooses overlaps acts exactly as in ``digitize``; in other
     environments it takes the action nearest to its plan.
+
+    >>> import gymnasium
+    >>> env = gymnasium.make(
+    ...     "scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0", fidelity="kinematic"
+    ... )
+    >>> _ = env.reset(seed=0)
+    >>> action = s3d.PlannerPolicy("fixed50").act(env)
+    >>> int(action)
+    6
     """
 
     def __init__(self, planner: Planner | str) -> None:
-        """Use a planner, or the one of a name from ``planner_names``."""
+        """Use a planner, or the one of a name from ``list_planners``."""
         self._planner = make_planner(planner) if isinstance(planner, str) else planner
 
     def act(self, env: gymnasium.Env[Any, Any]) -> Any:
@@ -34,10 +43,10 @@ class PlannerPolicy:
 
     def plan(self, env: ViewPlanEnv[Any]) -> Plan:
         """Return the planner's plan; take a panorama first if it needs one."""
-        plan = ask(self._planner, env.session)
+        plan = ask_planner(self._planner, env.session)
         if plan.needs_panorama:
             env.look()
-            plan = ask(self._planner, env.session)
+            plan = ask_planner(self._planner, env.session)
         return plan
 
 
@@ -59,7 +68,16 @@ class Rollout:
 def rollout(
     env: gymnasium.Env[Any, Any], policy: PlannerPolicy, seed: int | None = None
 ) -> Rollout:
-    """Return the result of one episode of ``env`` with ``policy``."""
+    """Return the result of one episode of ``env`` with ``policy``.
+
+    >>> import gymnasium
+    >>> env = gymnasium.make(
+    ...     "scan3d_twin.envs:scan3d_twin/ViewPlanOverlap-v0", fidelity="kinematic"
+    ... )
+    >>> result = s3d.rollout(env, s3d.PlannerPolicy("fixed50"), seed=0)
+    >>> result.total == sum(result.rewards), result.info["views"] == len(result.rewards) + 1
+    (True, True)
+    """
     _, info = env.reset(seed=seed)
     rewards: list[float] = []
     over = False

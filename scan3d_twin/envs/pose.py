@@ -42,7 +42,7 @@ class PoseEnv(ViewPlanEnv[PoseAction]):
         costmap = self.episode.costmap
         cells = np.argwhere(costmap.passable)
         places = np.asarray(costmap.origin + (cells + 0.5) * RESOLUTION)
-        return places[np.isfinite(costmap.ways(places))]
+        return places[np.isfinite(costmap.path_lengths(places))]
 
     def completion_reason(self) -> str | None:
         """See ``ViewPlanEnv``; only ``max_views`` counts, since a pose may face away."""

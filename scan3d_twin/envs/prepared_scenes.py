@@ -8,11 +8,11 @@ from functools import lru_cache
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.model.evaluation import Surface, coverable_surface
+from scan3d_twin.core.model.evaluation import Surface, find_coverable_surface
 from scan3d_twin.core.types import BoolArray
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import RayCaster, choose_caster
-from scan3d_twin.sim.scenes.random_scenes import SceneRanges, random_scene
+from scan3d_twin.sim.scenes.random_scenes import SceneRanges, draw_scene
 from scan3d_twin.sim.scenes.scene import Scene, load_scene
 from scan3d_twin.sim.truth import Truth
 
@@ -54,7 +54,7 @@ def prepare_named_scene(name: str) -> PreparedScene:
 @lru_cache(MAX_CACHED_SCENES)
 def prepare_random_scene(seed: int, ranges: SceneRanges) -> PreparedScene:
     """Return the prepared random scene that ``seed`` draws from ``ranges``."""
-    return PreparedScene.of(random_scene(np.random.default_rng(seed), ranges, f"random_{seed}"))
+    return PreparedScene.of(draw_scene(np.random.default_rng(seed), ranges, f"random_{seed}"))
 
 
 def find_coverable(prepared: PreparedScene, config: Config) -> BoolArray:
@@ -67,7 +67,7 @@ def find_coverable(prepared: PreparedScene, config: Config) -> BoolArray:
 @lru_cache(MAX_CACHED_SCENES)
 def _find_coverable(prepared: PreparedScene, config: Config) -> BoolArray:
     truth = _initial_truth(prepared.scene, prepared.caster)
-    return coverable_surface(prepared.surface.points, prepared.surface.normals, truth, config)
+    return find_coverable_surface(prepared.surface.points, prepared.surface.normals, truth, config)
 
 
 def _initial_truth(scene: Scene, caster: RayCaster) -> Truth:

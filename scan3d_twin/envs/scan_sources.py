@@ -12,8 +12,8 @@ import numpy as np
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import find_path
 from scan3d_twin.core.model.evaluation import Truth
-from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extended
-from scan3d_twin.core.navigation.motion_control import follow
+from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extend_costmap
+from scan3d_twin.core.navigation.motion_control import follow_path
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, LidarSpec, Observation, Pose2, ScanLine
@@ -50,7 +50,7 @@ class EpisodeScanSource(ABC):
         """Time since the robot was opened [s]."""
 
     @abstractmethod
-    def _look(self) -> Observation:
+    def _take_panorama(self) -> Observation:
         """Take a panorama."""
 
     @abstractmethod
@@ -61,9 +61,9 @@ class EpisodeScanSource(ABC):
     def close(self) -> None:
         """Stop the robot."""
 
-    def look(self, session: Session | None = None) -> Observation:
+    def take_panorama(self, session: Session | None = None) -> Observation:
         """See ``ScanSource``."""
-        return self._update_costmap(self._look())
+        return self._update_costmap(self._take_panorama())
 
     def observe(self, viewpoint: Pose2, session: Session) -> Observation:
         """See ``ScanSource``."""
@@ -86,7 +86,7 @@ class EpisodeScanSource(ABC):
         if self._costmap is None:
             self._costmap = build_costmap((seen,), self.config, place)
         else:
-            self._costmap = extended(self._costmap, seen, self.config, place)
+            self._costmap = extend_costmap(self._costmap, seen, self.config, place)
         return seen
 
 
@@ -122,11 +122,11 @@ class PhysicsScanSource(EpisodeScanSource):
         """See ``EpisodeScanSource``."""
         self._open.close()
 
-    def _look(self) -> Observation:
+    def _take_panorama(self) -> Observation:
         return take_panorama(self._robot, self.config, _ignore_line)
 
     def _go(self, path: FloatArray, yaw: float) -> Observation:
-        follow(self._robot, path, self.config.motion)
+        follow_path(self._robot, path, self.config.motion)
         return sweep(self._robot, yaw, self.config, _ignore_line)
 
 
@@ -162,8 +162,8 @@ class KinematicScanSource(EpisodeScanSource):
     def close(self) -> None:
         """See ``EpisodeScanSource``: the robot stands still anyway."""
 
-    def _look(self) -> Observation:
-        return self._robot.look()
+    def _take_panorama(self) -> Observation:
+        return self._robot.take_panorama()
 
     def _go(self, path: FloatArray, yaw: float) -> Observation:
         return self._robot.observe(path, yaw)

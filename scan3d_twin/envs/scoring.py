@@ -8,8 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.model.evaluation import COVERAGE_DISTANCE, Truth, displacement, true_pose
-from scan3d_twin.core.model.fused_cloud import supported, voxel_thin
+from scan3d_twin.core.model.evaluation import (
+    COVERAGE_DISTANCE,
+    Truth,
+    find_true_pose,
+    measure_displacement,
+)
+from scan3d_twin.core.model.fused_cloud import find_supported, thin_by_voxel
 from scan3d_twin.core.registration.clouds import is_near
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
@@ -43,7 +48,7 @@ class Score:
     def update(self, session: Session) -> None:
         """Update coverage and errors with the latest view of ``session``."""
         views = session.views
-        self._true += [true_pose(view, self._truth) for view in views[len(self._true) :]]
+        self._true += [find_true_pose(view, self._truth) for view in views[len(self._true) :]]
         if len(views) > 1:
             self.errors.append(self._error(session, len(views) - 1))
         known = [view.T_world_scan for view in views[: len(self._placed)]]
@@ -58,12 +63,15 @@ class Score:
     def f_score(self, session: Session, distance: float = 0.020) -> float:
         """Return the F-score of the model at ``distance`` [m]; 0 for an empty one."""
         model = np.concatenate(
-            [view.T_world_scan.apply(view.target.points[supported(view)]) for view in session.views]
+            [
+                view.T_world_scan.apply(view.target.points[find_supported(view)])
+                for view in session.views
+            ]
         )
         if len(model) == 0:
             return 0.0
         T_map_world = self._true[0] @ session.views[0].T_world_scan.inverse()
-        thin = voxel_thin(T_map_world.apply(model), distance / 2)
+        thin = thin_by_voxel(T_map_world.apply(model), distance / 2)
         precision = float(np.mean(self._prepared.surface.within(thin, distance)))
         recall = self._recall(thin, distance)
         return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
@@ -88,4 +96,4 @@ class Score:
         points = points[:: max(1, len(points) // MAX_POINTS)]
         true = self._true[k - 1].inverse() @ self._true[k]
         placed = previous.T_world_scan.inverse() @ view.T_world_scan
-        return displacement(points, placed, true)
+        return measure_displacement(points, placed, true)

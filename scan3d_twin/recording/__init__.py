@@ -1,1 +1,1 @@
-"""What a run leaves on disk."""
+"""Recorded runs: the session file, its formats and exports, replay and resume."""

@@ -7,19 +7,19 @@ import numpy.typing as npt
 
 from scan3d_twin.core.types import IntArray
 
-COLOURS = (
+VIEW_COLOURS = (
     "#2f7ed8", "#e8710a", "#1f9d55", "#d6336c", "#8250df",
     "#b08800", "#0c8599", "#c2410c", "#5f7d1f", "#a61e9b",
 )  # fmt: skip
-"""By view, in turn; mid lightness, so that each reads on white and on black."""
+"""Colours of views 0 to 9, then repeated; of medium lightness, legible on white and on black."""
 
 
-def colour(view: int) -> str:
+def view_colour(view: int) -> str:
     """Return the colour of ``view`` as #rrggbb."""
-    return COLOURS[view % len(COLOURS)]
+    return VIEW_COLOURS[view % len(VIEW_COLOURS)]
 
 
-def rgb(views: IntArray) -> npt.NDArray[np.uint8]:
+def view_colours_rgb(views: IntArray) -> npt.NDArray[np.uint8]:
     """Return the colours (n, 3) of ``views`` (n,), 0..255."""
-    table = [[int(name[i : i + 2], 16) for i in (1, 3, 5)] for name in COLOURS]
-    return np.array(table, dtype=np.uint8)[views % len(COLOURS)]
+    table = [[int(name[i : i + 2], 16) for i in (1, 3, 5)] for name in VIEW_COLOURS]
+    return np.array(table, dtype=np.uint8)[views % len(VIEW_COLOURS)]

@@ -1,4 +1,4 @@
-"""Changes to a recorded session; what it was before is kept beside it and can be taken back."""
+"""Changes to a recorded session; a backup beside it lets ``undo_last_change`` restore it."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.mapping.loop_closure import Alignment, align, apply_alignment
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.load import Recorded, load_session, session_path
+from scan3d_twin.recording.load import RecordedRun, find_session_file, load_session
 from scan3d_twin.recording.mcap import ros_records
 from scan3d_twin.recording.mcap.reader import is_finished, is_sound, is_written
-from scan3d_twin.recording.mcap.reopen import keep_beside, latest_backup, reopen
+from scan3d_twin.recording.mcap.reopen import back_up, find_latest_backup, reopen
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
 from scan3d_twin.recording.recorder import finish_file
 from scan3d_twin.recording.session_log import SessionLog
 
 
-def recover(folder: Path, wall: Callable[[], float]) -> Path | None:
-    """Make a whole session file of one that was cut off or damaged; it is kept beside the new one.
+def recover_session(folder: Path, wall: Callable[[], float]) -> Path | None:
+    """Write a complete session file from one that was cut off or damaged, and keep the old one.
 
     Args:
-        folder: Of the run.
-        wall: Returns the time here [s]; only differences count.
+        folder: Folder of the run.
+        wall: Returns the computer's time [s]; only differences count.
 
     Returns:
-        Where the old file is now; None if it is whole, and nothing was to be done.
+        The path of the backup; None if the file was complete already.
 
     Raises:
         FileError: There is no session, or a run is writing to it.
     """
-    path = session_path(folder)
+    path = find_session_file(folder)
     if is_finished(path) and is_sound(path):
         return None
     reopened = reopen(path, wall, whole=True)
@@ -42,22 +42,27 @@ def recover(folder: Path, wall: Callable[[], float]) -> Path | None:
     return reopened.backup
 
 
-def without_view(session: Session, index: int) -> Session:
-    """Return ``session`` without the view ``index``, the others placed again.
+def remove_view(session: Session, index: int) -> Session:
+    """Return ``session`` without the view ``index``, the other views placed again.
 
-    All at once if the run aligned its views so, else one on the other, as they were taken.
+    They are aligned all at once if the run did so, else registered one after the other.
 
     Raises:
-        ConfigError: There is no such view, or no other.
+        ConfigError: There is no such view, or it is the only one.
     """
+    # Check that it can go
     if not 0 <= index < len(session.views):
         raise ConfigError(
             f"there is no view {index}: the run has {len(session.views)}, counted from 0"
         )
     if len(session.views) == 1:
         raise ConfigError("the only view cannot be dropped")
+
+    # Align the others all at once
     if session.config.alignment.mode != "off":
         return align(session, leave_out=[index])
+
+    # Or register one after another
     views = tuple(k for k in range(len(session.views)) if k != index)
     poses = tuple(session.views[k].T_world_scan for k in views)
     rest = apply_alignment(session, Alignment(views, poses, np.zeros((len(views), 3)), (), ()))
@@ -67,40 +72,43 @@ def without_view(session: Session, index: int) -> Session:
     return again
 
 
-def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> Recorded:
-    """Drop the view ``index`` from the session in ``folder`` and return the session as it is then.
+def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> RecordedRun:
+    """Drop the view ``index`` from the session in ``folder`` and return the new session.
 
     Args:
-        folder: Of the run.
-        index: Of the view, counted from 0.
-        wall: Returns the time here [s]; only differences count.
+        folder: Folder of the run.
+        index: Index of the view, counted from 0.
+        wall: Returns the computer's time [s]; only differences count.
 
     Raises:
-        ConfigError: As for ``without_view``.
-        FileError: There is no session, a run is writing to it, or there is no room.
+        ConfigError: As for ``remove_view``.
+        FileError: There is no session, a run is writing to it, or the disk is full.
     """
+    # Remove the view from the session
     recorded = load_session(folder)
-    session, mark = without_view(recorded.session, index), recorded.mark
+    session, mark = remove_view(recorded.session, index), recorded.mark
+
+    # Append the changes to the file
     reopened = reopen(recorded.path, wall, whole=True)
     log = SessionLog(recorded.session)
     for state in (replace(session, stop_reason=""), session):
         for kind, number, packed in log.changes(state, mark):
-            record = ros_records.record(mark.stamp, kind, number, packed)
+            record = ros_records.encode_record(mark.stamp, kind, number, packed)
             reopened.file.write(RECORDS, mark.stamp, record)
     finish_file(reopened.file, recorded.path.with_name(SESSION_FILE))
     return load_session(folder)
 
 
-def undo(folder: Path) -> Recorded:
-    """Take the last change of the session in ``folder`` back; doing it twice does it again.
+def undo_last_change(folder: Path) -> RecordedRun:
+    """Undo the last change of the session in ``folder``; a second call redoes it.
 
     Raises:
-        FileError: There is nothing to take back, or a run is writing to the session.
+        FileError: There is no change to undo, or a run is writing to the session.
     """
-    path, backup = session_path(folder), latest_backup(folder)
+    path, backup = find_session_file(folder), find_latest_backup(folder)
     if is_written(path):
-        raise FileError(f"{path} is being written by a run that goes on: stop that first")
-    keep_beside(path)
+        raise FileError(f"a running program is writing to {path}; stop it first")
+    back_up(path)
     name = SESSION_FILE + backup.name.split(".mcap", 1)[1]
     try:
         if path.name != name:

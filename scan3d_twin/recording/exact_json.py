@@ -1,7 +1,7 @@
-"""Frozen dataclasses as JSON and bytes that give back the same bits.
+"""Frozen dataclasses as JSON and bytes, restored bit by bit.
 
-Read from the fields and their type hints, so that a field added to a dataclass is kept without
-another word: what an older file lacks gets the field's default, what it has too much is left out.
+Fields and their type hints define the format, so that a new field needs no code here: a field that
+an older file lacks gets its default, one that no longer exists is ignored.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.options import former_names
 
 Packed = tuple[str, bytes]
-"""A JSON text, and the arrays it points into."""
+"""A JSON text, and the bytes of the arrays it refers to."""
 Array = np.ndarray[Any, Any]
 
 
@@ -32,15 +32,20 @@ class _Packer:
         self._alive: list[Array] = []
 
     def tree(self, value: Any) -> Any:
-        """Return ``value`` as what JSON knows."""
+        """Return ``value`` as a tree of JSON types."""
+        # Arrays and NumPy scalars
         if isinstance(value, np.ndarray):
             return self._array(value)
         if isinstance(value, np.generic):
             return self.tree(value.item())
+
+        # Containers
         if is_dataclass(value):
             return {f.name: self.tree(getattr(value, f.name)) for f in stored_fields(type(value))}
         if isinstance(value, tuple | list):
             return [self.tree(each) for each in value]
+
+        # Plain values
         if isinstance(value, float) and not math.isfinite(value):
             return repr(value)
         if value is None or isinstance(value, bool | int | float | str):
@@ -48,7 +53,7 @@ class _Packer:
         raise TypeError(f"cannot record a {type(value).__name__}")
 
     def _array(self, array: Array) -> list[Any]:
-        """Return where ``array`` lies: its type, shape, type on disk and offset."""
+        """Store ``array`` and return its type, shape, type on disk and offset."""
         if id(array) not in self._places:
             stored = _narrowed(array)
             self._places[id(array)] = [
@@ -61,19 +66,19 @@ class _Packer:
 
 
 def stored_fields(cls: type) -> tuple[Field[Any], ...]:
-    """Return the fields of the dataclass ``cls`` that make its value."""
+    """Return the fields of the dataclass ``cls`` that its constructor takes."""
     return tuple(f for f in fields(cls) if f.init)
 
 
 def pack(value: Any) -> Packed:
-    """Return ``value``: a dataclass, tuple, array or scalar, as deep as it goes."""
+    """Return ``value``, a nest of dataclasses, tuples, arrays and scalars, as JSON and bytes."""
     packer = _Packer()
     tree = packer.tree(value)
     return json.dumps(tree, separators=(",", ":"), allow_nan=False), bytes(packer.blob)
 
 
 def pack_fields(value: Any, unlike: Any = None) -> Packed:
-    """Return the fields of the dataclass ``value`` that are not the very objects of ``unlike``."""
+    """Return the fields of the dataclass ``value`` that are not the same objects in ``unlike``."""
     packer = _Packer()
     changed = {
         f.name: packer.tree(getattr(value, f.name))
@@ -84,15 +89,15 @@ def pack_fields(value: Any, unlike: Any = None) -> Packed:
 
 
 def unpack(hint: Any, packed: Packed) -> Any:
-    """Return the value of type ``hint`` that was packed; its arrays refuse writes.
+    """Return the value of type ``hint`` that was packed, with read-only arrays.
 
     Raises:
-        FileError: It is no such value.
+        FileError: The content is not of this type.
     """
     text, blob = packed
     try:
         return _Unpacker(blob).value(hint, json.loads(text))
-    except _WRONG as error:
+    except _DECODE_ERRORS as error:
         name = getattr(hint, "__name__", hint)
         raise FileError(f"no valid {name} in the file: {error}") from None
 
@@ -101,17 +106,17 @@ def unpack_fields(cls: type, packed: Packed) -> dict[str, Any]:
     """Return the fields of ``cls`` that were packed, by name.
 
     Raises:
-        FileError: They are not.
+        FileError: The content is not of this type.
     """
     text, blob = packed
     try:
         return _Unpacker(blob).fields(cls, json.loads(text))
-    except _WRONG as error:
+    except _DECODE_ERRORS as error:
         raise FileError(f"no valid {cls.__name__} in the file: {error}") from None
 
 
-_WRONG = (ValueError, TypeError, KeyError, IndexError, AttributeError)
-"""What values of another shape than the hint's run into."""
+_DECODE_ERRORS = (ValueError, TypeError, KeyError, IndexError, AttributeError)
+"""Errors raised where the content does not match the type hint."""
 
 
 def is_array(hint: Any) -> bool:
@@ -124,14 +129,15 @@ def is_array(hint: Any) -> bool:
 
 
 class _Unpacker:
-    """Gives values back; an array that was stored once is one array again."""
+    """Restores values; an array that was stored once is restored as one shared array."""
 
     def __init__(self, blob: bytes) -> None:
         self._blob = blob
         self._arrays: dict[str, Array] = {}
 
     def value(self, hint: Any, tree: Any) -> Any:
-        """Return what ``tree`` stands for as a ``hint``."""
+        """Return the value of type ``hint`` that ``tree`` encodes."""
+        # Arrays, optional values and tuples
         origin = get_origin(hint)
         if is_array(hint):
             return self._array(tree)
@@ -140,6 +146,8 @@ class _Unpacker:
             return None if tree is None else self.value(inner, tree)
         if origin is tuple:
             return self._tuple(get_args(hint), tree)
+
+        # Dataclasses and plain values
         if is_dataclass(hint):
             assert isinstance(hint, type)
             return hint(**self.fields(hint, tree))
@@ -173,12 +181,12 @@ class _Unpacker:
 
 
 def _narrowed(array: Array) -> Array:
-    """Return whole numbers in the smallest type that holds them; everything else as it is."""
+    """Return integers in the smallest type that holds them; other arrays unchanged."""
     if array.dtype.kind not in "iu" or array.size == 0:
         return array
     low, high = int(array.min()), int(array.max())
     narrow = np.promote_types(np.min_scalar_type(low), np.min_scalar_type(high))
-    # Of a signed type and the largest unsigned one NumPy makes floating point, which rounds.
+    # NumPy promotes a signed type and the largest unsigned one to floating point, which rounds.
     return array.astype(narrow) if narrow.kind in "iu" else array
 
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from scan3d_twin.core.types import Observation, RangeImage
 
-FAST, NONE = 1, 0
-"""Levels of compression."""
+COMPRESSION_LEVEL, NO_COMPRESSION = 1, 0
+"""Levels of zlib; 1 takes half the time of NumPy's own level for 4 % more bytes."""
 
 
 def image_bytes(observation: Observation) -> bytes:
@@ -26,11 +26,8 @@ def image_bytes(observation: Observation) -> bytes:
     return npz_bytes(**image_arrays(image), points=image.points)
 
 
-def npz_bytes(level: int = FAST, /, **arrays: npt.NDArray[Any]) -> bytes:
-    """Return ``arrays`` as an .npz compressed at ``level``; equal arrays give equal bytes.
-
-    Compressed fast: half the time of NumPy's own level for 4 % more bytes.
-    """
+def npz_bytes(level: int = COMPRESSION_LEVEL, /, **arrays: npt.NDArray[Any]) -> bytes:
+    """Return ``arrays`` as an .npz compressed at ``level``; equal arrays give equal bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=level) as archive:
         for name, array in arrays.items():
@@ -40,7 +37,7 @@ def npz_bytes(level: int = FAST, /, **arrays: npt.NDArray[Any]) -> bytes:
 
 
 def image_arrays(image: RangeImage) -> dict[str, npt.NDArray[Any]]:
-    """Return what a file keeps of a range image, by the names of its fields."""
+    """Return the arrays of a range image that a file stores, by the names of its fields."""
     return {
         "stamps": image.stamps,
         "yaws": image.yaws,

@@ -1,4 +1,4 @@
-"""Session files back as sessions, finished or not."""
+"""Reads session files, finished or not, back into sessions."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, ScanLine
 from scan3d_twin.recording.mcap import ros_messages as ros
-from scan3d_twin.recording.mcap.reader import Delivered, contents, is_finished, is_written
-from scan3d_twin.recording.mcap.reopen import up_to_last_mark
+from scan3d_twin.recording.mcap.reader import RawMessage, is_finished, is_written, read_contents
+from scan3d_twin.recording.mcap.reopen import read_to_last_mark
 from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
 from scan3d_twin.recording.session_log import Mark, SessionState
-from scan3d_twin.run.settings import Settings, settings
+from scan3d_twin.run.settings import Settings, build_settings
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """What a session file holds.
+class RecordedRun:
+    """The content of a session file.
 
     Attributes:
         path: The file.
-        finished: Whether the run ended by itself; else it was killed, or goes on.
-        running: Whether a run is writing to the file right now.
-        name: Of what was scanned.
-        settings: The effective ones.
-        session: As it was when the last view or plan was done; ``stop_reason`` is empty for a
-            killed run.
-        before_end: As it was before it ended, when no view had been left out or moved at last.
-        mark: Where the robot was in its run by then.
-        provenance: What made the file: versions, command, date.
+        finished: Whether the run ended by itself; otherwise it was killed, or still runs.
+        running: Whether a run is writing to the file now.
+        name: Name of the scene.
+        settings: The effective settings.
+        session: State after the last finished view or plan; ``stop_reason`` is empty for a killed
+            run.
+        before_end: State before the final alignment, which may drop and move views.
+        mark: Time, path and pose of the robot in that state.
+        provenance: Versions, command and date of the program that wrote the file.
     """
 
     path: Path
@@ -50,13 +50,13 @@ class Recorded:
     provenance: Mapping[str, str]
 
 
-def session_path(place: Path) -> Path:
-    """Return the session file of the run in the folder ``place``; a file is itself.
+def find_session_file(place: Path) -> Path:
+    """Return the session file of the run in the folder ``place``, or ``place`` if it is a file.
 
-    A run in progress comes before a finished one it goes on from.
+    An unfinished file takes precedence over the finished one that it continues.
 
     Raises:
-        FileError: There is none.
+        FileError: There is no session file.
     """
     if place.is_file():
         return place
@@ -66,32 +66,35 @@ def session_path(place: Path) -> Path:
     raise FileError(f"no session in {place}: a run's folder holds a {SESSION_FILE}")
 
 
-def load_session(place: Path) -> Recorded:
+def load_session(place: Path) -> RecordedRun:
     """Return the session recorded in the folder ``place``, or in the file ``place`` itself.
 
-    An unfinished file is read as far as it goes and stays as it is.
+    An unfinished file is read up to its last complete record, and not changed.
 
     Raises:
-        FileError: There is none, no view was finished in it, or it is damaged.
+        FileError: There is no session file, no view was finished in it, or it is damaged.
     """
-    path = session_path(place)
+    # Replay the session log
+    path = find_session_file(place)
     texts, state = {}, SessionState()
-    for each in contents(path, RECORDS):
+    for each in read_contents(path, RECORDS):
         if isinstance(each, Metadata):
             texts[each.name] = each.metadata
         else:
             message = _decoded(each)
             packed = message.json, message.data.tobytes()
-            state.take((message.kind, message.index, packed))
+            state.apply((message.kind, message.index, packed))
     if state.session is None or state.mark is None or "settings" not in texts:
-        raise FileError(f"no view was finished in {path}: there is nothing to go on from")
+        raise FileError(f"{path} holds no finished view: there is nothing to load or resume")
+
+    # Return it with its settings
     described = texts["settings"]
-    return Recorded(
+    return RecordedRun(
         path=path,
         finished=is_finished(path),
         running=is_written(path),
         name=described["name"],
-        settings=settings([tomllib.loads(described["toml"])]),
+        settings=build_settings([tomllib.loads(described["toml"])]),
         session=state.session,
         before_end=state.open_session or state.session,
         mark=state.mark,
@@ -99,26 +102,26 @@ def load_session(place: Path) -> Recorded:
     )
 
 
-def commands(path: Path) -> Iterator[tuple[float, float, float]]:
-    """Yield stamp [s], speed [m/s] and turn rate [rad/s] of what was sent to the base.
+def read_commands(path: Path) -> Iterator[tuple[float, float, float]]:
+    """Yield stamp [s], speed [m/s] and turn rate [rad/s] of the commands sent to the base.
 
-    In the order in which it was sent, up to the last mark.
+    In the order of sending, up to the last mark.
     """
-    for each in up_to_last_mark(path, COMMANDS):
-        if isinstance(each, Delivered) and each.topic == COMMANDS:
+    for each in read_to_last_mark(path, COMMANDS):
+        if isinstance(each, RawMessage) and each.topic == COMMANDS:
             twist = _decoded(each).twist
             yield each.nanoseconds / 1e9, float(twist.linear.x), float(twist.angular.z)
 
 
-def last_odometry(path: Path) -> tuple[float, Pose2]:
-    """Return the stamp [s] and place ``T_odom_base`` of the last sample, also after the last mark.
+def read_last_odometry(path: Path) -> tuple[float, Pose2]:
+    """Return stamp [s] and pose ``T_odom_base`` of the last sample, also after the last mark.
 
     Raises:
-        FileError: There is none.
+        FileError: The file holds no odometry.
     """
     last = None
-    for each in contents(path, ODOMETRY):
-        if isinstance(each, Delivered):
+    for each in read_contents(path, ODOMETRY):
+        if isinstance(each, RawMessage):
             last = each
     if last is None:
         raise FileError(f"{path} holds no odometry")
@@ -127,17 +130,18 @@ def last_odometry(path: Path) -> tuple[float, Pose2]:
     return last.nanoseconds / 1e9, Pose2(pose.position.x, pose.position.y, yaw)
 
 
-def lines(path: Path) -> Iterator[ScanLine]:
-    """Yield all scan lines, also those of looks around and unfinished sweeps.
+def read_lines(path: Path) -> Iterator[ScanLine]:
+    """Yield all scan lines, also those of panoramas and unfinished sweeps.
 
-    As ROS has them: to the nanosecond, distances to 7 digits. Sweeps in views are exact.
+    With the precision of the ROS messages: nanoseconds, distances to 7 digits. The sweeps of
+    views are stored exactly elsewhere in the file.
     """
-    for each in contents(path, SCANS):
-        if isinstance(each, Delivered):
+    for each in read_contents(path, SCANS):
+        if isinstance(each, RawMessage):
             scan = _decoded(each)
             stamp = scan.header.stamp.sec + scan.header.stamp.nanosec / 1e9
             yield ScanLine(stamp, scan.ranges.astype("float64"), scan.intensities.astype("int64"))
 
 
-def _decoded(each: Delivered) -> Any:
+def _decoded(each: RawMessage) -> Any:
     return ros.typestore().deserialize_cdr(each.data, each.name)

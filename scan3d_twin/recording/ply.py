@@ -10,11 +10,14 @@ _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("view", "<i4")])
 
 
 def ply_bytes(points: FloatArray, view: IntArray) -> bytes:
-    """Return ``points`` (n, 3) [m] with the index of the ``view`` (n,) each came from as PLY."""
+    """Return ``points`` (n, 3) [m], each with the index of its ``view`` (n,), as a PLY file."""
+    # Fill the vertices
     vertices = np.empty(len(points), dtype=_VERTEX)
     for axis, name in enumerate("xyz"):
         vertices[name] = points[:, axis]
     vertices["view"] = view
+
+    # Write the header
     header = [
         "ply",
         "format binary_little_endian 1.0",

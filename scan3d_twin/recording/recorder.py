@@ -1,4 +1,4 @@
-"""The observer that writes the session file as the run goes."""
+"""The observer that writes the session file during the run."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Literal
 
 from scan3d_twin.core.errors import FileError, TwinError
 from scan3d_twin.core.hal import BaseSpec, DriveBase, Robot
-from scan3d_twin.core.navigation.motion_control import travelled
-from scan3d_twin.core.observer import Command, attended
+from scan3d_twin.core.navigation.motion_control import measure_travel
+from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
-from scan3d_twin.recording.load import Recorded
+from scan3d_twin.recording.load import RecordedRun
 from scan3d_twin.recording.mcap import cdr, ros_records
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
@@ -28,28 +28,28 @@ FRAMES_PERIOD = 0.1
 
 
 class SerialTaps:
-    """Passes the bytes on the robot's serial lines on to whoever listens, if anybody."""
+    """Passes the bytes on the robot's serial lines to a ``listener``, if there is one."""
 
     def __init__(self) -> None:
         self.listener: Callable[[str, float, Literal["<", ">"], bytes], None] | None = None
 
     def base(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
-        """Tell of bytes from or to the base; a ``Tap``."""
+        """Pass on bytes from or to the base; a ``Tap``."""
         if self.listener:
             self.listener("/serial/base", stamp, direction, data)
 
     def lidar(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
-        """Tell of bytes from or to the lidar; a ``Tap``."""
+        """Pass on bytes from or to the lidar; a ``Tap``."""
         if self.listener:
             self.listener("/serial/lidar", stamp, direction, data)
 
 
 class _TappedBase:
-    """A ``DriveBase`` that tells which velocities it is given."""
+    """A ``DriveBase`` that reports its velocity commands."""
 
-    def __init__(self, base: DriveBase, told: Callable[[float, float], None]) -> None:
+    def __init__(self, base: DriveBase, on_command: Callable[[float, float], None]) -> None:
         self._base = base
-        self._told = told
+        self._on_command = on_command
 
     @property
     def spec(self) -> BaseSpec:
@@ -59,7 +59,7 @@ class _TappedBase:
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
         """See ``DriveBase.set_velocity``; the base comes first, the record second."""
         sent = self._base.set_velocity(linear, angular)
-        self._told(linear, angular)
+        self._on_command(linear, angular)
         return sent
 
     def odometry(self) -> Odometry:
@@ -76,10 +76,10 @@ class _TappedBase:
 
 
 class Recorder:
-    """Writes everything a run measures, decides and says to ``session.mcap.part``.
+    """Writes all measurements, decisions and events of a run to ``session.mcap.part``.
 
-    What a killed run loses is what came in within the last half second, of the robot's clock or of
-    ours, whichever is shorter. ``finish`` gives the file its name.
+    A killed run loses at most the last half second, on the robot's clock or on the computer's,
+    whichever is shorter. ``finish`` gives the file its final name.
     """
 
     def __init__(
@@ -87,18 +87,18 @@ class Recorder:
         folder: Path,
         wall: Callable[[], float],
         provenance: Mapping[str, str],
-        earlier: Recorded | None = None,
+        earlier: RecordedRun | None = None,
     ) -> None:
         """Begin the session file of the run in ``folder``.
 
         Args:
             folder: Holds no session file, or that of ``earlier``.
-            wall: Returns the time here [s]; only differences count.
-            provenance: What made the file: versions, command, date.
-            earlier: The run that goes on.
+            wall: Returns the computer's time [s]; only differences count.
+            provenance: Versions, command and date of the program.
+            earlier: The run to continue; None for a new one.
 
         Raises:
-            FileError: It cannot be written.
+            FileError: The file cannot be written.
         """
         self.path = folder / SESSION_FILE
         self.mark = Mark() if earlier is None else earlier.mark
@@ -114,51 +114,54 @@ class Recorder:
         self._file.metadata("provenance", provenance)
 
     def describe(self, name: str, settings: Settings) -> None:
-        """Write what is scanned, by its ``name``, and with which ``settings``."""
+        """Write the ``name`` of the scene and the effective ``settings``."""
         self._file.metadata("settings", {"name": name, "toml": settings_toml(settings)})
 
     def attach(self, robot: Robot) -> Robot:
-        """Return ``robot`` as it is to be used, so that its way and commands are recorded."""
+        """Return ``robot`` wrapped so that its odometry and commands are recorded."""
+        # Record mount and first odometry
         self._robot = robot
         if self._reopened:
             self._last = robot.base.odometry()
         self._file.write(
-            "/tf_static", robot.clock.now(), ros.mount(robot.T_base_lidar), latched=True
+            "/tf_static", robot.clock.now(), ros.encode_mount(robot.T_base_lidar), latched=True
         )
         self._follow()
+
+        # Wrap base and clock
         recorded = replace(robot, base=_TappedBase(robot.base, self._on_command))
-        return attended(recorded, self._follow)
+        return with_clock_callbacks(recorded, self._follow)
 
     def on_bytes(self, topic: str, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
         """Record bytes on a serial line; the ``listener`` of ``SerialTaps``.
 
-        Never raises, for they may be the command to stop: the next line or move will.
+        Never raises, because the bytes may be the stop command: the next line or move raises.
         """
         if self._file.sink.closed or self._failure is not None:
             return
         try:
-            self._file.write(topic, stamp, cdr.serial_bytes(stamp, direction, data))
+            self._file.write(topic, stamp, cdr.encode_serial_bytes(stamp, direction, data))
         except FileError as error:
             self._failure = error
 
     def on_event(self, text: str) -> None:
         """See ``Observer``."""
-        self._file.write("/rosout", self._now(), ros_records.log(self._now(), text))
+        self._file.write("/rosout", self._now(), ros_records.encode_log(self._now(), text))
 
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``; told when the line was complete, for several may come at once."""
         self._follow()
         spec = self._attached().lidar.spec
-        self._file.write(SCANS, line.stamp + spec.line_period, cdr.scan(line, spec))
+        self._file.write(SCANS, line.stamp + spec.line_period, cdr.encode_scan(line, spec))
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
         index, view, now = len(session.views) - 1, session.views[-1], self._now()
         self._T_world_odom = _odom_in_world(session)
         self._follow()
-        self._file.write("/cloud", now, ros.cloud(now, index, view))
+        self._file.write("/cloud", now, ros.encode_cloud(now, index, view))
         if view.registration is not None:
-            placed = ros_records.registration(now, index, view.registration)
+            placed = ros_records.encode_registration(now, index, view.registration)
             self._file.write("/registration", now, placed)
         self._keep(session)
 
@@ -166,40 +169,40 @@ class Recorder:
         """See ``Observer``."""
         index, plan, now = len(session.plans) - 1, session.plans[-1], self._now()
         self._follow()
-        self._file.write("/plan", now, ros_records.plan(now, index, plan))
+        self._file.write("/plan", now, ros_records.encode_plan(now, index, plan))
         if plan.viewpoint is not None:
-            self._file.write("/viewpoint", now, ros.viewpoint(now, plan.viewpoint))
+            self._file.write("/viewpoint", now, ros.encode_viewpoint(now, plan.viewpoint))
         self._keep(session)
 
     def command(self) -> Command:
-        """See ``Observer``: nobody stops a run here."""
+        """See ``Observer``: the recorder never stops a run."""
         return "go"
 
     def finish(self, session: Session) -> None:
-        """Write how the run ended and give the file its name.
+        """Write the final session and give the file its name.
 
         Raises:
-            FileError: The disk is full or gone; what was recorded before is kept.
+            FileError: The disk is full or gone; earlier data is kept.
         """
         self._follow()
         self._keep(session)
         finish_file(self._file, self.path)
 
     def abandon(self, *, keep: bool = False) -> None:
-        """Close the file; leave it behind if a view is in it, or to ``keep`` what it tells else.
+        """Close the file; keep it if it holds a view or ``keep`` is set, else delete it.
 
-        A run that could not go on leaves the file it wanted to go on from.
+        A resumed run without a new view restores the file that it continued.
         """
         self.close()
         if self._kept:
             return
         if self._reopened is not None:
-            self._reopened.take_back()
+            self._reopened.restore_old()
         elif not keep:
             self._file.sink.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Leave the file as it is: unfinished, to be recovered; closing twice does nothing."""
+        """Close the file unfinished, to be recovered later; closing twice does nothing."""
         if self._file.sink.closed:
             return
         with suppress(TwinError):
@@ -207,38 +210,43 @@ class Recorder:
         self._file.sink.close()
 
     def _keep(self, session: Session) -> None:
-        """Write what is new in ``session``, and see to it that the disk has it."""
+        """Write the changes in ``session`` and a mark, and sync them to the disk."""
         now = self._now()
         here = self._attached().base.odometry().T_odom_base
         self.mark = replace(self.mark, stamp=now, T_odom_base=here)
         for kind, index, packed in self._log.changes(session, self.mark):
-            self._file.write(RECORDS, now, ros_records.record(now, kind, index, packed))
+            self._file.write(RECORDS, now, ros_records.encode_record(now, kind, index, packed))
         self._file.flush(now)
         self._file.sink.sync()
         self._kept = True
 
     def _follow(self) -> None:
-        """Write the way since the last call."""
+        """Write the odometry since the last call."""
+        # Report an earlier failure
         if self._failure is not None:
             raise self._failure
+
+        # Add up path and turns
         robot = self._attached()
         since = 0.0 if self._last is None else self._last.stamp
         samples = robot.base.odometry_since(since)
         if self._last is not None:
-            path, turn = travelled(samples)
+            path, turn = measure_travel(samples)
             self.mark = replace(self.mark, path=self.mark.path + path, turn=self.mark.turn + turn)
+
+        # Write the new samples
         fresh = [s for s in samples if self._last is None or s.stamp > self._last.stamp]
         for sample in fresh:
-            self._file.write(ODOMETRY, sample.stamp, cdr.odometry(sample, self._last))
+            self._file.write(ODOMETRY, sample.stamp, cdr.encode_odometry(sample, self._last))
             if sample is fresh[-1] or sample.stamp >= self._framed + FRAMES_PERIOD:
-                frames = cdr.frames(sample.stamp, self._T_world_odom, sample.T_odom_base)
+                frames = cdr.encode_frames(sample.stamp, self._T_world_odom, sample.T_odom_base)
                 self._file.write("/tf", sample.stamp, frames)
                 self._framed = sample.stamp
             self._last = sample
 
     def _on_command(self, linear: float, angular: float) -> None:
         now = self._now()
-        self._file.write(COMMANDS, now, cdr.command(now, linear, angular))
+        self._file.write(COMMANDS, now, cdr.encode_command(now, linear, angular))
 
     def _now(self) -> float:
         return 0.0 if self._robot is None else self._robot.clock.now()
@@ -250,7 +258,7 @@ class Recorder:
 
 
 def finish_file(file: McapFile, path: Path) -> None:
-    """Make ``file`` whole and name it ``path``, in place of what was there.
+    """Complete ``file`` and rename it to ``path``, replacing a file of that name.
 
     Raises:
         FileError: The disk is full or gone.

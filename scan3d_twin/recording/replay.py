@@ -1,4 +1,4 @@
-"""The pure half of a run once more, on what was recorded: registration and planning."""
+"""Replays registration and planning, the pure half of a run, on recorded sweeps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import ask, config_for, integrate
+from scan3d_twin.core.digitize import ask_planner, integrate, tune_config
 from scan3d_twin.core.mapping.loop_closure import align_final
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session, View
@@ -22,56 +22,58 @@ STOPPED = "stopped by the user"
 def replay(
     session: Session, config: Config, planner: Planner, step: Callable[[int], None]
 ) -> Session:
-    """Return what the images of ``session`` give with ``config`` and ``planner``.
+    """Return the session that the sweeps of ``session`` give with ``config`` and ``planner``.
 
-    The robot went where the recorded plans sent it, and so it does here; the target is the one the
-    first look around found then.
+    Viewpoints and target stay as recorded: new plans are made, but not carried out.
 
     Args:
-        session: A run that has not ended; its looks around serve the plans that ask for one.
-        config: The options now.
-        planner: Decides after each view; nobody goes there.
-        step: Is told the index of each view that is done.
+        session: A run before its end; its panoramas serve the plans that need one.
+        config: The options of the replay.
+        planner: Plans after each view.
+        step: Called with the index of each finished view.
     """
     first = tuple(look for look in session.panoramas if look[0] == 0)
-    config = config_for(session, config)
+    config = tune_config(session, config)
     again = replace(session, config=config, panoramas=first, views=(), plans=(), misfits=())
     for k, view in enumerate(session.views):
         again = integrate(again, view.observation)
         if k < len(session.plans):
-            again = _planned(again, session, planner)
+            again = _plan_again(again, session, planner)
         step(k)
     return again
 
 
-def _planned(again: Session, session: Session, planner: Planner) -> Session:
-    plan = ask(planner, again)
+def _plan_again(again: Session, session: Session, planner: Planner) -> Session:
+    plan = ask_planner(planner, again)
     looks = [look for taken, look in session.panoramas if taken == len(again.views)]
     if plan.needs_panorama and looks:
         again = again.with_panorama(looks[0])
-        plan = ask(planner, again)
+        plan = ask_planner(planner, again)
     return again.with_plan(plan)
 
 
-def finished(again: Session, recorded: Session) -> Session:
-    """Return the replayed session as it ends, if the ``recorded`` one has ended by itself."""
+def finish_replay(again: Session, recorded: Session) -> Session:
+    """Return the replayed session, with the final alignment if the ``recorded`` one had it."""
     reasons = {STOPPED, *(plan.reason for plan in recorded.plans[-1:])}
     return align_final(again) if recorded.stop_reason in reasons else again
 
 
-def identical(a: object, b: object) -> bool:
-    """Tell whether two sessions, views or plans are the same bit by bit."""
+def is_identical(a: object, b: object) -> bool:
+    """Return whether two sessions, views or plans are equal bit by bit."""
     return pack(a) == pack(b)
 
 
-def differences(recorded: Session, again: Session) -> list[Row]:
-    """Return a row per view: how its pose, registration and plan differ, in people's units."""
+def compare_sessions(recorded: Session, again: Session) -> list[Row]:
+    """Return a row per view: differences of pose, registration and plan [mm, deg]."""
     rows = []
     for k, (before, now) in enumerate(zip(recorded.views, again.views, strict=True)):
+        # Take both plans
         plans = [each.plans[k] if k < len(each.plans) else None for each in (recorded, again)]
+
+        # Compare pose, registration and plan
         row = {
             "view": k,
-            "identical": identical((before, plans[0]), (now, plans[1])),
+            "identical": is_identical((before, plans[0]), (now, plans[1])),
             "moved_mm": _mm(before.T_world_scan.distance(now.T_world_scan)),
             "turned_deg": _turned(before.T_world_scan, now.T_world_scan),
             "recorded": {**_registration(before), **_plan(plans[0])},

@@ -1,8 +1,8 @@
-"""Putting a robot where a recorded run was, so that the run can go on.
+"""Brings a robot to where a recorded run stopped, so that the run can be resumed.
 
-In the twin the recorded commands are given once more at the same steps of the physics, nobody
-looking: one seed gives the same bits, so that a run that goes on is the run that was never stopped.
-A real robot must not have been moved; its odometry and clock are carried on from what was recorded.
+In the twin the recorded commands are replayed at the same physics steps: one seed gives the same
+bits, so that a resumed run equals one that was never interrupted. A real robot must not have been
+moved; its odometry and clock continue from the recorded ones.
 """
 
 from __future__ import annotations
@@ -20,69 +20,73 @@ from scan3d_twin.core.types import Hazards, LidarSpec, Odometry, Pose2, ScanLine
 from scan3d_twin.recording.session_log import Mark
 
 HALF_STEP = 0.001
-"""The twin's clock moves in steps of 2 ms; half of one keeps rounding from adding another [s]."""
-SAME_PLACE, SAME_HEADING = 0.005, math.radians(0.5)
-"""Odometry that is off by less has the same view ahead [m], [rad]: a range error at 1 m."""
-PAUSE = 1.0
-"""On the robot's clock, between what was recorded and what goes on [s]."""
-MOVED = 0.10
-"""A first view that lies farther from where odometry has it was taken from elsewhere [m]: three
-times what odometry is off after 1 m, 3 % of the way."""
+"""Half a step of the twin's clock [s], so that rounding adds no further step of 2 ms."""
+MAX_DISTANCE_OFF, MAX_HEADING_OFF = 0.005, math.radians(0.5)
+"""Largest difference of odometry after the replay [m], [rad]: the range error at 1 m."""
+RESUME_PAUSE = 1.0
+"""Gap on the robot's clock between the recorded and the resumed part [s]."""
+MOVED_DISTANCE = 0.10
+"""Distance between registration and odometry from which a robot counts as moved [m]: three times
+the odometry error after 1 m, which is 3 % of the path."""
 SEARCH_XY, SEARCH_YAW, STARTS = 0.2, math.radians(10.0), 32
-"""Where it is looked for: somebody has pushed the robot a little [m], [rad]; assumption."""
+"""Search range and starts of that registration [m], [rad]: a robot pushed a little; assumption."""
 
 Command = tuple[float, float, float]
 """Stamp [s], speed [m/s] and turn rate [rad/s]."""
 
 
 def reenact(robot: Robot, commands: Iterable[Command], mark: Mark) -> bool:
-    """Give ``robot``, a twin just opened, the recorded ``commands`` up to ``mark``.
+    """Replay the recorded ``commands`` up to ``mark`` on ``robot``, a twin just opened.
 
     Returns:
-        Whether it is where it was, bit by bit; computers that round otherwise put it beside.
+        Whether the odometry equals the recorded one bit by bit; it differs a little on a computer
+        that rounds differently.
 
     Raises:
-        ScanError: It is somewhere else.
+        ScanError: The robot ended up somewhere else.
     """
+    # Replay the commands
     for stamp, linear, angular in commands:
         _wait_until(robot.clock, stamp)
         robot.base.set_velocity(linear, angular)
     _wait_until(robot.clock, mark.stamp)
+
+    # Compare with the recorded odometry
     here, there = robot.base.odometry().T_odom_base, mark.T_odom_base
     if here == there:
         return True
-    if here.distance(there) > SAME_PLACE or abs(wrap(here.yaw - there.yaw)) > SAME_HEADING:
+    if here.distance(there) > MAX_DISTANCE_OFF or abs(wrap(here.yaw - there.yaw)) > MAX_HEADING_OFF:
         raise ScanError(
-            f"the twin now goes another way than recorded ({here.distance(there):.3f} m off): the "
-            "run cannot go on with this version; `twin session info` names the one that recorded it"
+            f"the twin ends {here.distance(there):.3f} m off the recorded path: this version "
+            "cannot resume the run; `twin session info` names the version that recorded it"
         )
     return False
 
 
 def _wait_until(clock: Clock, stamp: float) -> None:
-    """Let time pass; a hazard that was met then is met again."""
+    """Let time pass until ``stamp``; hazards of the recorded run occur again and are ignored."""
     while (left := stamp - clock.now()) > HALF_STEP:
         with suppress(HazardError):
             clock.sleep(left - HALF_STEP)
 
 
-def continued(robot: Robot, T_odom_here: Pose2, stamp: float) -> Robot:
-    """Return ``robot``, just opened, with its odometry and clock carried on.
+def continue_odometry(robot: Robot, T_odom_here: Pose2, stamp: float) -> Robot:
+    """Return ``robot``, just opened, with odometry and clock that continue the recorded ones.
 
     Args:
         robot: Stands where the recorded run left it.
-        T_odom_here: Where that was by the recorded odometry.
-        stamp: The latest one that was recorded [s].
+        T_odom_here: Its pose by the recorded odometry.
+        stamp: The latest recorded stamp [s].
     """
-    later = stamp + PAUSE - robot.clock.now()
-    clock = _LaterClock(robot.clock, later)
+    later = stamp + RESUME_PAUSE - robot.clock.now()
+    clock = _ShiftedClock(robot.clock, later)
     T_odom_opened = T_odom_here @ robot.base.odometry().T_odom_base.inverse()
     base = _ContinuedBase(robot.base, T_odom_opened, later)
-    return replace(robot, base=base, lidar=_LaterLidar(robot.lidar, later), clock=clock)
+    return replace(robot, base=base, lidar=_ShiftedLidar(robot.lidar, later), clock=clock)
 
 
-class _LaterClock:
-    """A ``Clock`` that is ahead of another."""
+class _ShiftedClock:
+    """A ``Clock`` ahead of another by a constant."""
 
     def __init__(self, clock: Clock, later: float) -> None:
         self._clock = clock
@@ -94,8 +98,8 @@ class _LaterClock:
         return self._clock.now() + self._later
 
 
-class _LaterLidar:
-    """A ``Lidar`` by that clock."""
+class _ShiftedLidar:
+    """A ``Lidar`` with stamps of the shifted clock."""
 
     def __init__(self, lidar: Lidar, later: float) -> None:
         self._lidar = lidar
@@ -113,7 +117,7 @@ class _LaterLidar:
 
 
 class _ContinuedBase:
-    """A ``DriveBase`` by that clock whose odometry does not begin at the origin."""
+    """A ``DriveBase`` on the shifted clock whose odometry does not start at the origin."""
 
     def __init__(self, base: DriveBase, T_odom_opened: Pose2, later: float) -> None:
         self._base = base
@@ -147,12 +151,13 @@ class _ContinuedBase:
         )
 
 
-def warning(session: Session) -> str:
-    """Return what to say of the first view that was taken after going on; empty if all is well.
+def moved_warning(session: Session) -> str:
+    """Return a warning if the first view after resuming shows a moved robot, else an empty string.
 
-    It is laid on the one before it once more, trusting the odometry far less than usually. Where
-    the scene cannot tell, as along a wall, a robot that was moved along it is not found out.
+    The view is registered on the one before it with a wide prior. Along a direction that the scene
+    leaves open, such as a bare wall, a displacement goes unnoticed.
     """
+    # Register with a wide prior
     previous, view = session.views[-2:]
     move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     prior = PosePrior.planar(move, SEARCH_XY, SEARCH_YAW)
@@ -160,12 +165,14 @@ def warning(session: Session) -> str:
     try:
         found = register(*grids, prior=prior, starts=STARTS)
     except RegistrationError:
-        return "the first view after going on shows nothing known: was the robot moved?"
+        return "the first view after resuming matches no earlier one: was the robot moved?"
+
+    # Measure the distance to odometry
     truly, points = Pose2.from_matrix(found.T_target_source), view.target.points
     off = max(truly.distance(move), rms(truly.apply(points) - move.apply(points)))
-    if off > MOVED:
+    if off > MOVED_DISTANCE:
         return (
-            f"the first view after going on lies {100 * off:.0f} cm from where the odometry has "
-            "it: was the robot moved?"
+            f"the first view after resuming lies {100 * off:.0f} cm off its odometry: was the "
+            "robot moved?"
         )
     return ""

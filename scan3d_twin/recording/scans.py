@@ -1,4 +1,4 @@
-"""Range images back from the folders that ``twin scan``, ``twin sim`` and ``twin real`` wrote."""
+"""Reads range images from the folders that ``twin scan``, ``twin sim`` and ``twin real`` wrote."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.types import LidarSpec, RangeImage, read_only
 from scan3d_twin.devices.urg import model as urg04lx
 
-SCAN, BACK = "scan.npz", "scan_back.npz"
-"""What ``twin scan`` writes: a sweep, and with --back the sweep to the other side."""
+SCAN_FILE, BACK_SCAN_FILE = "scan.npz", "scan_back.npz"
+"""Files of ``twin scan``: a sweep, and with --back the sweep in the other direction."""
 
 
 def read_image(path: Path) -> RangeImage:
     """Return the range image in ``path``, written by ``image_bytes`` or ``view_bytes``.
 
     Raises:
-        FileError: It is missing or holds something else.
+        FileError: The file is missing or holds no range image.
     """
     try:
         with np.load(path, allow_pickle=False) as arrays:
@@ -43,15 +43,19 @@ def read_image(path: Path) -> RangeImage:
         raise FileError(f"{path} is no sweep of twin scan, sim or real: {error}") from error
 
 
-def places_in(folder: Path) -> list[list[RangeImage]]:
-    """Return all sweeps in ``folder`` and the folders in it, grouped by the place of the robot.
+def read_places(folder: Path) -> list[list[RangeImage]]:
+    """Return all sweeps in ``folder`` and its subfolders, grouped by the place of the robot.
 
-    A sweep and the one back were taken from one place; of all others nothing is known.
+    A sweep and the one back come from one place; all others count as different places.
 
     Raises:
         FileError: There is no sweep, or one cannot be read.
     """
-    paths = sorted(p for p in folder.glob("**/*.npz") if p.name != BACK) if folder.is_dir() else []
+    paths = (
+        sorted(p for p in folder.glob("**/*.npz") if p.name != BACK_SCAN_FILE)
+        if folder.is_dir()
+        else []
+    )
     if not paths:
         raise FileError(
             f"no sweeps in {folder}: give the folder of `twin scan --width 360` or of a run"
@@ -60,5 +64,5 @@ def places_in(folder: Path) -> list[list[RangeImage]]:
 
 
 def _one_place(path: Path) -> list[Path]:
-    back = path.with_name(BACK)
-    return [path, back] if path.name == SCAN and back.exists() else [path]
+    back = path.with_name(BACK_SCAN_FILE)
+    return [path, back] if path.name == SCAN_FILE and back.exists() else [path]

@@ -1,8 +1,8 @@
-"""A session as a log of what changed, and back, bit by bit.
+"""A session as a log of changes, restored bit by bit.
 
-Sessions are immutable and share what did not change, so that the log grows by what is new: a view
-when it was taken, its pose alone when an alignment has moved it. A ``mark`` record closes each
-change; what comes after the last mark, where a run was killed, does not count.
+Sessions are immutable and share unchanged parts, so that the log grows only by what is new: a view
+when it is taken, its pose alone when an alignment moves it. A ``mark`` record closes each change;
+records after the last mark, where a run was killed, are ignored.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.exact_json import Packed, pack, pack_fields, unpack, unpack_fields
 
 Record = tuple[str, int, Packed]
-"""Kind, index among its kind, and the value."""
+"""Kind, index within its kind, and the packed value."""
 SESSION, MARK = "session", "mark"
 """Kinds of records besides the names of the lists."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Where a run was when all that was logged before belonged together.
+    """Time, path and pose of the robot at a consistent point of the log.
 
     Attributes:
-        stamp: On the robot's clock [s].
-        path: Length of its way so far [m].
-        turn: Sum of its turns so far [rad].
-        T_odom_base: Where it stood.
+        stamp: Time on the robot's clock [s].
+        path: Length of the path up to here [m].
+        turn: Sum of the turns up to here [rad].
+        T_odom_base: Pose of the robot.
     """
 
     stamp: float = 0.0
@@ -43,7 +43,7 @@ class Mark:
 
 @cache
 def _lists() -> dict[str, Any]:
-    """Return the fields of a session that are lists of things, and the type of a thing."""
+    """Return the list fields of a session with the type of their items."""
     hints = get_type_hints(Session)
     return {
         name: get_args(hint)[0]
@@ -53,13 +53,13 @@ def _lists() -> dict[str, Any]:
 
 
 class SessionLog:
-    """Tells what is new in each next state of a session, the ``last`` one being known."""
+    """Finds the changes between the ``last`` state of a session and the next one."""
 
     def __init__(self, last: Session | None = None) -> None:
         self._last = last
 
     def changes(self, session: Session, mark: Mark) -> Iterator[Record]:
-        """Yield the records that lead from the last session to this one, the mark at the end."""
+        """Yield the records that turn the last session into this one, ``mark`` at the end."""
         last, self._last = self._last, session
         for name in _lists():
             before = () if last is None else getattr(last, name)
@@ -81,12 +81,12 @@ def _item_changes(name: str, items: Any, before: Any) -> Iterator[Record]:
 
 @dataclass
 class SessionState:
-    """A session as it is put together from its log.
+    """A session restored from its log, record by record.
 
     Attributes:
-        mark: The latest.
-        session: As it is then.
-        open_session: As it was when it had not ended yet.
+        mark: The latest mark.
+        session: The session at that mark.
+        open_session: The last session before the run ended.
     """
 
     mark: Mark | None = None
@@ -95,11 +95,11 @@ class SessionState:
     _open: list[Record] = field(default_factory=list)
     _items: dict[str, dict[int, Any]] = field(default_factory=dict)
 
-    def take(self, record: Record) -> None:
-        """Take in the next ``record``.
+    def apply(self, record: Record) -> None:
+        """Apply the next ``record``.
 
         Raises:
-            FileError: It does not fit.
+            FileError: The record does not fit the earlier ones.
         """
         self._open.append(record)
         if record[0] == MARK:
@@ -107,7 +107,8 @@ class SessionState:
             self._close(records)
 
     def _close(self, records: list[Record]) -> None:
-        """Bring the session up to date with all ``records`` since the last mark."""
+        """Apply all ``records`` since the last mark."""
+        # Apply records to the items
         base = self.session
         for kind, index, packed in records[:-1]:
             if kind == SESSION:
@@ -117,6 +118,8 @@ class SessionState:
                 items[index] = _item(_lists()[kind], items.get(index), packed)
         if base is None:
             raise FileError("no valid session in the file: it begins in the middle")
+
+        # Cut lists to the marked lengths
         text = records[-1][2][0]
         lengths = json.loads(text)["lengths"]
         try:
@@ -126,6 +129,8 @@ class SessionState:
             }
         except KeyError as error:
             raise FileError(f"no valid session in the file: item {error} is missing") from None
+
+        # Take the new state
         self.session, self.mark = replace(base, **lists), unpack(Mark, (text, b""))
         if not self.session.stop_reason:
             self.open_session = self.session

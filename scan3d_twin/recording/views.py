@@ -1,4 +1,4 @@
-"""One view as ``views/NNN.npz``: everything the robot measured there and where it was placed."""
+"""One view as ``views/NNN.npz``: the robot's measurements and the pose of the view."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.recording.image import FAST, image_arrays, npz_bytes
+from scan3d_twin.recording.image import COMPRESSION_LEVEL, image_arrays, npz_bytes
 
 
 def view_path(folder: Path, index: int) -> Path:
-    """Return where view ``index`` of the run in ``folder`` lies."""
+    """Return the path of view ``index`` of the run in ``folder``."""
     return folder / "views" / f"{index:03d}.npz"
 
 
-def view_bytes(view: View, level: int = FAST) -> bytes:
+def view_bytes(view: View, level: int = COMPRESSION_LEVEL) -> bytes:
     """Return ``view`` as an .npz compressed at ``level``; equal views give equal bytes.
 
     Its arrays, by the names and with the units of ``RangeImage``, ``LidarSpec`` and ``View``:

@@ -12,40 +12,40 @@ import numpy as np
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.hal import DriveBase, Robot
 from scan3d_twin.core.model import evaluation
-from scan3d_twin.core.navigation.motion_control import travelled
+from scan3d_twin.core.navigation.motion_control import measure_travel
 from scan3d_twin.core.observer import Observer, Observers, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.run.report import Journey
-from scan3d_twin.run.settings import NAME_OR_PLACE, Settings, stated_place
+from scan3d_twin.run.settings import NAME_OR_PLACE, Settings, parse_place
 
 Timer = Callable[[], float]
 """Returns the computer's time [s] since some moment."""
 
 
 class Truth(evaluation.Truth, Protocol):
-    """What the twin knows besides."""
+    """The ground truth of the twin, which also knows its targets by name."""
 
     def locate(self, name: str) -> tuple[float, float]:
         """Return the place (x, y) in ``odom`` [m] of the target ``name``."""
         ...
 
 
-Opening = AbstractContextManager[tuple[Robot, Truth | None]]
-"""Opens a robot, and the truth if anybody knows it."""
+RobotContext = AbstractContextManager[tuple[Robot, Truth | None]]
+"""Opens a robot, with the ground truth where there is one."""
 
 
 @dataclass(frozen=True)
-class Loop:
-    """What came of a closed loop.
+class LoopOutcome:
+    """The result of a closed loop.
 
     Attributes:
-        session: As far as it got.
-        journey: What the robot did in all.
-        journeys: What it had done by the end of each view.
-        plan_times: What the planner took for each view, by the timer [s].
-        ended: What ended it before its time; None when the planner did.
+        session: All views and plans up to the end.
+        journey: Path, turns and duration of the whole run.
+        journeys: The same by the end of each view.
+        plan_times: Time the planner took after each view, by the timer [s].
+        ended: The error that ended the loop early; None when the planner ended it.
     """
 
     session: Session
@@ -56,12 +56,12 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Earlier:
-    """The part of a run that is done when another one goes on from there.
+class EarlierRun:
+    """The finished part of a run that is resumed.
 
     Attributes:
         session: Its views and plans.
-        journey: What the robot has done.
+        journey: Path, turns and duration up to here.
     """
 
     session: Session
@@ -74,26 +74,29 @@ def close_loop(
     settings: Settings,
     observer: Observer,
     timer: Timer,
-    earlier: Earlier | None = None,
+    earlier: EarlierRun | None = None,
     begun: float = 0.0,
-) -> Loop:
-    """Digitise with an open robot, whatever ends it.
+) -> LoopOutcome:
+    """Digitise with an open robot and return the result, also of a loop that an error ended.
 
     Args:
         robot: Open and at rest.
-        truth: Finds a target by name; None if nobody knows it.
-        settings: The effective ones.
+        truth: Finds a target by name; None where there is no ground truth.
+        settings: The effective settings.
         observer: Sees every step.
         timer: Times the planner.
-        earlier: What to go on from.
-        begun: The robot's time from which its way counts, unless there is an earlier one [s].
+        earlier: The run to resume; None for a new one.
+        begun: Start of a new run on the robot's clock [s].
 
     Raises:
-        BaseException: Whatever ended the loop before there was a view.
+        BaseException: Whatever ended the loop before its first view.
     """
+    # Prepare planner, log and target
     planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
-    log = _Log(robot, earlier, begun)
-    target = _target(settings.run.target, truth)
+    log = _ProgressLog(robot, earlier, begun)
+    target = _find_target(settings.run.target, truth)
+
+    # Digitise until it ends
     ended: BaseException | None = None
     try:
         session = run_loop(
@@ -108,12 +111,14 @@ def close_loop(
     except BaseException as error:
         if log.session is None:
             raise
-        ended, session = error, log.session.ended(_words(error))
-    return Loop(session, log.journey(), tuple(log.journeys), tuple(planner.seconds), ended)
+        ended, session = error, log.session.with_stop_reason(_describe_error(error))
+
+    # Return the result
+    return LoopOutcome(session, log.journey(), tuple(log.journeys), tuple(planner.seconds), ended)
 
 
 class TimedPlanner:
-    """A planner that knows how long it thought about each view [s]."""
+    """A planner that measures how long it computes after each view [s]."""
 
     def __init__(self, planner: Planner, timer: Timer) -> None:
         self.seconds: list[float] = []
@@ -121,7 +126,7 @@ class TimedPlanner:
         self._timer = timer
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
-        """See ``Planner.plan``; asked twice about a view, the times add up."""
+        """See ``Planner.plan``; the times of two calls for one view add up."""
         started = self._timer()
         self.seconds += [0.0] * (len(session.views) - len(self.seconds))
         try:
@@ -130,10 +135,10 @@ class TimedPlanner:
             self.seconds[-1] += self._timer() - started
 
 
-class Odometer:
-    """The way of a base; to be read before the base forgets its odometry.
+class JourneyMeter:
+    """Adds up path and turns of a base; read it before the base discards its odometry.
 
-    Counts from when the base was opened, or goes on from an ``earlier`` journey.
+    Counts from the moment the base was opened, or continues an ``earlier`` journey.
     """
 
     def __init__(self, base: DriveBase, earlier: Journey | None = None) -> None:
@@ -143,28 +148,28 @@ class Odometer:
         self._stamp = earlier.duration
 
     def read(self) -> None:
-        """Add the way since the last reading to ``path`` [m] and ``turn`` [rad]."""
+        """Add the motion since the last call to ``path`` [m] and ``turn`` [rad]."""
         samples = self._base.odometry_since(self._stamp)
         if not samples:
             return
-        path, turn = travelled(samples)
+        path, turn = measure_travel(samples)
         self.path, self.turn = self.path + path, self.turn + turn
         self._stamp = samples[-1].stamp
 
 
-class _Log(Unobserved):
-    """Keeps the last session at hand and notes the way by the end of each view."""
+class _ProgressLog(Unobserved):
+    """Keeps the latest session, and the journey by the end of each view."""
 
-    def __init__(self, robot: Robot, earlier: Earlier | None, begun: float) -> None:
+    def __init__(self, robot: Robot, earlier: EarlierRun | None, begun: float) -> None:
         self.session = None if earlier is None else earlier.session
         self.journeys: list[Journey] = []
         before = Journey(0.0, 0.0, begun) if earlier is None else earlier.journey
-        self._odometer = Odometer(robot.base, before)
+        self._odometer = JourneyMeter(robot.base, before)
         self._begun = 0.0 if earlier is not None else begun
         self._clock = robot.clock
 
     def journey(self) -> Journey:
-        """Return what the robot did so far."""
+        """Return the journey up to now."""
         self._odometer.read()
         duration = self._clock.now() - self._begun
         return Journey(self._odometer.path, self._odometer.turn, duration)
@@ -179,17 +184,17 @@ class _Log(Unobserved):
         self.session = session
 
 
-def _target(text: str, truth: Truth | None) -> tuple[float, float] | None:
-    """Return the place in ``odom`` [m] that ``text`` states as x,y or by name; None if empty."""
+def _find_target(text: str, truth: Truth | None) -> tuple[float, float] | None:
+    """Return the target's place in ``odom`` [m], given as x,y or by name; None if empty."""
     if not text:
         return None
     if "," not in text and truth is not None:
         return truth.locate(text)
-    return stated_place(text, "x,y in metres" if truth is None else NAME_OR_PLACE)
+    return parse_place(text, "x,y in metres" if truth is None else NAME_OR_PLACE)
 
 
-def _words(error: BaseException) -> str:
-    """Return ``error`` as the reason why a run ended."""
+def _describe_error(error: BaseException) -> str:
+    """Return ``error`` as the stop reason of a run."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"
     return f"{type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""A run's folder: claimed before the robot moves, and never with a half-written file in it."""
+"""The folder of a run: claimed before the robot moves, every file in it written atomically."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def claim_folder(path: Path) -> Path:
     """Make the folder ``path`` for a new run and return it.
 
     Raises:
-        FileError: It cannot be made or written, or something is in it already.
+        FileError: The folder cannot be made or written, or is not empty.
     """
     probe = path / ".writable"
     try:
@@ -28,7 +28,7 @@ def claim_folder(path: Path) -> Path:
     return path
 
 
-def free_folder(path: Path) -> Path:
+def find_free_folder(path: Path) -> Path:
     """Return ``path``, or the first of ``path-2``, ``path-3`` ... that does not exist."""
     candidate, number = path, 1
     while candidate.exists():
@@ -39,7 +39,7 @@ def free_folder(path: Path) -> Path:
 
 def default_folder(scene: str) -> Path:
     """Return a new folder under ``runs`` for a run in ``scene``, named by the time of day."""
-    return free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")
+    return find_free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")
 
 
 def release_folder(path: Path) -> None:
@@ -51,7 +51,7 @@ def release_folder(path: Path) -> None:
 
 
 def write_file(path: Path, content: bytes | str) -> None:
-    """Write ``content`` to ``path`` so that it is there as a whole or not at all.
+    """Write ``content`` to ``path`` atomically: the whole file or nothing.
 
     Raises:
         FileError: The disk is full, or the folder is gone or read-only.

@@ -1,7 +1,7 @@
-"""``report.json``: the numbers of a run, in the units people think in.
+"""``report.json``: the numbers of a run in millimetres, degrees and seconds.
 
-``report.schema.json`` beside this file describes every field. One seed gives the same numbers
-again, except for those of ``Effort``.
+``report.schema.json`` beside this file describes every field. Two runs of one seed give the same
+numbers, except for ``TIMING_FIELDS``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import wrap
-from scan3d_twin.run.findings import findings
+from scan3d_twin.run.run_warnings import find_warnings
 from scan3d_twin.run.settings import Settings
 
 Report = dict[str, Any]
@@ -23,12 +23,12 @@ Report = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """What the computer spent on a run.
+    """Computing time and memory of a run.
 
     Attributes:
         wall_time: From opening the robot to the last view [s].
-        plan_time: Of it, in the planner [s].
-        peak_memory: Most memory the process held [bytes].
+        plan_time: The planner's share of it [s].
+        peak_memory: Largest memory of the process [bytes].
     """
 
     wall_time: float
@@ -38,12 +38,12 @@ class Effort:
 
 @dataclass(frozen=True, slots=True)
 class Journey:
-    """What the robot did.
+    """Path, turns and duration of a robot.
 
     Attributes:
-        path: Length of its way by odometry [m].
-        turn: Sum of all its turns by odometry [rad].
-        duration: On the robot's clock [s].
+        path: Length of the path by odometry [m].
+        turn: Sum of all turns by odometry [rad].
+        duration: Duration on the robot's clock [s].
     """
 
     path: float
@@ -61,7 +61,7 @@ def build_report(
     evaluation: Evaluation | None = None,
     mesh_accuracy: Distances | None = None,
 ) -> Report:
-    """Return the report of ``session``; without ``evaluation`` what needs the truth is null."""
+    """Return the report of ``session``; fields that need an ``evaluation`` are null without it."""
     return {
         "version": session.version,
         "scene": scene,
@@ -85,12 +85,12 @@ def build_report(
         "peak_memory_mb": _number(effort.peak_memory / 1e6, 1),
         "points": points,
         "mesh_accuracy_mm": _distances(mesh_accuracy) if mesh_accuracy else None,
-        "warnings": findings(session, evaluation),
+        "warnings": find_warnings(session, evaluation),
     }
 
 
-TIMINGS = ("wall_time_s", "plan_time_s", "real_time_factor", "peak_memory_mb")
-"""The fields that differ between two runs of one seed."""
+TIMING_FIELDS = ("wall_time_s", "plan_time_s", "real_time_factor", "peak_memory_mb")
+"""The fields of a report that differ between two runs of one seed."""
 
 
 def report_json(report: Report) -> str:
@@ -105,25 +105,29 @@ def report_schema() -> dict[str, Any]:
     return schema
 
 
-def failure(session: Session) -> str:
-    """Return why ``session`` failed as a scan; empty when it did not.
+def failure_reason(session: Session) -> str:
+    """Return why ``session`` failed as a scan; an empty string when it did not.
 
-    It failed when fewer than two views are registered, or when no step was predicted to meet
-    epsilon.
+    A scan fails when fewer than two views are registered, unless only one was wanted, or when no
+    step was predicted to meet epsilon.
     """
+    # Count the registered views
     registered = sum(v.registration is None or v.registration.converged for v in session.views)
-    if registered < 2:
+    needed = min(2, session.config.max_views)
+    if registered < needed:
         return (
-            f"{registered} of {len(session.views)} views registered, a model needs 2; "
+            f"{registered} of {len(session.views)} views registered, a model needs {needed}; "
             "try a smaller standoff, more views or another target"
         )
+
+    # Look for a step within epsilon
     epsilon = session.config.planning.epsilon
     predicted = [p.predicted_rmse for p in session.plans if p.viewpoint is not None]
     known = [rmse for rmse in predicted if math.isfinite(rmse)]
     if known and min(known) > epsilon:
         return (
             f"no step was predicted to meet epsilon: {1e3 * min(known):.1f} mm at best, "
-            f"{1e3 * epsilon:.1f} mm wanted; the model is as it is, or allow a larger --epsilon"
+            f"{1e3 * epsilon:.1f} mm wanted; accept the model, or allow a larger --epsilon"
         )
     return ""
 
@@ -157,9 +161,9 @@ def _registrations(session: Session, evaluation: Evaluation | None) -> Report:
 
 
 def _registration(session: Session, k: int, pair: PairError | None) -> Report:
-    """Return the row of view ``k``: what was planned for it, and what came of it."""
+    """Return the row of view ``k``: its plan, and the errors of its registration."""
     plan, result = session.plans[k - 1], session.views[k].registration
-    moved, turned = correction(session, k)
+    moved, turned = odometry_correction(session, k)
     return {
         "view": k,
         "overlap": _number(plan.overlap, 4),
@@ -176,8 +180,8 @@ def _registration(session: Session, k: int, pair: PairError | None) -> Report:
     }
 
 
-def correction(session: Session, k: int) -> tuple[float, float]:
-    """Return how far registration moved [m] and turned [rad] view ``k`` from odometry's place."""
+def odometry_correction(session: Session, k: int) -> tuple[float, float]:
+    """Return by how much registration moved [m] and turned [rad] view ``k`` from its odometry."""
     previous, view = session.views[k - 1], session.views[k]
     odometry = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     registered = previous.T_world_scan.inverse() @ view.T_world_scan
@@ -189,5 +193,5 @@ def _mm(metres: float) -> float | None:
 
 
 def _number(value: float, digits: int) -> float | None:
-    """Return ``value`` rounded; None where it is not a number, because JSON knows none."""
+    """Return ``value`` rounded; None where it is not finite, which JSON cannot express."""
     return round(float(value), digits) if math.isfinite(value) else None

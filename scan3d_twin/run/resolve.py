@@ -1,4 +1,4 @@
-"""The effective settings of a run in the twin: defaults < world, scene, preset < what is stated."""
+"""The effective settings of a run in the twin: defaults < scene, world, preset < given options."""
 
 from __future__ import annotations
 
@@ -9,47 +9,47 @@ from scan3d_twin.run.settings import (
     NAME_OR_PLACE,
     Options,
     Settings,
-    settings,
-    stated_place,
+    build_settings,
+    parse_place,
     world_options,
 )
 from scan3d_twin.sim.scenes.scene import Scene, load_scene
 
 
 def resolve_sim(given: Options) -> tuple[Settings, Scene]:
-    """Return the effective settings for what is ``given``, and the scene they name.
+    """Return the effective settings for the ``given`` options, and the scene they name.
 
     Raises:
         ConfigError: A key, name or value is wrong.
         SceneError: The scene cannot be built.
     """
-    effective = settings([*_named(given), given])
+    effective = build_settings([*_named_options(given), given])
     check_planner(effective.config.planner, truth_known=True)
     scene = load_scene(effective.run.scene, effective.run.mesh_scale)
     _check_target(effective.run.target, scene)
-    return settings_for(scene, given), scene
+    return settings_for_scene(scene, given), scene
 
 
-def settings_for(scene: Scene, given: Options) -> Settings:
-    """Return the effective settings in ``scene`` for what is ``given``."""
-    return settings([_of_scene(scene), *_named(given), given])
+def settings_for_scene(scene: Scene, given: Options) -> Settings:
+    """Return the effective settings in ``scene`` for the ``given`` options."""
+    return build_settings([_scene_options(scene), *_named_options(given), given])
 
 
 def _check_target(text: str, scene: Scene) -> None:
-    """Refuse a target that is neither a place nor one of ``scene``; empty is what stands out."""
+    """Refuse a target that is neither a place nor a target of ``scene``; empty is accepted."""
     if "," in text:
-        stated_place(text, NAME_OR_PLACE)
+        parse_place(text, NAME_OR_PLACE)
     elif text and text not in scene.targets:
         raise UnknownNameError("target", text, scene.targets)
 
 
-def _named(given: Options) -> list[Options]:
-    """Return what the world and the preset stand for."""
-    run = settings([given]).run
+def _named_options(given: Options) -> list[Options]:
+    """Return the options behind the names of the world and the preset."""
+    run = build_settings([given]).run
     return [world_options(run.world), preset_options(run.preset)]
 
 
-def _of_scene(scene: Scene) -> Options:
-    """Return what ``scene`` says about how it is to be scanned."""
+def _scene_options(scene: Scene) -> Options:
+    """Return the options that ``scene`` states about its scanning."""
     standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
     return {"tour": scene.tour, "planning": standoff}

@@ -1,7 +1,7 @@
-"""Everything a run was told, merged from its sources and written so that it can be run again.
+"""All options of a run: merged from their sources, checked, and written to run it again.
 
 Sources are nested mappings in the shape of the TOML file: the fields of ``Config`` and
-``TwinConfig`` by name, sections as tables, and the table ``run`` with the fields of ``Run``.
+``TwinConfig`` by name, sections as tables, and the table ``run`` with the fields of ``RunConfig``.
 A field whose name Python reserves (``lambda_``) is spelled without its underscore.
 """
 
@@ -24,14 +24,14 @@ from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
 
 Options = Mapping[str, Any]
-REAL = "real"
-"""Stands for a scene's name where the real robot was; no scene is called so."""
+REAL_SCENE = "real"
+"""The scene's name in a run of the real robot; no scene has this name."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
-    """What is scanned, and by which draw."""
+class RunConfig:
+    """What is scanned, and with which seed and named sets of options."""
 
     scene: str = "three_boxes"
     """Name of a built-in scene, or path of an .xml or mesh file."""
@@ -42,11 +42,11 @@ class Run:
     world: str = DEFAULT_WORLD
     """Named set of the twin's errors: ideal, typical or harsh."""
     target: str = ""
-    """Name of a body of the scene, or x,y [m] in the odometry frame; empty: what stands out."""
+    """Name of a body of the scene, or x,y [m] in the odometry frame; empty: the most salient."""
     mesh_scale: float = number(1.0, most=1e6)
     """Metres per unit of a mesh file."""
     version: str = __version__
-    """Version of the software; what another version wrote is read as it is."""
+    """Version of the software that wrote the options."""
 
     def __post_init__(self) -> None:
         check_options(self, "run")
@@ -58,52 +58,52 @@ class Run:
 class Settings:
     """The effective configuration of a run."""
 
-    run: Run = field(default_factory=Run)
+    run: RunConfig = field(default_factory=RunConfig)
     config: Config = field(default_factory=Config)
     twin: TwinConfig = field(default_factory=TwinConfig)
 
 
-def key(name: str) -> str:
+def option_key(name: str) -> str:
     """Return the key under which the field ``name`` is written: ``lambda`` for ``lambda_``."""
     return name.rstrip("_")
 
 
-def merge(sources: Iterable[Options]) -> dict[str, Any]:
+def merge_options(sources: Iterable[Options]) -> dict[str, Any]:
     """Return all ``sources`` as one mapping; later ones win, table by table."""
     merged: dict[str, Any] = {}
     for source in sources:
         for name, value in source.items():
             if isinstance(value, Mapping) and isinstance(merged.get(name, {}), Mapping):
-                value = merge([merged.get(name, {}), value])
+                value = merge_options([merged.get(name, {}), value])
             merged[name] = value
     return merged
 
 
-def settings(sources: Iterable[Options]) -> Settings:
-    """Return the settings that ``sources`` state, later ones first, and defaults for the rest.
+def build_settings(sources: Iterable[Options]) -> Settings:
+    """Return the settings that ``sources`` state; later ones win, the rest are defaults.
 
     Raises:
         ConfigError: A key is unknown, or a value is of the wrong type or out of range.
     """
-    options = merge(sources)
+    options = merge_options(sources)
     for name in options:
         if name not in former_names(Config):
             _check_known(name, _known_keys())
     return Settings(
-        run=_build(Run, options.get("run", {}), "run."),
-        config=_build(Config, _part(options, Config), ""),
-        twin=_build(TwinConfig, _part(options, TwinConfig), ""),
+        run=_build(RunConfig, options.get("run", {}), "run."),
+        config=_build(Config, _select_options(options, Config), ""),
+        twin=_build(TwinConfig, _select_options(options, TwinConfig), ""),
     )
 
 
 def world_options(name: str) -> Options:
-    """Return the options that the twin's named world stands for."""
+    """Return the options of the twin's world called ``name``."""
     lidar, errors = WORLDS[name]
-    return {"lidar": _plain(lidar), "errors": _plain(errors)}
+    return {"lidar": _to_plain(lidar), "errors": _to_plain(errors)}
 
 
 def read_settings(path: Path) -> Options:
-    """Return the options in the TOML file ``path``, not yet checked.
+    """Return the options in the TOML file ``path``, unchecked.
 
     Raises:
         FileError: It is missing, unreadable or not TOML.
@@ -118,19 +118,23 @@ def read_settings(path: Path) -> Options:
 
 def settings_toml(effective: Settings) -> str:
     """Return ``effective`` as a TOML file that ``read_settings`` reads back."""
-    tables = {**_plain(effective.config), **_plain(effective.twin), "run": _plain(effective.run)}
+    tables = {
+        **_to_plain(effective.config),
+        **_to_plain(effective.twin),
+        "run": _to_plain(effective.run),
+    }
     ordered = sorted(tables.items(), key=lambda item: isinstance(item[1], dict))
-    command = "real" if effective.run.scene == REAL else "sim"
+    command = "real" if effective.run.scene == REAL_SCENE else "sim"
     return f"# Run again: twin {command} --config THIS_FILE\n" + tomli_w.dumps(dict(ordered))
 
 
-def _part(options: Options, cls: type) -> dict[str, Any]:
-    names = {key(f.name) for f in fields(cls)} | set(former_names(cls))
+def _select_options(options: Options, cls: type) -> dict[str, Any]:
+    names = {option_key(f.name) for f in fields(cls)} | set(former_names(cls))
     return {name: value for name, value in options.items() if name in names}
 
 
 def _known_keys() -> list[str]:
-    return ["run", *(key(f.name) for cls in (Config, TwinConfig) for f in fields(cls))]
+    return ["run", *(option_key(f.name) for cls in (Config, TwinConfig) for f in fields(cls))]
 
 
 def _check_known(name: str, known: list[str], where: str = "") -> None:
@@ -142,12 +146,16 @@ def _check_known(name: str, known: list[str], where: str = "") -> None:
 
 
 def _build(cls: type[T], values: Any, where: str) -> T:
-    """Return ``cls`` with ``values`` by key, checked; ``where`` leads to them, for messages."""
+    """Return ``cls`` with ``values`` by key, checked; ``where`` is their prefix in messages."""
     if not isinstance(values, Mapping):
         raise ConfigError(f"{where.rstrip('.')} must be a table, got {values!r}")
-    names = {key(f.name): f.name for f in fields(cls)}  # type: ignore[arg-type]
+
+    # Collect fields and former names
+    names = {option_key(f.name): f.name for f in fields(cls)}  # type: ignore[arg-type]
     hints, former = get_type_hints(cls), former_names(cls)
     arguments: dict[str, Any] = {}
+
+    # Check and convert each value
     for name, value in values.items():
         if name not in former:
             _check_known(name, list(names), where)
@@ -162,13 +170,13 @@ def _build(cls: type[T], values: Any, where: str) -> T:
 
 
 def _is_whole(value: Any, hint: Any) -> bool:
-    """Return whether ``value`` is a whole number where any number will do."""
+    """Return whether ``value`` is a whole number where the hint asks for a float."""
     return hint is float and isinstance(value, int) and not isinstance(value, bool)
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if is_dataclass(value):
-        return {key(f.name): _plain(getattr(value, f.name)) for f in fields(value)}
+        return {option_key(f.name): _to_plain(getattr(value, f.name)) for f in fields(value)}
     return value
 
 
@@ -179,14 +187,14 @@ def absolute_scene(scene: str) -> str:
 
 
 NAME_OR_PLACE = "a name or x,y in metres"
-"""What a target of the twin can be stated as."""
+"""The forms in which a target of the twin can be stated."""
 
 
-def stated_place(text: str, choice: str) -> tuple[float, float]:
-    """Return the place of a target stated as x,y [m].
+def parse_place(text: str, choice: str) -> tuple[float, float]:
+    """Return the place (x, y) [m] that ``text`` states as x,y.
 
     Raises:
-        ConfigError: ``text`` is no place; ``choice`` says what it could have been.
+        ConfigError: ``text`` is no place; the message names the ``choice`` of forms.
     """
     try:
         x, y = (float(part) for part in text.split(","))

@@ -1,4 +1,4 @@
-"""What a bug report must name: the versions of everything that computes, without importing it."""
+"""The versions that a bug report must name, found without importing the libraries."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LIBRARIES = (
 """Distributions whose versions can change a result, a file or the command line."""
 
 
-def versions() -> dict[str, str]:
+def collect_versions() -> dict[str, str]:
     """Return versions by name: the program, Python, installed libraries and the system."""
     found = {"scan3d_twin": __version__, "python": platform.python_version()}
     for name in LIBRARIES:
@@ -25,8 +25,8 @@ def versions() -> dict[str, str]:
     return {**found, "platform": platform.platform()}
 
 
-def version_text() -> str:
+def format_versions() -> str:
     """Return what ``twin --version`` prints."""
-    found = versions()
+    found = collect_versions()
     width = max(map(len, found))
     return "\n".join(f"{name:<{width}}  {text}" for name, text in found.items())

@@ -1,1 +1,1 @@
-"""The MuJoCo twin: a robot behind the hardware interface, in a simulated world."""
+"""The MuJoCo twin: a simulated robot and world behind the hardware interface."""

@@ -9,7 +9,7 @@ from scan3d_twin.sim.world import World
 
 
 class Device(Protocol):
-    """Something that must be looked after at certain physics steps."""
+    """A part of the twin that must be serviced at certain physics steps."""
 
     @property
     def next_step(self) -> int:
@@ -22,7 +22,7 @@ class Device(Protocol):
 
 
 class SimClock:
-    """A ``Clock`` on the twin; the smallest time is one physics step."""
+    """A ``Clock`` on the twin; its resolution is one physics step."""
 
     def __init__(self, world: World) -> None:
         self._world = world

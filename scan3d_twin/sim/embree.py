@@ -9,31 +9,33 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray
-from scan3d_twin.sim.scenes.tessellation import KNOWN, geom_triangles
+from scan3d_twin.sim.scenes.tessellation import TRIANGULATED_TYPES, geom_triangles
 
 _GEOM = mujoco.mjtGeom
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID)
 _STRAIGHT = (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Return whether Embree is installed; it is not for every processor."""
     return importlib.util.find_spec("embreex") is not None
 
 
-def triangulated(model: Any) -> bool:
-    """Return whether nothing in ``model`` moves and triangles can stand for all of it."""
-    return model.nq == 0 and set(model.geom_type.tolist()) <= {int(kind) for kind in KNOWN}
+def can_triangulate(model: Any) -> bool:
+    """Return whether ``model`` is static and all its geoms can be tessellated."""
+    return model.nq == 0 and set(model.geom_type.tolist()) <= {
+        int(kind) for kind in TRIANGULATED_TYPES
+    }
 
 
-def visible(model: Any, geom: int) -> bool:
-    """Return whether rays see a geom: MuJoCo's pass through what is wholly transparent."""
+def is_visible(model: Any, geom: int) -> bool:
+    """Return whether rays hit a geom: MuJoCo's rays pass fully transparent geoms."""
     material = model.geom_matid[geom]
     alpha = model.geom_rgba[geom, 3]
     return bool(alpha > 0 and (material < 0 or model.mat_rgba[material, 3] > 0))
 
 
-class Triangles:
+class TriangleScene:
     """The visible geoms of a static model as triangles in Embree; single precision.
 
     Arrays by triangle have one more entry, for a miss.
@@ -43,16 +45,21 @@ class Triangles:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
+        # Compute the poses of all geoms
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         attitudes = np.array(data.geom_xmat).reshape(-1, 3, 3)
+
+        # Tessellate the visible geoms
         parts, owners, shapes = [], [], []
         for geom in range(model.ngeom):
-            if visible(model, geom):
+            if is_visible(model, geom):
                 local = geom_triangles(model, geom)
                 parts.append(local @ attitudes[geom].T + data.geom_xpos[geom])
                 owners.append(np.full(len(local), geom))
                 shapes.append(_shapes(model, geom, local))
+
+        # Build the arrays by triangle
         triangles = np.concatenate(parts)
         self.geoms: IntArray = np.append(np.concatenate(owners), -1)
         self.normals = np.vstack([_normals(triangles), np.zeros((1, 3))])
@@ -62,6 +69,8 @@ class Triangles:
         self._curved = np.append(np.concatenate(shapes) > 0, False)
         self._any_curved = bool(self._curved.any())
         self._maps, self._offsets = _quadrics(model, np.array(data.geom_xpos), attitudes)
+
+        # Build the hierarchy of triangles
         self._scene = EmbreeScene(robust=True)
         self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
 
@@ -70,15 +79,20 @@ class Triangles:
     ) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return distances (n,), inf for a miss, normals (n, 3) and geom ids (n,).
 
-        Where a triangle stands for a curved surface, distance and normal are those of the surface.
+        Hits on a tessellated curved surface are refined to its exact distance and normal.
         """
+        # Cast for the first hits
         found = self._scene.run(
             origins.astype(np.float32), directions.astype(np.float32), query="INTERSECT", output=1
         )
         index = found["primID"].astype(np.int64)
         distances = found["tfar"].astype(np.float64)
         distances[index < 0] = np.inf
+
+        # Look up normals and geoms
         normals, geoms = self.normals.take(index, axis=0), self.geoms.take(index)
+
+        # Refine hits on curved surfaces
         if self._any_curved:
             curved = np.flatnonzero(self._curved.take(index))
             if len(curved):
@@ -110,7 +124,7 @@ class Triangles:
 
 
 def _shapes(model: Any, geom: int, triangles: FloatArray) -> IntArray:
-    """Return what a geom's ``triangles`` (m, 3, 3) are parts of: 0 flat, 1 side, 2 and 3 ends."""
+    """Return the surface of each of a geom's ``triangles`` (m, 3, 3): 0 flat, 1 side, 2, 3 ends."""
     kind, half = int(model.geom_type[geom]), model.geom_size[geom, 1]
     height = triangles[:, :, 2].mean(axis=1)
     if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
@@ -131,11 +145,15 @@ def _quadrics(
         radius, half = model.geom_size[geom, :2]
         if kind not in _ROUND and kind not in _STRAIGHT:
             continue
+
+        # Choose the radii by kind
         side, ends = np.full(3, radius), 0.0
         if kind == _GEOM.mjGEOM_ELLIPSOID:
             side = np.array(model.geom_size[geom])
         elif kind in _STRAIGHT:
             side, ends = np.array([radius, radius, np.inf]), half
+
+        # Map side and both ends
         for shape, (size, along) in enumerate(((side, 0.0), (radius, -ends), (radius, ends)), 1):
             maps[geom, shape] = (attitudes[geom] / size).T
             centre = places[geom] + along * attitudes[geom][:, 2]

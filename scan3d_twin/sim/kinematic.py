@@ -1,9 +1,9 @@
-"""A robot without physics: it moves as its odometry says, with wheels that are not as they should.
+"""A kinematic robot without physics: it follows its odometry, with the errors of its wheels.
 
-The lidar is the twin's own (``scanner.py``), with fewer beams and lines. The robot is the one that
-the physics would draw; ``drift.py`` says where it gets, fitted to the physics by
-``benchmarks/motion_error.py``. What is missing: inertia, slip and vibration within a sweep; bumps
-and cliffs; beams between those that are simulated. A sweep takes milliseconds.
+The lidar is that of the twin (``scanner.py``) with fewer beams and lines. The robot's errors are
+those that the physics would draw; ``motion_errors.py``, fitted to the physics by
+``benchmarks/motion_error.py``, gives its true motion. Not simulated: inertia, slip and vibration
+within a sweep; bumps and cliffs; skipped beams. A sweep takes milliseconds.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scan3d_twin.core.types import (
     read_only,
     wrap,
 )
-from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, true_move, turn_scale
+from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, apply_motion_errors, turn_scale
 from scan3d_twin.sim.base.profiles import PROFILES
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.lidar.noise import Draws
@@ -35,22 +35,21 @@ from scan3d_twin.sim.robot import Stream, draw_robot, stream
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.truth import Truth
 
-TURNS = math.pi
-"""Turned on the way from one viewpoint to the next, to drive past the target: a quarter turn away
-and one back [rad]."""
+TURN_PER_MOVE = math.pi
+"""Sum of the turns between two viewpoints [rad]: a quarter turn off the target and one back."""
 
 
 @dataclass(frozen=True, slots=True)
 class Thinning:
-    """How much of the lidar is simulated: of its steps and lines only every n-th.
+    """The part of the lidar's steps and lines that is simulated.
 
     Attributes:
-        beams: Every n-th step; 3 are 1.06 deg, which sees an unbroken floor up to 2.7 m away.
-        lines: Every n-th line of a sweep; with every second one upright edges lie so much worse
-            that twice as many views are misplaced (docs/gym.md).
-        looks: Every n-th line of a look around; 2 are 4 deg at 20 deg/s.
-        lowest: Lower beams are left out [rad]; these see only the floor under the robot.
-        highest: Higher beams are left out [rad]; the window of the target ends at 37.5 deg.
+        beams: Stride of the steps; 3 is 1.06 deg, which sees an unbroken floor up to 2.7 m away.
+        lines: Stride of the lines of a sweep; with a stride of 2 upright edges are less exact and
+            twice as many views are misplaced (docs/gym.md).
+        looks: Stride of the lines of a panorama; 2 is 4 deg at 20 deg/s.
+        lowest: Elevation of the lowest beam [rad]; lower ones see only the floor under the robot.
+        highest: Elevation of the highest beam [rad]; the target's window ends at 37.5 deg.
     """
 
     beams: int = 3
@@ -61,7 +60,7 @@ class Thinning:
 
 
 def thin_spec(spec: LidarSpec, thinning: Thinning) -> LidarSpec:
-    """Return the geometry of the lines that are left of ``spec``."""
+    """Return the geometry of a line of ``spec`` after ``thinning``."""
     steps = np.arange(spec.n_beams)[:: thinning.beams]
     elevations = spec.elevations[steps]
     kept = steps[(elevations >= thinning.lowest) & (elevations <= thinning.highest)]
@@ -73,53 +72,57 @@ def thin_spec(spec: LidarSpec, thinning: Thinning) -> LidarSpec:
 
 
 def thin_config(config: Config, thinning: Thinning) -> Config:
-    """Return ``config`` with the counts of points that fewer beams and lines leave."""
+    """Return ``config`` with point counts reduced to those of fewer beams and lines.
+
+    Turns stay uncorrected: the ends of a thinned panorama do not determine the scale of the yaws.
+    """
     share = thinning.beams * thinning.lines
     target = replace(config.target, min_points=max(4, config.target.min_points // share))
-    return replace(config, target=target)
+    sweep = replace(config.sweep, turning="odometry")
+    return replace(config, target=target, sweep=sweep)
 
 
 class KinematicWorld:
-    """The true poses of the base over time: knots, straight in between."""
+    """The true poses of the base over time: knots with linear interpolation."""
 
     def __init__(self, start: Pose2) -> None:
         self._knots = [(0.0, start.x, start.y, start.yaw)]
 
     @property
     def time(self) -> float:
-        """Since the robot was opened [s]."""
+        """Time since the robot was opened [s]."""
         return self._knots[-1][0]
 
     @property
     def pose(self) -> Pose2:
-        """``T_map_base`` now."""
+        """The present ``T_map_base``."""
         return Pose2(*self._knots[-1][1:])
 
     def add(self, seconds: float, pose: Pose2, turn: float | None = None) -> None:
-        """Let ``seconds`` pass, at whose end the base is at ``pose``.
+        """Let ``seconds`` pass, after which the base is at ``pose``.
 
         Args:
-            seconds: [s].
-            pose: ``T_map_base``.
-            turn: Angle turned on the way [rad]; None is the short way.
+            seconds: Duration [s].
+            pose: ``T_map_base`` at the end.
+            turn: Angle turned meanwhile [rad]; None for the smallest.
         """
         time, _, _, yaw = self._knots[-1]
         by = wrap(pose.yaw - yaw) if turn is None else turn
         self._knots.append((time + seconds, pose.x, pose.y, yaw + by))
 
     def base_pose(self, time: float) -> Pose2:
-        """Return ``T_map_base`` at ``time`` [s]; clamped to what was recorded."""
+        """Return ``T_map_base`` at ``time`` [s], clamped to the first and last knot."""
         knots = np.array(self._knots)
         x, y, yaw = (float(np.interp(time, knots[:, 0], knots[:, k])) for k in (1, 2, 3))
         return Pose2(x, y, yaw)
 
     def scene_qpos(self) -> FloatArray:
-        """Return the positions of the scene's moving objects: there are none."""
+        """Return the positions of the scene's moving objects: an empty array."""
         return np.empty(0)
 
 
 class KinematicRobot:
-    """Looks around and sweeps in a static scene, and knows how far it erred."""
+    """A robot without physics that takes panoramas and sweeps in a static scene."""
 
     def __init__(
         self,
@@ -131,13 +134,17 @@ class KinematicRobot:
         thinning: Thinning,
     ) -> None:
         """Open the robot that ``seed`` draws from ``twin``, as ``open_sim`` would."""
-        # Beams that are no neighbours share neither light nor the firmware's repeats; a beam of
-        # one ray has no mixed pixels.
+        # Skipped beams leave no correlation and no repeats between the others; a beam of one ray
+        # has no mixed pixels.
         lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1, line_loss=0.0)
         spec = thin_spec(lidar_spec(twin.lidar_link), thinning)
+
+        # Build the scanner
         surfaces = stream(seed, Stream.SURFACE)
         self._scanner = Scanner(scene.model, twin.robot, spec, lidar, caster, surfaces)
         self._rng, self._config, self._thinning = stream(seed, Stream.LIDAR), config, thinning
+
+        # Draw the robot, open the truth
         self._errors = draw_robot(scene, seed, twin.errors)
         self._spec = PROFILES[twin.robot]
         self.world = KinematicWorld(scene.spawn)
@@ -145,8 +152,8 @@ class KinematicRobot:
         self.truth = Truth(scene, self.world, caster, lambda: None)
         self.path = 0.0
 
-    def look(self) -> Observation:
-        """Return a coarse sweep all round from where the robot stands."""
+    def take_panorama(self) -> Observation:
+        """Return a panorama, a coarse sweep all round, from where the robot stands."""
         sweep = self._config.sweep
         return self._sweep(self.here.yaw, math.pi, sweep.look_rate, self._thinning.looks)
 
@@ -162,26 +169,31 @@ class KinematicRobot:
 
     def _move(self, path: FloatArray, yaw: float) -> None:
         """Follow ``path`` (n, 2) in ``odom`` [m] and turn to ``yaw`` [rad]."""
-        true = true_move(self.here, path, yaw, self._spec, self._errors)
+        true = apply_motion_errors(self.here, path, yaw, self._spec, self._errors)
         slip = Pose2(*((SLIP_XY, SLIP_XY, SLIP_YAW) * self._rng.standard_normal(3)))
         motion = self._config.motion
         places = np.concatenate([[[self.here.x, self.here.y]], path])
         length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
-        seconds = length / motion.speed + TURNS / motion.turn_rate
+        seconds = length / motion.speed + TURN_PER_MOVE / motion.turn_rate
         self.world.add(seconds, self.world.pose @ true @ slip)
         x, y = places[-1].tolist()
         self.here = Pose2(x, y, yaw)
 
     def _sweep(self, yaw: float, half: float, rate: float, every: int) -> Observation:
         """Turn right from ``half`` to -``half`` about the heading ``yaw``, reading lines."""
+        # Compute the headings of all beams
         spec, scale = self._scanner.spec, turn_scale(self._errors)
         period = spec.line_period * every
         first = half - rate * period * float(self._rng.random())
         count = math.floor((first + half) / (rate * period)) + 1
         yaws = first - rate * (period * np.arange(count)[:, None] + spec.beam_times)
+
+        # Turn and measure
         started = self._turn_through(half, rate) + (half - first) / rate
         true = self.world.pose
         ranges, codes = self._measure(true, scale * yaws)
+
+        # Assemble the range image
         image = RangeImage(
             stamps=read_only(started + period * np.arange(count)),
             yaws=read_only(yaws),
@@ -206,6 +218,7 @@ class KinematicRobot:
 
     def _measure(self, true: Pose2, yaws: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return ranges [m] and codes (m, n) of beams at ``yaws`` (m, n) about the true pose."""
+        # Place the lidar at each beam
         m, n = yaws.shape
         angles = true.yaw + yaws
         c, s = np.cos(angles), np.sin(angles)
@@ -213,6 +226,8 @@ class KinematicRobot:
         positions = np.empty((m, n, 3))
         positions[..., 0], positions[..., 1] = true.x + ahead * c, true.y + ahead * s
         positions[..., 2] = up
+
+        # Draw the noise and measure
         draws = Draws(
             self._rng.standard_normal((m, n), dtype=np.float32),
             self._rng.standard_normal((m, n)),

@@ -9,20 +9,20 @@ import numpy as np
 from mujoco import batch
 
 from scan3d_twin.core.types import FloatArray, IntArray
-from scan3d_twin.sim.embree import Triangles, available, triangulated
+from scan3d_twin.sim.embree import TriangleScene, can_triangulate, is_available
 
-CROWDED = 8
-"""Geoms from which on Embree is faster; measured: 8 geoms 1.8 times, 109 geoms 10 times."""
-LARGE_MESH = 2000
-"""Triangles of all meshes from which on Embree is faster."""
+EMBREE_MIN_GEOMS = 8
+"""Fewest geoms for which Embree is faster; measured: 8 geoms 1.8 times, 109 geoms 10 times."""
+EMBREE_MIN_TRIANGLES = 2000
+"""Fewest triangles of all meshes for which Embree is faster."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What rays met first.
+    """The first hits of rays.
 
     Attributes:
-        distances: (n,) [m]; inf for a miss.
+        distances: Distances (n,) [m]; inf for a miss.
         normals: Unit outward normals (n, 3), exact for primitives; 0 for a miss.
         geoms: Geom ids in the caster's model (n,); -1 for a miss.
     """
@@ -47,21 +47,21 @@ class RayCaster(Protocol):
 
 
 def choose_caster(model: Any) -> RayCaster:
-    """Return the faster caster of those that can cast against ``model``.
+    """Return the faster ray caster for ``model``.
 
-    Embree (where it is installed) for crowded scenes and large meshes, unless something moves.
+    Embree, where it is installed, for static scenes with many geoms or large meshes; else MuJoCo.
     """
-    large = model.ngeom >= CROWDED or model.nmeshface >= LARGE_MESH
-    if large and available() and triangulated(model):
+    large = model.ngeom >= EMBREE_MIN_GEOMS or model.nmeshface >= EMBREE_MIN_TRIANGLES
+    if large and is_available() and can_triangulate(model):
         return EmbreeCaster(model)
     return MujocoCaster(model)
 
 
 class MujocoCaster:
-    """The reference: exact primitives, true mesh triangles, moving objects.
+    """The reference: exact primitives, mesh triangles, moving objects.
 
-    Its cost grows with the number of geoms. The model has no robot in it: what the lidar sees of
-    its own carrier is constant and added by the lidar.
+    Its cost grows with the number of geoms. The model does not contain the robot: what the lidar
+    sees of it is constant and added by the lidar.
     """
 
     def __init__(self, model: Any) -> None:
@@ -77,14 +77,14 @@ class MujocoCaster:
 
 
 class EmbreeCaster:
-    """A hierarchy of triangles: hardly slower with a hundred objects than with one.
+    """A bounding volume hierarchy of triangles: a hundred objects take hardly more time than one.
 
-    Static scenes only, single precision. Curved primitives are tessellated, but what hits them gets
-    its exact distance and normal: on shiny things flat facets would come back in bands.
+    Static scenes only, single precision. Curved primitives are tessellated, but hits on them get
+    the exact distance and normal: flat facets of a shiny surface would return light in bands.
     """
 
     def __init__(self, model: Any) -> None:
-        self._triangles = Triangles(model)
+        self._triangles = TriangleScene(model)
 
     def cast(self, qpos: FloatArray, origins: FloatArray, directions: FloatArray) -> Hits:
         """See ``RayCaster.cast``."""

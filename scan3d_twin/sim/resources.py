@@ -1,4 +1,4 @@
-"""Where assets and scenes lie: in the checkout beside the package, in a wheel inside it."""
+"""Finds the folders of assets and scenes: beside the package, or in a wheel inside it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
-def resource_dir(name: str) -> Path:
-    """Return the folder ``assets`` or ``scenes``.
+def find_resource_dir(name: str) -> Path:
+    """Return the path of the folder ``assets`` or ``scenes``.
 
     Raises:
         FileNotFoundError: The installation is incomplete.

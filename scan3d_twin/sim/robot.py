@@ -18,7 +18,7 @@ from scan3d_twin.sim.lidar.lidar import SimLidar
 from scan3d_twin.sim.lidar.scanner import Scanner, lidar_spec
 from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
 from scan3d_twin.sim.scenes.scene import Scene, load_scene
-from scan3d_twin.sim.trace import Trace
+from scan3d_twin.sim.trace import PoseTrace
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
 
@@ -74,7 +74,7 @@ def open_sim(
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
     with _open_twin(scene, seed, config, solver, spec) as (world, base, lidar, clock):
-        trace = Trace(world)
+        trace = PoseTrace(world)
         clock.attach(trace)
         truth = Truth(scene, trace, MujocoCaster(scene.model), lidar.evidence)
         yield Robot(base, lidar, clock), truth

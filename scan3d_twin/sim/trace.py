@@ -1,47 +1,47 @@
-"""The whole way of the base, for evaluation: the world itself remembers half a minute."""
+"""The true poses of the base over the whole run, for evaluation; the world keeps half a minute."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.sim.world import RECENT, World, interpolate
+from scan3d_twin.sim.world import HISTORY_STEPS, World, interpolate
 
-COLUMNS = 7
-"""Of the base's pose: place and quaternion."""
+POSE_COLUMNS = 7
+"""Columns of a pose: position and quaternion."""
 
 
-class Trace:
-    """The true poses of the base from the beginning on; a ``Device`` of the clock.
+class PoseTrace:
+    """The true poses of the base since the start; a ``Device`` of the clock.
 
     Attributes:
-        next_step: See ``Device``: long before the world forgets what is not yet kept.
+        next_step: See ``Device``: due well before the world discards poses.
     """
 
     def __init__(self, world: World) -> None:
-        self.next_step = RECENT // 2
+        self.next_step = HISTORY_STEPS // 2
         self._world = world
-        self._rows = np.empty((1024, COLUMNS))
+        self._rows = np.empty((1024, POSE_COLUMNS))
         self._kept = 0
 
     def service(self) -> None:
-        """Keep the poses of the steps since the last call."""
+        """Copy the poses of the steps since the last call."""
         steps = self._world.steps
         if steps >= len(self._rows):
-            grown = np.empty((2 * (steps + 1), COLUMNS))
+            grown = np.empty((2 * (steps + 1), POSE_COLUMNS))
             grown[: self._kept] = self._rows[: self._kept]
             self._rows = grown
         fresh = np.arange(self._kept, steps + 1)
         self._rows[fresh] = self._world.base_rows(fresh)
         self._kept = steps
-        self.next_step = steps + RECENT // 2
+        self.next_step = steps + HISTORY_STEPS // 2
 
     def scene_qpos(self) -> FloatArray:
         """Return the positions of the scene's moving objects."""
         return self._world.scene_qpos()
 
     def base_pose(self, time: float) -> Pose2:
-        """Return ``T_map_base`` at ``time`` [s], interpolated; clamped to what was recorded."""
+        """Return ``T_map_base`` at ``time`` [s], interpolated, clamped to the recorded times."""
         self.service()
         place = np.array([time]) / self._world.timestep
         rows = interpolate(self._rows.__getitem__, place, 0, self._kept + 1)

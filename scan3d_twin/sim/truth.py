@@ -1,4 +1,4 @@
-"""What only a simulator knows, for evaluation; no planner sees it."""
+"""The ground truth of the twin, for evaluation only; no planner sees it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.lidar.scanner import Evidence
 from scan3d_twin.sim.ray_casting import RayCaster
 from scan3d_twin.sim.scenes.scene import Scene
-from scan3d_twin.sim.scenes.surface_samples import corners, sample_geom
+from scan3d_twin.sim.scenes.surface_samples import bounding_points, sample_geom
 
-ON_FLOOR = 0.002
-"""Faces that look down from less than this above the floor lie on it [m]."""
+MIN_FACE_HEIGHT = 0.002
+"""Height below which a face that points down lies on the floor [m]."""
 
 
-class Whereabouts(Protocol):
-    """Where things were; ``Trace`` with physics, ``KinematicWorld`` without."""
+class PoseHistory(Protocol):
+    """The true poses over time: ``PoseTrace`` with physics, ``KinematicWorld`` without."""
 
     def base_pose(self, time: float) -> Pose2:
         """Return ``T_map_base`` at ``time`` [s]."""
@@ -37,7 +37,7 @@ class Truth:
     def __init__(
         self,
         scene: Scene,
-        world: Whereabouts,
+        world: PoseHistory,
         caster: RayCaster,
         evidence: Callable[[], Evidence | None],
     ) -> None:
@@ -49,7 +49,7 @@ class Truth:
 
     @property
     def spawn(self) -> Pose2:
-        """Where the scene puts the robot, ``T_map_base``."""
+        """The robot's start in the scene, ``T_map_base``."""
         return self._scene.spawn
 
     @property
@@ -64,7 +64,7 @@ class Truth:
     def surface(self, spacing: float) -> tuple[FloatArray, FloatArray]:
         """Return points (n, 3) on the target about ``spacing`` apart [m], and normals (n, 3).
 
-        All faces, seen or not, except those that lie on the floor.
+        All faces, visible or not, except those on the floor.
         """
         data = self._scene_data()
         points, normals = [], []
@@ -75,11 +75,11 @@ class Truth:
             points.append(local @ rotation.T + geom.xpos)
             normals.append(directions @ rotation.T)
         p, n = np.concatenate(points), np.concatenate(normals)
-        keep = (p[:, 2] > ON_FLOOR) | (n[:, 2] > -0.9)
+        keep = (p[:, 2] > MIN_FACE_HEIGHT) | (n[:, 2] > -0.9)
         return p[keep], n[keep]
 
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
-        """Return noise-free distances (n,) [m] along rays, the robot away; inf for a miss.
+        """Return noise-free distances (n,) [m] along rays, without the robot; inf for a miss.
 
         Args:
             origins: (n, 3) [m].
@@ -88,7 +88,7 @@ class Truth:
         return self._caster.cast(self._world.scene_qpos(), origins, directions).distances
 
     def evidence(self) -> Evidence | None:
-        """Return what lay behind the scan line read last; None before the first."""
+        """Return the ground truth of the last scan line read; None before the first."""
         return self._evidence()
 
     def locate(self, name: str) -> tuple[float, float]:
@@ -103,7 +103,7 @@ class Truth:
         boxes = []
         for part in self._scene.targets[name]:
             geom = data.geom(part)
-            local = corners(self._scene.model, geom.id)
+            local = bounding_points(self._scene.model, geom.id)
             boxes.append(local @ geom.xmat.reshape(3, 3).T + geom.xpos)
         extent = np.concatenate(boxes)
         x, y = ((extent.min(axis=0) + extent.max(axis=0)) / 2)[:2]
@@ -111,7 +111,7 @@ class Truth:
         return odom.x, odom.y
 
     def _scene_data(self) -> mujoco.MjData:
-        """Return the scene as it is now, without the robot."""
+        """Return the present state of the scene, without the robot."""
         data = mujoco.MjData(self._scene.model)
         data.qpos[:] = self._world.scene_qpos()
         mujoco.mj_forward(self._scene.model, data)

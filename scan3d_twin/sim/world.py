@@ -1,4 +1,4 @@
-"""The physics: a scene with the robot in it, stepped at 2 ms, and the traces it leaves."""
+"""The physics: a scene with the robot, stepped at 2 ms, with a history of their poses."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ import numpy as np
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import FloatArray, IntArray, read_only
 from scan3d_twin.sim.base.profiles import PROFILES
-from scan3d_twin.sim.base.uneven_floor import lay_floor, uneven_floor
+from scan3d_twin.sim.base.uneven_floor import draw_uneven_floor, lay_floor
 from scan3d_twin.sim.config import RobotErrorConfig, RobotName
-from scan3d_twin.sim.resources import resource_dir
+from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.scenes.scene import Scene
 
 PREFIX = "robot/"
 TIMESTEP = 0.002
 """Physics step [s]; 1 to 4 ms agree within .5 %, 2 ms keeps the tilt under .5 deg."""
-SETTLE = 1.0
-"""Physics time before time 0, in which the suspension comes to rest [s]."""
-RECENT = 16_384
-"""Steps of which the poses are kept: 32 s, a sweep of 300 lines."""
-TRACE = slice(-6, None)
-"""The sensors of the trace: the lidar's place and three axes; the base's place and quaternion."""
+SETTLE_TIME = 1.0
+"""Physics time before time 0, for the suspension to settle [s]."""
+HISTORY_STEPS = 16_384
+"""Number of latest steps whose poses are kept: 32 s, a sweep of 300 lines."""
+TRACE_SENSORS = slice(-6, None)
+"""Sensors with a history: the lidar's position and axes; the base's position and quaternion."""
 
 
 @dataclass(frozen=True)
 class RobotErrors:
-    """The errors one robot was born with.
+    """The errors of one robot, drawn once.
 
     Attributes:
         wheel_radius: Relative error of the left and right wheel's radius (2,).
@@ -38,8 +38,8 @@ class RobotErrors:
         friction: Sliding friction of the tyres, where the scene states none.
         cogging: Amplitude of the cogging torque [N m].
         cogging_phase: Phase of the left and right wheel's cogging (2,) [rad].
-        floor: Heights of an uneven floor on a square grid (n, n) [m]; None is an even one.
-        mount: Of the lidar: to the left [m], roll and pitch [rad] (3,).
+        floor: Heights of an uneven floor on a square grid (n, n) [m]; None for an even floor.
+        mount: Extrinsic error of the lidar: to the left [m], roll and pitch [rad] (3,).
     """
 
     wheel_radius: FloatArray
@@ -52,46 +52,47 @@ class RobotErrors:
 
     @staticmethod
     def draw(config: RobotErrorConfig, rng: np.random.Generator) -> RobotErrors:
-        """Draw one robot."""
+        """Return the errors of a random robot."""
         return RobotErrors(
             wheel_radius=read_only(config.wheel_radius * rng.standard_normal(2)),
             wheel_base=config.wheel_base * float(rng.standard_normal()),
             friction=float(rng.uniform(config.friction_min, config.friction_max)),
             cogging=config.cogging,
             cogging_phase=read_only(rng.uniform(0.0, 2 * np.pi, 2)),
-            floor=uneven_floor(config, rng) if config.uneven > 0 else None,
+            floor=draw_uneven_floor(config, rng) if config.uneven > 0 else None,
             mount=(config.mount_lateral, config.mount_roll, config.mount_pitch),
         )
 
     def on(self, scene: Scene) -> RobotErrors:
-        """Return the robot on the floor of ``scene``."""
+        """Return the errors with the friction of ``scene``, if it states one."""
         return self if scene.friction is None else replace(self, friction=scene.friction)
 
 
 def robot_spec(robot: RobotName) -> Any:
-    """Return the robot's own ``MjSpec``, as on its data sheet.
+    """Return the ``MjSpec`` of a robot by its data sheet.
 
-    The two generations differ in their wheels; the file has those of the Create 2.
+    The generations differ in their wheels; the file describes the Create 2.
     """
-    spec = mujoco.MjSpec.from_file(str(resource_dir("assets") / "mjcf" / "create2.xml"))
+    spec = mujoco.MjSpec.from_file(str(find_resource_dir("assets") / "mjcf" / "create2.xml"))
     profile = PROFILES[robot]
     radius, half = profile.wheel_diameter / 2, profile.wheel_base / 2
     for side, sign in (("left", 1), ("right", -1)):
         tyre = spec.geom(f"{side}_tyre")
         tyre.size = [radius, tyre.size[1], radius]
         spec.body(f"{side}_mount").pos = [0, sign * half, radius]
-    for sensor in spec.sensors[TRACE]:
-        sensor.nsample = RECENT
+    for sensor in spec.sensors[TRACE_SENSORS]:
+        sensor.nsample = HISTORY_STEPS
     return spec
 
 
 @dataclass(frozen=True, slots=True)
 class Solver:
-    """How finely the physics is solved.
+    """Settings of the physics solver.
 
     Attributes:
-        timestep: [s]; 1 to 4 ms agree within .5 %, 2 ms keeps the tilt under .5 deg.
-        impratio: Stiffness of friction against that of contact; 1 turns .1 deg worse in 90 than 10.
+        timestep: Step [s]; 1 to 4 ms agree within .5 %, 2 ms keeps the tilt under .5 deg.
+        impratio: Ratio of frictional to normal impedance; with 1 a turn of 90 deg is .1 deg worse
+            than with 10.
     """
 
     timestep: float = TIMESTEP
@@ -104,22 +105,29 @@ def build_model(
     """Return the compiled model of ``scene`` with a robot of these ``errors`` at its spawn.
 
     Raises:
-        SceneError: They do not go together, as with a keyframe that lacks the robot's joints.
+        SceneError: They do not compile together, as with a keyframe without the robot's joints.
     """
+    # Put the robot at the spawn
     spec = scene.spec.copy()
     half = scene.spawn.yaw / 2
     frame = spec.worldbody.add_frame(
         pos=[scene.spawn.x, scene.spawn.y, 0.0], quat=[np.cos(half), 0, 0, np.sin(half)]
     )
     child = robot_spec(robot)
+
+    # Apply its errors
     errors = errors.on(scene)
     _apply_errors(child, errors)
     spec.attach(child, prefix=PREFIX, frame=frame)
     if errors.floor is not None:
         lay_floor(spec, errors.floor)
+
+    # Set the solver
     _set_options(spec.option, Solver() if solver is None else solver)
-    if scene.model.nv == 0:  # the robot is the only island: to look for others costs 7 % of a step
+    if scene.model.nv == 0:  # the robot is the only island; finding islands costs 7 % of a step
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+
+    # Compile the model
     try:
         return spec.compile()
     except ValueError as error:
@@ -138,6 +146,8 @@ def _apply_errors(spec: Any, errors: RobotErrors) -> None:
         mount.pos = np.array(mount.pos) * (1, 1 + errors.wheel_base, 1)
         motor = spec.actuator(f"{side}_cogging")
         motor.biasprm[0], motor.biasprm[2] = errors.cogging, errors.cogging_phase[index]
+
+    # Turn the lidar's mount
     if any(errors.mount):
         lateral, roll, pitch = errors.mount
         site = spec.site("lidar")
@@ -148,36 +158,41 @@ def _apply_errors(spec: Any, errors: RobotErrors) -> None:
 
 
 def _set_options(option: Any, solver: Solver) -> None:
-    """Set the solver as the robot was tuned; on attach the scene's own options would win."""
+    """Set the solver options that the robot was tuned with, over the scene's own."""
     option.timestep = solver.timestep
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = solver.impratio
-    option.iterations = max(int(option.iterations), 20)  # 3 are silently wrong
+    option.iterations = max(int(option.iterations), 20)  # 3 give wrong results without a warning
     option.gravity = [0, 0, -9.81]
 
 
 class World:
     """A running physics simulation.
 
-    Time is ``steps * timestep`` since the robot came to rest. The poses of a step are known one
+    Time is ``steps * timestep`` since the robot has settled. The poses of a step are known one
     step later: after ``mj_step`` MuJoCo's derived fields still describe the state before it.
     """
 
     def __init__(self, scene: Scene, model: Any) -> None:
+        # Set up model and data
         self.model = model
         self.data = mujoco.MjData(model)
         self.steps = 0
         self.timestep = float(model.opt.timestep)
-        self._settled = round(SETTLE / self.timestep)
+        self._settled = round(SETTLE_TIME / self.timestep)
+
+        # Let the suspension settle
         self._scene_nq = scene.model.nq  # attached last, the robot comes after the scene's joints
         mujoco.mj_step(model, self.data, nstep=self._settled)
         mujoco.mj_forward(model, self.data)
+
+        # Take views of MuJoCo's arrays
         free = model.joint(PREFIX + "free").qposadr[0]
         self._base_qpos = self.data.qpos[free : free + 7]
         histories = [
             _history(model, self.data, sensor, self._settled)
-            for sensor in range(model.nsensor)[TRACE]
+            for sensor in range(model.nsensor)[TRACE_SENSORS]
         ]
         self._lidar, self._base = histories[:4], histories[4:]
 
@@ -196,9 +211,9 @@ class World:
         self.steps += steps
 
     def base_rows(self, steps: IntArray) -> FloatArray:
-        """Return the base's place and quaternion (n, 7) at recent ``steps`` (n,).
+        """Return the base's position and quaternion (n, 7) at recent ``steps`` (n,).
 
-        The pose of the step that comes next is known already.
+        The present step is included.
         """
         rows = _columns(self._base, self._slots(steps))
         rows[steps == self.steps] = self._base_qpos
@@ -206,32 +221,34 @@ class World:
 
     def lidar_poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the lidar's positions (n, 3) [m] and rotations (n, 3, 3) in ``map``."""
-        first = max(0, self.steps - RECENT)
+        first = max(0, self.steps - HISTORY_STEPS)
         rows = interpolate(self._lidar_rows, times / self.timestep, first, self.steps)
         return rows[:, :3], rows[:, 3:].reshape(-1, 3, 3).transpose(0, 2, 1)
 
     def _lidar_rows(self, steps: IntArray) -> FloatArray:
-        """Return the lidar's place and axes (n, 12) at recent ``steps`` (n,)."""
+        """Return the lidar's position and axes (n, 12) at recent ``steps`` (n,)."""
         return _columns(self._lidar, self._slots(steps))
 
     def _slots(self, steps: IntArray) -> IntArray:
-        """Return where in the history the values of ``steps`` since time 0 lie."""
-        return (steps + self._settled) % RECENT
+        """Return the slots of ``steps`` since time 0 in the ring of the history."""
+        return (steps + self._settled) % HISTORY_STEPS
 
 
 def _history(model: Any, data: Any, sensor: int, settled: int) -> FloatArray:
-    """Return MuJoCo's own record of the last values of ``sensor``, a view (RECENT, dim).
+    """Return MuJoCo's history of ``sensor`` as a view (HISTORY_STEPS, dim).
 
-    It is a ring that begins at slot 0 of the first step of all: two numbers of its own, the times
-    and the values (``mjData.history``).
+    The history is a ring whose slot 0 belongs to the very first step; ``mjData.history`` holds two
+    numbers of its state, then the times, then the values.
     """
     dim = int(model.sensor_dim[sensor])
     times = int(model.sensor_historyadr[sensor]) + 2
-    values = times + RECENT
+    values = times + HISTORY_STEPS
     latest = settled - 1
     if not np.isclose(data.history[times + latest], data.time - model.opt.timestep):
         raise SceneError(f"MuJoCo {mujoco.__version__} keeps its history of sensors otherwise")
-    result: FloatArray = data.history[values : values + RECENT * dim].reshape(RECENT, dim)
+    result: FloatArray = data.history[values : values + HISTORY_STEPS * dim].reshape(
+        HISTORY_STEPS, dim
+    )
     return result
 
 
@@ -243,10 +260,10 @@ def _columns(histories: list[FloatArray], rows: IntArray) -> FloatArray:
 def interpolate(
     rows: Callable[[IntArray], FloatArray], times: FloatArray, first: int, end: int
 ) -> FloatArray:
-    """Return the trace (n, k) at ``times`` (n,) [steps], where ``rows`` gives it at steps (m,).
+    """Return values (n, k) at ``times`` (n,) [steps], linear between those of ``rows`` at steps.
 
-    Steps ``first`` to ``end`` - 1 are known; 2 ms apart, a line between them errs by less than
-    1e-7 of a rotation.
+    Steps ``first`` to ``end`` - 1 are known; 2 ms apart, the error of a linear rotation is less
+    than 1e-7.
     """
     place = np.minimum(np.maximum(times, first), end - 1)
     lower = np.minimum(place.astype(np.int64), max(first, end - 2))

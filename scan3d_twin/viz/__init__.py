@@ -1,1 +1,1 @@
-"""Pictures of a run."""
+"""Views of a run: top view, report page, live view, recorded sessions."""

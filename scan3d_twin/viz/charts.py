@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from xml.sax.saxutils import escape
 
 LEFT, RIGHT, TOP, BOTTOM = 46.0, 12.0, 12.0, 40.0
-"""Room round the plot [units of the picture]."""
+"""Margins of the plot [units of the picture]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,12 +16,12 @@ class Dot:
     """A point of a chart.
 
     Attributes:
-        x: In data units.
-        y: In data units; a value above the axis is drawn on its upper edge, as an arrow.
-        colour: As #rrggbb.
+        x: Horizontal position in data units.
+        y: Vertical position in data units; above the axis it is drawn as an arrow at the edge.
+        colour: Colour as #rrggbb.
         label: A few letters beside it; none if empty.
-        filled: Whether it is filled, or a ring.
-        title: What a pointer that rests on it is told.
+        filled: Whether it is filled; otherwise a ring.
+        title: Tooltip; none if empty.
     """
 
     x: float
@@ -37,17 +37,18 @@ class Chart:
     """A chart with one line and its dots.
 
     Attributes:
-        title: For readers who cannot see it.
-        x_label: With its unit.
-        y_label: With its unit.
-        x_range: Of the axis.
-        y_range: Of the axis.
-        dots: From left to right, joined by a line where ``y`` is finite.
-        limit: A dashed horizontal line; None for none.
-        limit_label: What it means.
-        percent: The axes on which ticks are shares: any of "x", "y".
-        width: [units of the picture]
-        height: [units of the picture]
+        title: Title for screen readers.
+        x_label: Label of the x axis, with its unit.
+        y_label: Label of the y axis, with its unit.
+        x_range: Ends of the x axis.
+        y_range: Ends of the y axis.
+        dots: Dots from left to right, joined by a line where ``y`` is known.
+        limit: Height of a dashed line; None for none.
+        limit_label: Label of that line.
+        percent: The axes whose ticks are shares: any of "x", "y".
+        width: Width [units of the picture].
+        height: Height [units of the picture].
+        colour: Colour of the line as #rrggbb; empty for that of the page.
     """
 
     title: str
@@ -64,19 +65,19 @@ class Chart:
     colour: str = field(default="")
 
     def x(self, value: float) -> float:
-        """Return where ``value`` lies in the picture, from the left."""
+        """Return the position of ``value`` in the picture, from the left."""
         low, high = self.x_range
         return LEFT + (value - low) / (high - low) * (self.width - LEFT - RIGHT)
 
     def y(self, value: float) -> float:
-        """Return where ``value`` lies in the picture, from the top, not outside the plot."""
+        """Return the position of ``value`` in the picture, from the top, clipped to the plot."""
         low, high = self.y_range
         share = min(1.0, max(0.0, (value - low) / (high - low)))
         return self.height - BOTTOM - share * (self.height - TOP - BOTTOM)
 
 
-def svg(chart: Chart) -> str:
-    """Return ``chart`` as an SVG element to be put into a page."""
+def render_chart(chart: Chart) -> str:
+    """Return ``chart`` as an SVG element to embed in a page."""
     parts = [
         f'<svg class="chart" viewBox="0 0 {chart.width:g} {chart.height:g}" role="img">',
         f"<title>{escape(chart.title)}</title>",
@@ -101,6 +102,8 @@ def round_up(value: float) -> float:
 def _axes(chart: Chart) -> list[str]:
     left, right = LEFT, chart.width - RIGHT
     bottom = chart.height - BOTTOM
+
+    # Draw ticks and grid of y
     parts = []
     for value in _ticks(chart.y_range):
         y = chart.y(value)
@@ -109,12 +112,16 @@ def _axes(chart: Chart) -> list[str]:
         parts.append(
             f'<text class="tick" x="{left - 6:g}" y="{y + 4:.1f}" text-anchor="end">{words}</text>'
         )
+
+    # Draw the ticks of x
     for value in _ticks(chart.x_range):
         words = f"{value:.0%}" if "x" in chart.percent else f"{value:g}"
         parts.append(
             f'<text class="tick" x="{chart.x(value):.1f}" y="{bottom + 16:g}" '
             f'text-anchor="middle">{words}</text>'
         )
+
+    # Draw the axis and labels
     middle = (left + right) / 2
     parts.append(f'<path class="axis" d="M{left:g} {bottom:g}H{right:g}"/>')
     parts.append(
@@ -159,6 +166,8 @@ def _line(chart: Chart) -> list[str]:
 
 def _dot(chart: Chart, dot: Dot) -> str:
     x, y = chart.x(dot.x), chart.y(dot.y)
+
+    # Write tooltip and label
     title = f"<title>{escape(dot.title)}</title>" if dot.title else ""
     label = (
         f'<text class="label" x="{x:.1f}" y="{y - 9:.1f}" text-anchor="middle">'
@@ -166,6 +175,8 @@ def _dot(chart: Chart, dot: Dot) -> str:
         if dot.label
         else ""
     )
+
+    # Draw a circle or an arrow
     fill = dot.colour if dot.filled else "var(--page)"
     if dot.y > chart.y_range[1]:
         shape = f'<path d="M{x - 5:.1f} {y + 9:.1f}h10l-5 -9z" '

@@ -1,4 +1,4 @@
-"""A model as a few bytes for a page, and as a still picture for pages that cannot draw."""
+"""A model as packed points for WebGL, and as a still picture for browsers without it."""
 
 from __future__ import annotations
 
@@ -9,33 +9,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from scan3d_twin.core.model.fused_cloud import Model, voxel_thin
-from scan3d_twin.core.png import png_bytes
-from scan3d_twin.core.session import Session
+from scan3d_twin.core.model.fused_cloud import Model, thin_by_voxel
+from scan3d_twin.core.png import encode_png
+from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 
-MOST_POINTS = 300_000
-"""Points of the target in a page: 8 bytes each, 3.2 MB as text."""
-MOST_AROUND = 60_000
-AROUND_VOXEL = 0.03
-"""Side of the voxels in which the surroundings are thinned [m]."""
+MAX_TARGET_POINTS = 300_000
+"""Most points of the target in a page: 8 bytes each, 3.2 MB as text."""
+MAX_SURROUNDING_POINTS = 60_000
+SURROUNDINGS_VOXEL = 0.03
+"""Side of the voxels to which the surroundings are thinned [m]."""
+LIDAR_HEIGHT = 0.30
+"""Height of the lidar, at which a viewpoint is drawn [m]."""
 GREY = "#8b949e"
 FIELD_OF_VIEW = math.radians(35.0)
-"""Vertical, of the camera."""
-RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("z", "<u2"), ("shade", "u1"), ("", "u1")])
+"""Vertical field of view of the camera [rad]."""
+POINT_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("z", "<u2"), ("shade", "u1"), ("", "u1")])
 STILL_WIDTH, STILL_HEIGHT = 1200, 720
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """Where a picture is taken from: round a middle, z up.
+    """A camera that looks at a middle, z up.
 
     Attributes:
-        middle: Of what is shown (3,) [m].
-        distance: From it [m].
+        middle: Middle of the shown points (3,) [m].
+        distance: Distance of the camera from the middle [m].
         azimuth: Direction from the middle to the camera [rad].
-        elevation: Of the camera above the middle [rad].
+        elevation: Elevation of the camera above the middle [rad].
     """
 
     middle: FloatArray
@@ -45,13 +47,13 @@ class Camera:
 
 
 @dataclass(frozen=True, slots=True)
-class Packed:
+class PackedCloud:
     """Points as records of 8 bytes: 16 bits a coordinate between ``low`` and ``low + extent``.
 
     Attributes:
         data: The records, view by view, then the surroundings.
         ranges: First record and number of records of each view, and of the surroundings.
-        low: Where all coordinates are 0 (3,) [m].
+        low: Origin of the coordinates (3,) [m].
         extent: Length of 65535 units [m].
     """
 
@@ -61,15 +63,19 @@ class Packed:
     extent: float
 
 
-def camera_of(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
+def choose_camera(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
     """Return a camera that sees all ``points`` (n, 3) from the side of most ``viewpoints``."""
     if len(points) == 0:
         return Camera(np.zeros(3), 3.0, math.pi, math.radians(25.0))
+
+    # Look from the viewpoints' side
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     places = np.array([[pose.x, pose.y] for pose in viewpoints]).reshape(-1, 2)
     x, y = (places - middle[:2]).sum(axis=0) if len(places) else (-1.0, 0.0)
     # A little to the side shows depth better than from straight ahead.
     azimuth, elevation = math.atan2(y, x) + math.radians(20.0), math.radians(24.0)
+
+    # Back off until it fits
     camera = Camera(middle, 2.0 * float(np.ptp(points, axis=0).max()), azimuth, elevation)
     for _ in range(3):
         column, row, _ = _project(points, camera)
@@ -81,27 +87,24 @@ def camera_of(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
     return camera
 
 
-def surroundings(session: Session) -> FloatArray:
-    """Return what the views saw besides the target, thinned (n, 3) in ``world`` [m]."""
-    clouds = [_besides(session, k) for k in range(len(session.views))]
+def surrounding_points(session: Session) -> FloatArray:
+    """Return the points of all views off the target, thinned (n, 3) in ``world`` [m]."""
+    clouds = [view.T_world_scan.apply(points_off_target(view)) for view in session.views]
     if not clouds:
         return np.zeros((0, 3))
-    thin = voxel_thin(np.concatenate(clouds), AROUND_VOXEL)
-    return thin[:: max(1, math.ceil(len(thin) / MOST_AROUND))]
+    thin = thin_by_voxel(np.concatenate(clouds), SURROUNDINGS_VOXEL)
+    return thin[:: max(1, math.ceil(len(thin) / MAX_SURROUNDING_POINTS))]
 
 
-def _besides(session: Session, k: int) -> FloatArray:
-    """Return the points of view ``k`` that are not of its target, in ``world`` (n, 3) [m]."""
-    view = session.views[k]
+def points_off_target(view: View) -> FloatArray:
+    """Return the points of ``view`` off its target (n, 3) in ``scan`` [m]."""
     beams = view.image.spec.n_beams
-    ours = np.isin(
-        view.sweep.lines * beams + view.sweep.beams, view.target.lines * beams + view.target.beams
-    )
-    return view.T_world_scan.apply(view.sweep.points[~ours])
+    ours = view.target.lines * beams + view.target.beams
+    return view.sweep.points[~np.isin(view.sweep.lines * beams + view.sweep.beams, ours)]
 
 
-def shade(normals: FloatArray, camera: Camera) -> FloatArray:
-    """Return how bright surfaces with ``normals`` (n, 3) are, 0..1; unknown ones are medium.
+def shade_normals(normals: FloatArray, camera: Camera) -> FloatArray:
+    """Return the brightness (n,) of surfaces with ``normals`` (n, 3), 0..1; 0.7 without a normal.
 
     The light comes from above, to the left of ``camera``.
     """
@@ -111,50 +114,69 @@ def shade(normals: FloatArray, camera: Camera) -> FloatArray:
     return np.asarray(np.clip(np.where(np.isfinite(lit), lit, 0.7), 0.0, 1.0))
 
 
-def pack(model: Model, views: int, around: FloatArray, camera: Camera) -> Packed:
-    """Return ``model``, of so many ``views``, and the surroundings ``around`` (n, 3), for a page.
+def pack_points(model: Model, views: int, around: FloatArray, camera: Camera) -> PackedCloud:
+    """Return ``model`` and its surroundings packed for a page, thinned, and lit for ``camera``.
 
-    They are thinned to what a page can hold, and lit for ``camera``.
+    Args:
+        model: The points of the target.
+        views: Number of views of the model.
+        around: Points of the surroundings (n, 3) [m].
+        camera: Determines the light.
     """
+    # Sort by view and thin
     chosen = model.select(np.argsort(model.view, kind="stable"))
-    chosen = chosen.select(np.arange(0, len(model), max(1, math.ceil(len(model) / MOST_POINTS))))
+    chosen = chosen.select(
+        np.arange(0, len(model), max(1, math.ceil(len(model) / MAX_TARGET_POINTS)))
+    )
     points = np.concatenate([chosen.points, around])
+
+    # Quantise coordinates to 16 bits
     low = points.min(axis=0) if len(points) else np.zeros(3)
     extent = max(1e-3, float(np.ptp(points, axis=0).max())) if len(points) else 1.0
-    records = np.zeros(len(points), RECORD)
+    records = np.zeros(len(points), POINT_RECORD)
     for axis, name in enumerate("xyz"):
         records[name] = np.round((points[:, axis] - low[axis]) / extent * 65535)
-    light = np.concatenate([shade(chosen.normals, camera), np.full(len(around), 0.8)])
+
+    # Light the surfaces
+    light = np.concatenate([shade_normals(chosen.normals, camera), np.full(len(around), 0.8)])
     records["shade"] = np.round(255 * light)
+
+    # Find the ranges of the views
     counts = [*np.bincount(chosen.view, minlength=views), len(around)]
     firsts = np.cumsum([0, *counts[:-1]])
     ranges = [(int(first), int(count)) for first, count in zip(firsts, counts, strict=True)]
-    return Packed(records.tobytes(), ranges, low, extent)
+    return PackedCloud(records.tobytes(), ranges, low, extent)
 
 
-def still(model: Model, camera: Camera) -> bytes:
+def render_still(model: Model, camera: Camera) -> bytes:
     """Return a picture of ``model`` from ``camera`` as PNG with a transparent background."""
+    # Project, near points last
     size = (STILL_HEIGHT, STILL_WIDTH)
     x, y, depth = _project(model.points, camera)
     front = depth > 0.05
-    order = np.flatnonzero(front)[np.argsort(-depth[front])]  # far ones first: near ones win
+    order = np.flatnonzero(front)[np.argsort(-depth[front])]  # near points overwrite far ones
+
+    # Draw squares of 3 pixels
     picture = np.zeros((*size, 4), np.uint8)
-    colours = _colours(model.view, shade(model.normals, camera))[order]
+    colours = _colours(model.view, shade_normals(model.normals, camera))[order]
     column, row = np.round(x[order]).astype(np.int64), np.round(y[order]).astype(np.int64)
     for down in range(-1, 2):
         for across in range(-1, 2):
             r, c = row + down, column + across
             inside = (r >= 0) & (r < size[0]) & (c >= 0) & (c < size[1])
             picture[r[inside], c[inside]] = colours[inside]
-    return png_bytes(picture)
+    return encode_png(picture)
 
 
 def _project(points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return column and row in the still picture and the distance ahead of ``points`` (n,)."""
+    """Return column, row and depth (n,) of ``points`` (n, 3) in the still picture."""
+    # Compute the camera's axes
     a, e = camera.azimuth, camera.elevation
     back = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     right = np.array([-math.sin(a), math.cos(a), 0.0])
     up = np.cross(back, right)
+
+    # Project in perspective
     offset = points - camera.middle - camera.distance * back
     depth = -offset @ back
     focal = STILL_HEIGHT / 2 / math.tan(FIELD_OF_VIEW / 2)
@@ -167,6 +189,6 @@ def _project(points: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray
 
 
 def _colours(view: IntArray, light: FloatArray) -> npt.NDArray[np.uint8]:
-    """Return the opaque colours (n, 4) of points by view, darker where ``light`` (n,) is less."""
-    lit = rgb(view) * (0.55 + 0.6 * light[:, None])
+    """Return the opaque colours (n, 4) of points by view, scaled with the ``light`` (n,)."""
+    lit = view_colours_rgb(view) * (0.55 + 0.6 * light[:, None])
     return np.column_stack([np.minimum(lit, 255), np.full(len(view), 255)]).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The live view of a run: a web page that watches it and can pause and stop it."""
+"""The live view of a run: a web page that shows it and can pause and stop it."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ import numpy as np
 import viser
 
 from scan3d_twin.core.hal import Lidar, Robot
-from scan3d_twin.core.model.fused_cloud import scanned_share
-from scan3d_twin.core.observer import Command, attended
+from scan3d_twin.core.model.fused_cloud import measure_scanned_share
+from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import LidarSpec, Pose2, ScanLine
 from scan3d_twin.viz.server import open_server
-from scan3d_twin.viz.stage import Stage, add_looks
+from scan3d_twin.viz.stage import Stage, add_look_controls
 
-REFRESH = 0.1
-"""Time between two pictures of the moving robot [s]: the lidar's own period."""
-PAUSED = 0.05
-"""Time given away at each look at the buttons while paused [s]."""
+REFRESH_PERIOD = 0.1
+"""Time between two updates of the moving robot [s]: the lidar's line period."""
+PAUSE_PERIOD = 0.05
+"""Time between two checks of the buttons while paused [s]."""
 SPEEDS = {"real time": 1.0, "2x": 2.0, "5x": 5.0, "10x": 10.0, "30x": 30.0, "unlimited": 0.0}
 """Speeds of the twin by name; 0 for no limit."""
-FRESH = 3.0
-"""A page that reloads is back within this time [s]."""
+RELOAD_TIME = 3.0
+"""Longest time that a page takes to reload [s]."""
 
 
 class LiveView:
-    """An ``Observer`` that shows a run on a page and hands on what its buttons say.
+    """An ``Observer`` that shows a run on a page and obeys the page's buttons.
 
-    All its methods are called by the run; the buttons only set flags.
+    The run calls all its methods; the buttons only set flags.
     """
 
     def __init__(self, server: viser.ViserServer, name: str, speed: str | None) -> None:
@@ -55,7 +55,7 @@ class LiveView:
         self._build_buttons(gui)
         self._timeline = gui.add_slider("Views", 0, 1, step=1, initial_value=1, disabled=True)
         self._timeline.on_update(lambda _: self.stage.show_upto(int(self._timeline.value)))
-        add_looks(gui, self.stage)
+        add_look_controls(gui, self.stage)
         if speed is not None:
             chosen = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value=speed)
             chosen.on_update(lambda _: self._set_speed(chosen.value))
@@ -88,12 +88,12 @@ class LiveView:
         self._pace = _Pace(SPEEDS[name])
 
     def attach(self, robot: Robot) -> Robot:
-        """Return ``robot`` so that it is watched, and stopped, while it drives and scans."""
+        """Return ``robot`` wrapped so that the page follows it and can stop it."""
         self._robot = robot
-        return attended(replace(robot, lidar=_LineByLine(robot.lidar)), self.attend)
+        return with_clock_callbacks(replace(robot, lidar=_LineByLine(robot.lidar)), self.attend)
 
     def attend(self) -> None:
-        """Show where the robot is; stop it if it is to be stopped.
+        """Show where the robot is; stop it if the stop button was pressed.
 
         Raises:
             KeyboardInterrupt: The stop button was pressed.
@@ -105,11 +105,11 @@ class LiveView:
         if self._pace is not None:
             self._pace.wait(self._robot.clock.now())
         if self._due():
-            self.stage.robot(self._T_world_odom @ self._robot.base.odometry().T_odom_base)
+            self.stage.show_robot(self._T_world_odom @ self._robot.base.odometry().T_odom_base)
 
     def _due(self) -> bool:
         now = time.monotonic()
-        if now - self._drawn < REFRESH:
+        if now - self._drawn < REFRESH_PERIOD:
             return False
         self._drawn = now
         return True
@@ -120,37 +120,47 @@ class LiveView:
 
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``; stops as ``attend`` does."""
-        due = time.monotonic() - self._drawn >= REFRESH
+        # Limit the refresh rate
+        due = time.monotonic() - self._drawn >= REFRESH_PERIOD
         self.attend()
         robot = self._robot
         if robot is None or not due:
             return
+
+        # Convert the line to points
         elevations = robot.lidar.spec.elevations
         rays = np.stack([np.cos(elevations), np.zeros_like(elevations), np.sin(elevations)], axis=1)
         seen = np.isfinite(line.ranges)
         points = line.ranges[seen, None] * rays[seen]
         in_base = points @ robot.T_base_lidar[:3, :3].T + robot.T_base_lidar[:3, 3]
-        self.stage.line((self._T_world_odom @ robot.base.odometry().T_odom_base).apply(in_base))
+
+        # Show them in the world
+        self.stage.show_line(
+            (self._T_world_odom @ robot.base.odometry().T_odom_base).apply(in_base)
+        )
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
+        # Show the views
         view, count = session.views[-1], len(session.views)
         self._T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
-        self.stage.views(session)
+        self.stage.show_views(session)
         if count == 1:
-            self.stage.look_at(session)
-        share = scanned_share(session)
+            self.stage.aim_camera(session)
+
+        # Show the progress
+        share = measure_scanned_share(session)
         self._bar.value = 100.0 * share
-        what = "front" if session.config.tour == "front" else "contour"
-        self._share.content = f"{share:.0%} of the {what} scanned, {count} views"
+        what = "front outline" if session.config.tour == "front" else "outline all round"
+        self._share.content = f"{what} in top view: {share:.0%} scanned, {count} views"
         self._timeline.max, self._timeline.disabled = max(1, count), False
         self._timeline.value = count
 
     def on_plan(self, session: Session) -> None:
         """See ``Observer``."""
-        self.stage.views(session)
-        self.stage.plan(session)
-        self._plan.content = plan_table(session)
+        self.stage.show_views(session)
+        self.stage.show_plan(session)
+        self._plan.content = format_plan(session)
 
     def command(self) -> Command:
         """See ``Observer``: stop and pause between two views."""
@@ -158,28 +168,28 @@ class LiveView:
             return "stop"
         if self._pause.is_set():
             self._status.content = "**paused**"
-            time.sleep(PAUSED)
+            time.sleep(PAUSE_PERIOD)
             return "pause"
         return "go"
 
     def finish(self, text: str) -> None:
-        """Tell that the run is over; the buttons are gone."""
+        """Show ``text`` as the end of the run, and hide the buttons."""
         self._status.content = f"**{text}**"
         self.stage.hide_line()
         for button in (self._pause_button, self._continue_button, self._stop_button):
             button.visible = False
 
-    def is_read(self) -> bool:
-        """Tell whether a page is open."""
+    def has_readers(self) -> bool:
+        """Return whether a page is open."""
         return bool(self._server.get_clients())
 
     def wait_for_readers(self) -> None:
-        """Stay until the last page is closed, or Ctrl-C."""
+        """Wait until the last page is closed, or Ctrl-C."""
         last = time.monotonic()
         try:
-            while time.monotonic() - last < FRESH:
-                time.sleep(REFRESH)
-                if self.is_read():
+            while time.monotonic() - last < RELOAD_TIME:
+                time.sleep(REFRESH_PERIOD)
+                if self.has_readers():
                     last = time.monotonic()
         except KeyboardInterrupt:
             return
@@ -199,14 +209,14 @@ class _LineByLine:
 
 
 class _Pace:
-    """Keeps a twin from running faster than people can watch."""
+    """Slows a twin down to a chosen speed."""
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
         self._began: tuple[float, float] | None = None
 
     def wait(self, now: float) -> None:
-        """Wait until the time ``now`` [s] of the twin has come."""
+        """Wait until the twin's time ``now`` [s] is due."""
         if not self._speed:
             return
         if self._began is None:
@@ -214,11 +224,11 @@ class _Pace:
         ahead = (now - self._began[1]) / self._speed - (time.monotonic() - self._began[0])
         if ahead > 0:
             time.sleep(min(ahead, 1.0))
-        elif ahead < -1.0:  # planning took its time; do not race to make up for it
+        elif ahead < -1.0:  # after long planning, do not catch up
             self._began = (time.monotonic(), now)
 
 
-def plan_table(session: Session) -> str:
+def format_plan(session: Session) -> str:
     """Return the last plan of ``session`` as a table in Markdown."""
     plan = session.plans[-1]
     rows = ["", f"{plan.reason}", ""]
@@ -235,13 +245,13 @@ def plan_table(session: Session) -> str:
 
 @contextmanager
 def open_live_view(
-    host: str, port: int, name: str, speed: str | None, tell: Callable[[str], None]
+    host: str, port: int, name: str, speed: str | None, notify: Callable[[str], None]
 ) -> Iterator[LiveView]:
-    """Serve the live view of the run called ``name``; ``tell`` is told its address.
+    """Serve the live view of the run called ``name``, and ``notify`` the user of its address.
 
     Raises:
-        LinkError: It cannot be served there.
+        LinkError: The view cannot be served there.
     """
     with open_server(host, port, f"{name} - scan3d_twin") as (server, address):
-        tell(f"live view: {address}")
+        notify(f"live view: {address}")
         yield LiveView(server, name, speed)

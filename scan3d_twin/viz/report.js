@@ -101,7 +101,7 @@
 
   const controls = document.getElementById("controls");
   const upto = document.getElementById("upto");
-  const told = document.getElementById("told");
+  const shown = document.getElementById("shown");
   const boxes = [...controls.querySelectorAll("input[data-view]")];
   const around = document.getElementById("around");
   const colouring = document.getElementById("colouring");
@@ -154,7 +154,7 @@
     gl.uniform1f(at(lines, "upto"), last);
     gl.drawArrays(gl.LINES, 0, meta.lines.length / 7);
     gl.disableVertexAttribArray(hue);
-    told.textContent = last + 1 === N ? `all ${N}` : `${last + 1} of ${N}`;
+    shown.textContent = last + 1 === N ? `all ${N}` : `${last + 1} of ${N}`;
   }
 
   const turn = (dx, dy) => {

@@ -1,4 +1,4 @@
-"""The sections of ``report.html``, each a function from a run to a piece of HTML."""
+"""The sections of ``report.html``; each function renders one as HTML."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from html import escape
 from typing import Any
 
 from scan3d_twin.core.model.evaluation import Evaluation
-from scan3d_twin.core.model.fused_cloud import scanned_share
+from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
-from scan3d_twin.recording.colours import colour
+from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Report
-from scan3d_twin.viz.charts import Chart, Dot, round_up, svg
+from scan3d_twin.viz.charts import Chart, Dot, render_chart, round_up
 
-TALLEST = 5.0
-"""Charts of errors end at this many times epsilon; what is above is an arrow at the edge."""
+MAX_CHART_ERROR = 5.0
+"""Largest error of a chart, in units of epsilon; larger ones are arrows at the edge."""
 
 
-def head(report: Report) -> str:
-    """Return the title, the end of the run in words and its key figures."""
+def render_head(report: Report) -> str:
+    """Return the title, the stop reason and the key figures."""
+    # Collect the key figures
     figures = [
         ("Views", f"{report['views']}", ""),
         *_quality(report),
@@ -36,6 +37,8 @@ def head(report: Report) -> str:
         f"<div><dt>{escape(name)}</dt><dd>{escape(value)} <small>{escape(unit)}</small></dd></div>"
         for name, value, unit in figures
     )
+
+    # Return the header of the page
     return (
         f"<header><h1>{escape(report['scene'])}</h1>"
         f'<p class="lead">{escape(_capital(report["stop_reason"]))}. '
@@ -46,11 +49,11 @@ def head(report: Report) -> str:
 
 
 def _quality(report: Report) -> list[tuple[str, str, str]]:
-    """Return the figures that only the twin knows."""
+    """Return the figures that need the ground truth."""
     if report["coverage_20mm"] is None:
         return []
     figures = [
-        ("Covered (20 mm)", f"{report['coverage_20mm']:.0%}", ""),
+        ("Surface covered (20 mm)", f"{report['coverage_20mm']:.0%}", ""),
         ("Accuracy (median)", f"{report['accuracy_mm']['median']:.1f}", "mm"),
     ]
     worst = report["max_registration_error_mm"]
@@ -59,8 +62,8 @@ def _quality(report: Report) -> list[tuple[str, str, str]]:
     return figures
 
 
-def warnings(found: Sequence[str]) -> str:
-    """Return what people should know before they trust the model."""
+def render_warnings(found: Sequence[str]) -> str:
+    """Return the warnings of the report."""
     if not found:
         return '<p class="fine">Nothing to warn of: all views are registered as wanted.</p>'
     items = "".join(f"<li>{escape(each)}</li>" for each in found)
@@ -69,8 +72,8 @@ def warnings(found: Sequence[str]) -> str:
     )
 
 
-def top_view(document: str) -> str:
-    """Return the top view; its style sheet is kept to itself by being a picture of its own."""
+def render_top_view(document: str) -> str:
+    """Return the top view, as an image so that its style sheet does not affect the page."""
     data = base64.b64encode(document.encode()).decode()
     return (
         "<h2>Top view</h2><figure>"
@@ -81,10 +84,12 @@ def top_view(document: str) -> str:
     )
 
 
-def views(report: Report, session: Session) -> str:
-    """Return the table of views: what was planned, what came of it."""
+def render_views(report: Report, session: Session) -> str:
+    """Return the table of views: planned overlap, predicted and realised errors."""
     if not session.views:
         return ""
+
+    # Fill heading and rows
     known = report["coverage_20mm"] is not None
     rows = {row["view"]: row for row in report["registration"]}
     names = ["View", "Points", "Overlap", "Predicted error"]
@@ -92,6 +97,8 @@ def views(report: Report, session: Session) -> str:
     names += ["Odometry corrected by", "Fitness"]
     header = "".join(f"<th>{name}</th>" for name in names) + '<th class="words">Note</th>'
     body = "".join(_row(k, session, rows.get(k), known=known) for k in range(len(session.views)))
+
+    # Return the table with legend
     return (
         '<h2>Views</h2><div class="scroll"><table>'
         f"<thead><tr>{header}</tr></thead><tbody>{body}</tbody></table></div>"
@@ -106,7 +113,7 @@ def _row(k: int, session: Session, row: dict[str, Any] | None, *, known: bool) -
     dash = "\N{EN DASH}"
     epsilon = 1e3 * session.config.planning.epsilon
     points = f"{len(session.views[k].target):,}".replace(",", "\N{THIN SPACE}")
-    first = f'<span class="swatch" style="background:{colour(k)}"></span>{k}'
+    first = f'<span class="swatch" style="background:{view_colour(k)}"></span>{k}'
     if row is None:
         blanks = "".join(f"<td>{dash}</td>" for _ in range(6 if known else 4))
         return f"<tr><td>{first}</td><td>{points}</td>{blanks}<td class='words'>the first</td></tr>"
@@ -134,8 +141,9 @@ def _note(row: dict[str, Any]) -> str:
     return "; ".join(notes + (["default overlap"] if row["fell_back"] else []))
 
 
-def overlap_curves(session: Session) -> str:
+def render_overlap_curves(session: Session) -> str:
     """Return a chart E(eta) for each planning step that predicted errors."""
+    # Select steps with a prediction
     epsilon = 1e3 * session.config.planning.epsilon
     steps = [
         (k, plan)
@@ -144,13 +152,17 @@ def overlap_curves(session: Session) -> str:
     ]
     if not steps:
         return ""
+
+    # Find a common scale
     finite = [
         1e3 * c.predicted_rmse
         for _, plan in steps
         for c in plan.candidates
         if math.isfinite(c.predicted_rmse)
     ]
-    top = round_up(min(TALLEST * epsilon, 1.1 * max([epsilon, *finite])))
+    top = round_up(min(MAX_CHART_ERROR * epsilon, 1.1 * max([epsilon, *finite])))
+
+    # Draw one chart per step
     charts = "".join(
         _overlap_curve(k, plan, epsilon, top) for k, plan in steps if len(plan.candidates) > 1
     )
@@ -159,6 +171,8 @@ def overlap_curves(session: Session) -> str:
         for k, plan in steps
         if len(plan.candidates) == 1
     )
+
+    # Return the section with charts
     return (
         "<h2>How the overlaps were chosen</h2><p>For each step the planner predicts the "
         "registration error E of growing overlaps η and takes the smallest that stays within ε "
@@ -169,18 +183,21 @@ def overlap_curves(session: Session) -> str:
 
 
 def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
+    # Make one dot per candidate
     chosen = plan.viewpoint is not None
     dots = [
         Dot(
             c.overlap,
             1e3 * c.predicted_rmse,
-            colour(k),
+            view_colour(k),
             filled=chosen and abs(c.overlap - plan.overlap) < 1e-9,
             title=f"overlap {c.overlap:.0%}: {_millimetres(c.predicted_rmse)}",
         )
         for c in sorted(plan.candidates, key=lambda c: c.overlap)
         if not math.isnan(c.predicted_rmse)
     ]
+
+    # Draw the chart
     words = f"{plan.overlap:.0%}" + (" (default)" if plan.fell_back else "")
     title = f"View {k} to {k + 1}: {words}" if chosen else f"View {k}: the last"
     chart = Chart(
@@ -195,34 +212,38 @@ def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
         percent="x",
         width=330,
         height=220,
-        colour=colour(k),
+        colour=view_colour(k),
     )
-    return f"<figure><h3>{escape(title)}</h3>{svg(chart)}</figure>"
+    return f"<figure><h3>{escape(title)}</h3>{render_chart(chart)}</figure>"
 
 
-def coverage(session: Session, evaluation: Evaluation | None) -> str:
+def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
     """Return the chart of coverage against time, each view a numbered dot."""
     if not session.views:
         return ""
+
+    # Compute coverage after each view
     if evaluation is not None:
         shares: Sequence[float] = evaluation.coverage_by_view
-        what = "Share of the coverable surface with a model point within 20 mm"
+        title, label = "Surface coverage", "covered"
+        what = "Share of the surface in reach of the lidar that lies within 20 mm of the model"
     else:
         shares = [
-            scanned_share(replace(session, views=session.views[: k + 1]))
+            measure_scanned_share(replace(session, views=session.views[: k + 1]))
             for k in range(len(session.views))
         ]
-        what = "Share of the target's outline, as far as the robot knows it, that was scanned"
+        title, label = "Outline", "scanned"
+        what = "Share of the target's outline in top view, as far as the robot knows it, scanned"
     times = [float(view.observation.image.stamps.max()) for view in session.views]
     scale, unit = (1.0, "s") if times[-1] < 600 else (60.0, "min")
     dots = [
-        Dot(time / scale, share, colour(k), f"{k}", title=f"after view {k}: {share:.1%}")
+        Dot(time / scale, share, view_colour(k), f"{k}", title=f"after view {k}: {share:.1%}")
         for k, (time, share) in enumerate(zip(times, shares, strict=True))
     ]
     chart = Chart(
-        "Coverage against time",
+        f"{title} against time",
         f"time on the robot's clock [{unit}]",
-        "covered",
+        label,
         (0.0, round_up(1.05 * times[-1] / scale)),
         (0.0, 1.0),
         dots,
@@ -230,14 +251,16 @@ def coverage(session: Session, evaluation: Evaluation | None) -> str:
         width=520,
         height=260,
     )
+
+    # Return the chart with caption
     return (
-        f'<h2>Coverage</h2><figure class="wide">{svg(chart)}<figcaption>{what}, at the end of each '
-        "view, which is numbered.</figcaption></figure>"
+        f'<h2>{title}</h2><figure class="wide">{render_chart(chart)}<figcaption>{what}, '
+        "at the end of each view, which is numbered.</figcaption></figure>"
     )
 
 
-def scene(picture: bytes | str) -> str:
-    """Return the rendered picture of the scene, or why there is none; nothing for no words."""
+def render_scene(picture: bytes | str) -> str:
+    """Return the picture of the scene, or why there is none; nothing for an empty string."""
     if not picture:
         return ""
     if isinstance(picture, str):
@@ -250,16 +273,16 @@ def scene(picture: bytes | str) -> str:
     )
 
 
-def options(settings_toml: str) -> str:
-    """Return the effective options, folded away on a screen."""
+def render_options(settings_toml: str) -> str:
+    """Return the effective options, collapsed on a screen."""
     return (
         "<h2>Options</h2><details><summary>All effective options, to run it again</summary>"
         f"<pre>{escape(settings_toml)}</pre></details>"
     )
 
 
-def foot(report: Report) -> str:
-    """Return what made the page."""
+def render_foot(report: Report) -> str:
+    """Return the footer: version and units."""
     return (
         f"<footer>scan3d_twin {escape(report['version'])}; all lengths in metres unless said "
         "otherwise; the numbers are in report.json, the cloud in model.ply.</footer>"

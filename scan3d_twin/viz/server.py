@@ -1,4 +1,4 @@
-"""The web server of the views: on this machine only, unless told otherwise."""
+"""The web server of the live and recorded views; by default for this machine only."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserS
     """Serve a page at ``host`` and ``port``; yield the server and the page's address.
 
     Args:
-        host: ``LOOPBACK`` for this machine alone; 0.0.0.0 for all that can reach it, who then may
-            use the buttons too.
+        host: ``LOOPBACK`` for this machine alone; 0.0.0.0 for every machine that can reach it,
+            including the use of the buttons.
         port: TCP port; 0 takes a free one.
-        title: Of the page.
+        title: Title of the page.
 
     Raises:
         LinkError: The port is in use, or the host is not an address of this machine.
     """
     chosen = _free_port(host, port)
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a closed page is no error
-    with _silence():
+    with _silence_stdout():
         server = viser.ViserServer(host=host, port=chosen, label=title, verbose=False)
     try:
-        theme(server, dark=False)
+        set_theme(server, dark=False)
         name = LOOPBACK if host in ("0.0.0.0", "") else host
         yield server, f"http://{name}:{server.get_port()}"
     finally:
-        with _silence():
+        with _silence_stdout():
             server.stop()
 
 
-def theme(server: viser.ViserServer, *, dark: bool) -> None:
-    """Give the page its looks: light or dark, without what asks other machines."""
+def set_theme(server: viser.ViserServer, *, dark: bool) -> None:
+    """Set the page's theme, light or dark, without elements that load from other machines."""
     server.gui.configure_theme(
         control_width="medium",
         dark_mode=dark,
@@ -54,8 +54,8 @@ def theme(server: viser.ViserServer, *, dark: bool) -> None:
     server.gui.main_panel.dock_right()
 
 
-def _silence() -> contextlib.AbstractContextManager[object]:
-    """Keep viser's greetings out of what the program prints for others to read."""
+def _silence_stdout() -> contextlib.AbstractContextManager[object]:
+    """Keep viser's messages out of the program's standard output."""
     return contextlib.redirect_stdout(io.StringIO())
 
 

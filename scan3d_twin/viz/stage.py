@@ -1,7 +1,7 @@
-"""A run in 3D on a viser server: views in their colours, robot, scan line, plan.
+"""The 3D content of a run on a viser server: views in their colours, robot, scan line, plan.
 
-Viser brings the page, the mouse and the network; everything here is what to show. Nothing is
-fetched from elsewhere.
+Viser provides the page, the mouse and the network; this module adds the content. The page loads
+nothing from other machines.
 """
 
 from __future__ import annotations
@@ -12,29 +12,27 @@ from typing import Any
 import numpy as np
 import viser
 
-from scan3d_twin.core.model.fused_cloud import voxel_thin
+from scan3d_twin.core.model.fused_cloud import thin_by_voxel
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
-from scan3d_twin.recording.colours import rgb
-from scan3d_twin.viz.cloud import camera_of
-from scan3d_twin.viz.server import theme
+from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.viz.cloud import LIDAR_HEIGHT, choose_camera, points_off_target
+from scan3d_twin.viz.server import set_theme
 
-EYE_HEIGHT = 0.30
-"""Height at which a viewpoint is drawn: that of the lidar [m]."""
-MOST_POINTS = 25_000
-"""Points shown of a view: a model of ten views stays quick on a phone."""
+MAX_VIEW_POINTS = 25_000
+"""Most points shown of a view: ten views stay fast on a phone."""
 BACKGROUND_VOXEL = 0.05
-"""Side of the voxels in which what else a view saw is thinned [m]."""
-POINT = 0.011
-"""Size of a point [m]: the distance of two readings at 1.2 m."""
+"""Side of the voxels to which points off the target are thinned [m]."""
+POINT_SIZE = 0.011
+"""Size of a point [m]: the distance between two readings at 1.2 m."""
 GREY, DARK, RED, CHOSEN = (150, 158, 168), (60, 66, 74), (235, 50, 50), (11, 98, 196)
 ORANGE, PALE, CELL, SECTION = (230, 120, 20), (190, 196, 204), (222, 226, 231), (196, 203, 211)
 
 
 class Stage:
-    """What is shown; ``world`` is the frame of everything.
+    """The shown objects, all in frame ``world``.
 
-    Setting something again moves or replaces it.
+    Showing an object again moves or replaces it.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -58,29 +56,33 @@ class Stage:
         scene.add_box("/robot/nose", ORANGE, dimensions=nose, position=(0.16, 0.0, 0.08))
         return frame
 
-    def robot(self, T_world_base: Pose2) -> None:
-        """Put the robot where it is."""
+    def show_robot(self, T_world_base: Pose2) -> None:
+        """Show the robot at its pose."""
         self._robot.position = (T_world_base.x, T_world_base.y, 0.0)
         self._robot.wxyz = _turn(T_world_base)
 
-    def line(self, points: FloatArray) -> None:
-        """Show the scan line that arrived: its points (n, 3) in ``world`` [m]."""
+    def show_line(self, points: FloatArray) -> None:
+        """Show the latest scan line by its points (n, 3) in ``world`` [m]."""
         if len(points) == 0:
             return
         if self._line is not None:
             self._line.points = points.astype(np.float32)
             return
         self._line = self._server.scene.add_point_cloud(
-            "/line", points.astype(np.float32), RED, point_size=1.6 * POINT, precision="float32"
+            "/line",
+            points.astype(np.float32),
+            RED,
+            point_size=1.6 * POINT_SIZE,
+            precision="float32",
         )
 
     def hide_line(self) -> None:
-        """Show no scan line: none arrives any more."""
+        """Hide the scan line at the end of the run."""
         if self._line is not None:
             self._line.visible = False
 
-    def views(self, session: Session) -> None:
-        """Show all views of ``session``; those that are there already move to their places."""
+    def show_views(self, session: Session) -> None:
+        """Show all views of ``session``; views shown before move to their new poses."""
         for index, view in enumerate(session.views):
             if index == len(self._views):
                 self._add_view(index, view)
@@ -91,16 +93,25 @@ class Stage:
 
     def _add_view(self, index: int, view: View) -> None:
         """Add the points of a view below a frame that is its frame ``scan``."""
-        scene, name, colour = self._server.scene, f"/views/{index:03d}", rgb(np.array([index]))[0]
+        # Add the thinned target
+        scene, name, colour = (
+            self._server.scene,
+            f"/views/{index:03d}",
+            view_colours_rgb(np.array([index]))[0],
+        )
         self._views.append(scene.add_frame(name, show_axes=False))
         target = view.target.points
-        step = max(1, math.ceil(len(target) / MOST_POINTS))
-        self._cloud(f"{name}/target", target[::step], colour, POINT)
-        around = voxel_thin(_background(view), BACKGROUND_VOXEL)
-        self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT))
-        place = (0.0, 0.0, EYE_HEIGHT)
+        step = max(1, math.ceil(len(target) / MAX_VIEW_POINTS))
+        self._cloud(f"{name}/target", target[::step], colour, POINT_SIZE)
+
+        # Add the thinned background
+        around = thin_by_voxel(points_off_target(view), BACKGROUND_VOXEL)
+        self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT_SIZE))
+
+        # Add the viewpoint's number
+        place = (0.0, 0.0, LIDAR_HEIGHT)
         scene.add_icosphere(f"{name}/place", 0.03, colour, subdivisions=2, position=place)
-        scene.add_label(f"{name}/number", f"{index}", position=(0.0, 0.0, EYE_HEIGHT + 0.06))
+        scene.add_label(f"{name}/number", f"{index}", position=(0.0, 0.0, LIDAR_HEIGHT + 0.06))
 
     def _cloud(self, name: str, points: FloatArray, colour: Any, size: float) -> Any:
         """Return a cloud of round points (n, 3) [m] of ``size`` [m]."""
@@ -113,8 +124,8 @@ class Stage:
             point_shading="flat",
         )
 
-    def plan(self, session: Session) -> None:
-        """Show the last plan of ``session``: where next, and what else was looked at."""
+    def show_plan(self, session: Session) -> None:
+        """Show the last plan of ``session``: the next viewpoint, and the other candidates."""
         for handle in self._plan:
             handle.remove()
         self._plan = []
@@ -128,9 +139,9 @@ class Stage:
             self._add_next(plan, plan.viewpoint, session.config.sweep.width)
 
     def _add_candidate(self, name: str, candidate: Candidate) -> None:
-        """Add a viewpoint that was looked at, with its predicted error."""
+        """Add a candidate viewpoint with its predicted error."""
         scene, pose = self._server.scene, candidate.viewpoint
-        place, above = (pose.x, pose.y, EYE_HEIGHT), (pose.x, pose.y, EYE_HEIGHT + 0.03)
+        place, above = (pose.x, pose.y, LIDAR_HEIGHT), (pose.x, pose.y, LIDAR_HEIGHT + 0.03)
         self._plan.append(scene.add_icosphere(name, 0.02, GREY, subdivisions=2, position=place))
         if math.isfinite(candidate.predicted_rmse):
             words = f"{candidate.overlap:.0%}: {1e3 * candidate.predicted_rmse:.1f} mm"
@@ -139,15 +150,20 @@ class Stage:
             )
 
     def _add_next(self, plan: Plan, pose: Pose2, width: float) -> None:
-        """Add what shows the chosen viewpoint: a marker, its sector and its predicted error."""
+        """Add the chosen viewpoint: a marker, its scan sector and its predicted error."""
+        # Outline the scan sector
         scene = self._server.scene
         corners = np.array([[0.0, 0.0], *_sector(width)])
         ring = np.column_stack([pose.apply(corners), np.full(len(corners), 0.02)])
         sides = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
+
+        # Describe the predicted error
         known = math.isfinite(plan.predicted_rmse)
         error = f"{1e3 * plan.predicted_rmse:.1f} mm" if known else "error unknown"
-        place, above = (pose.x, pose.y, EYE_HEIGHT), (pose.x, pose.y, EYE_HEIGHT + 0.08)
+        place, above = (pose.x, pose.y, LIDAR_HEIGHT), (pose.x, pose.y, LIDAR_HEIGHT + 0.08)
         words = f"next: {plan.overlap:.0%}, {error}"
+
+        # Add the objects
         self._plan += [
             scene.add_line_segments("/next/sector", sides, CHOSEN, thickness=0.012),
             scene.add_icosphere("/next/place", 0.045, CHOSEN, subdivisions=2, position=place),
@@ -160,7 +176,7 @@ class Stage:
         self._show()
 
     def show_background(self, shown: bool) -> None:
-        """Show or hide what is not of the target."""
+        """Show or hide the points off the target."""
         self._with_background = shown
         self._show()
 
@@ -169,16 +185,16 @@ class Stage:
             view.visible = index < self._upto
             self._backgrounds[index].visible = self._with_background and index < self._upto
 
-    def dark(self, wanted: bool) -> None:
+    def set_dark(self, wanted: bool) -> None:
         """Show the page dark or light."""
-        theme(self._server, dark=wanted)
+        set_theme(self._server, dark=wanted)
 
-    def look_at(self, session: Session) -> None:
-        """Let pages look at the target from the robot's side."""
+    def aim_camera(self, session: Session) -> None:
+        """Point the camera of all pages at the target from the robot's side."""
         hint = np.column_stack([session.hint, np.zeros(len(session.hint))])
         seen = [view.T_world_scan.apply(view.target.points) for view in session.views]
         poses = [view.T_world_scan for view in session.views]
-        camera = camera_of(np.concatenate([hint, *seen]), poses)
+        camera = choose_camera(np.concatenate([hint, *seen]), poses)
         a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.1 * camera.distance
         ray = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
         eye = camera.middle + d * ray
@@ -189,23 +205,16 @@ class Stage:
             client.camera.position = eye
 
 
-def add_looks(gui: Any, stage: Stage) -> None:
-    """Add to ``gui`` what changes the looks of ``stage`` alone."""
+def add_look_controls(gui: Any, stage: Stage) -> None:
+    """Add to ``gui`` the controls of the appearance of ``stage``."""
     background = gui.add_checkbox("Background", initial_value=True)
     background.on_update(lambda _: stage.show_background(background.value))
     dark = gui.add_checkbox("Dark", initial_value=False)
-    dark.on_update(lambda _: stage.dark(dark.value))
-
-
-def _background(view: View) -> FloatArray:
-    """Return the points of a view's sweep that are not of its target (n, 3) in ``scan`` [m]."""
-    beams = view.image.spec.n_beams
-    ours = view.target.lines * beams + view.target.beams
-    return view.sweep.points[~np.isin(view.sweep.lines * beams + view.sweep.beams, ours)]
+    dark.on_update(lambda _: stage.set_dark(dark.value))
 
 
 def _sector(width: float) -> FloatArray:
-    """Return the arc of a sweep, 0.35 m long (n, 2) in ``scan`` [m]."""
+    """Return the arc of a sweep, of radius 0.35 m (n, 2) in ``scan`` [m]."""
     angles = np.linspace(width / 2, -width / 2, 9)
     return 0.35 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 

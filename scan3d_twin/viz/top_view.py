@@ -14,14 +14,14 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
-from scan3d_twin.recording.colours import colour
+from scan3d_twin.recording.colours import view_colour
 
 WIDTH, MARGIN, TITLE_HEIGHT = 900.0, 60.0, 34.0
-"""Of the picture, in its own units."""
+"""Dimensions of the picture, in its own units."""
 MIN_HEIGHT, MAX_HEIGHT = 320.0, 1200.0
 POINT_SIZE = 2.2
 MAX_POINTS = 60_000
-"""Keeps the file well under 2 MB."""
+"""Most points of the picture; keeps the file under 2 MB."""
 STYLE = """
 svg { background: #ffffff; font: 13px system-ui, "Helvetica Neue", Arial, sans-serif; }
 .paper { fill: #ffffff; } .frame { fill: none; stroke: #57606a; }
@@ -61,7 +61,7 @@ class _Frame:
         return self.y_max - self.height / self.scale
 
 
-def top_view(
+def draw_top_view(
     points: FloatArray,
     view: IntArray,
     viewpoints: Sequence[Pose2],
@@ -77,12 +77,15 @@ def top_view(
         view: Index of the view each point came from (n,).
         viewpoints: ``T_world_scan`` of each view.
         sweep_width: Horizontal angle of a sweep [rad].
-        standoff: Distance at which the surface is expected; the sectors reach a little beyond [m].
+        standoff: Distance at which the surface is expected [m]; the sectors are a quarter longer.
         title: One line above the picture.
     """
+    # Lay out the picture
     reach = 1.25 * standoff
     frame = _frame(points, viewpoints, sweep_width, reach)
     total = frame.height + TITLE_HEIGHT + MARGIN
+
+    # Draw from back to front
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {total:.0f}" role="img">',
         f"<title>{escape(title)}</title><style>{STYLE}</style>",
@@ -101,13 +104,18 @@ def top_view(
 def _frame(
     points: FloatArray, viewpoints: Sequence[Pose2], sweep_width: float, reach: float
 ) -> _Frame:
-    """Return a frame that holds all points and sectors with a border around them."""
+    """Return a frame around all points and sectors, with a border."""
+    # Bound all points and sectors
     corners = [_sector_points(pose, sweep_width, reach) for pose in viewpoints]
     seen = np.concatenate([points[:, :2], *corners])
     low, high = seen.min(axis=0) - 0.15, seen.max(axis=0) + 0.15
+
+    # Fit the scale to both axes
     width = WIDTH - MARGIN - 20.0
     scale = min(width / (high[0] - low[0]), MAX_HEIGHT / (high[1] - low[1]))
     height = max(MIN_HEIGHT, scale * (high[1] - low[1]))
+
+    # Centre the content
     middle = (low + high) / 2
     return _Frame(
         x_min=float(middle[0] - width / scale / 2),
@@ -127,16 +135,19 @@ def _sector_points(pose: Pose2, width: float, reach: float) -> FloatArray:
 
 def _points(frame: _Frame, points: FloatArray, view: IntArray) -> list[str]:
     """Return one path of dots per view, one dot per occupied cell of the picture."""
+    # One dot per occupied cell
     size = POINT_SIZE / 2 / frame.scale
     cells = np.column_stack([view, np.round(points[:, :2] / size).astype(np.int64)])
     cells = np.unique(cells, axis=0)
     cells = cells[:: max(1, math.ceil(len(cells) / MAX_POINTS))]
+
+    # Draw one path per view
     parts = []
     for index in np.unique(cells[:, 0]):
         dots = size * cells[cells[:, 0] == index, 1:]
         path = "".join(f"M{frame.x(x):.1f} {frame.y(y):.1f}h0" for x, y in dots)
         parts.append(
-            f'<path d="{path}" stroke="{colour(int(index))}" stroke-width="{POINT_SIZE}" '
+            f'<path d="{path}" stroke="{view_colour(int(index))}" stroke-width="{POINT_SIZE}" '
             f'stroke-linecap="round" fill="none"/>'
         )
     return parts
@@ -147,20 +158,23 @@ def _sectors(frame: _Frame, viewpoints: Sequence[Pose2], width: float, reach: fl
     for index, pose in enumerate(viewpoints):
         outline = _sector_points(pose, width, reach)
         corners = " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in outline)
-        parts.append(f'<polygon class="sector" points="{corners}" stroke="{colour(index)}"/>')
+        parts.append(f'<polygon class="sector" points="{corners}" stroke="{view_colour(index)}"/>')
     return parts
 
 
 def _stars(frame: _Frame, viewpoints: Sequence[Pose2]) -> list[str]:
-    """Return a star at each viewpoint, its number on the side away from where it looks."""
+    """Return a star at each viewpoint, with its number behind it."""
     parts = []
     for index, pose in enumerate(viewpoints):
+        # Draw a star of five tips
         x, y = frame.x(pose.x), frame.y(pose.y)
         tips = " ".join(
             f"{x + r * math.sin(a):.1f},{y - r * math.cos(a):.1f}"
             for a, r in ((math.tau * k / 10, 4.0 if k % 2 else 10.0) for k in range(10))
         )
-        parts.append(f'<polygon class="star" points="{tips}" fill="{colour(index)}"/>')
+        parts.append(f'<polygon class="star" points="{tips}" fill="{view_colour(index)}"/>')
+
+        # Draw its number behind it
         tx, ty = x - 19 * math.cos(pose.yaw), y + 19 * math.sin(pose.yaw) + 4.5
         parts.append(
             f'<text class="label" x="{tx:.1f}" y="{ty:.1f}" text-anchor="middle">{index}</text>'
@@ -170,10 +184,13 @@ def _stars(frame: _Frame, viewpoints: Sequence[Pose2]) -> list[str]:
 
 def _axes(frame: _Frame) -> list[str]:
     """Return grid, frame and ticks in metres."""
+    # Choose the tick distance
     left, top = MARGIN, TITLE_HEIGHT
     bottom, right = top + frame.height, left + frame.width
     step = _round_step(100.0 / frame.scale)
     digits = max(0, -math.floor(math.log10(step)))
+
+    # Draw vertical grid lines
     parts = []
     for value in _multiples(step, frame.x_min, frame.x_max):
         x = frame.x(value)
@@ -182,6 +199,8 @@ def _axes(frame: _Frame) -> list[str]:
             f'<text class="tick" x="{x:.1f}" y="{bottom + 17:.1f}" text-anchor="middle">'
             f"{value:.{digits}f}</text>"
         )
+
+    # Draw horizontal grid lines
     for value in _multiples(step, frame.y_min, frame.y_max):
         y = frame.y(value)
         parts.append(f'<path class="grid" d="M{left:g} {y:.1f}H{right:.1f}"/>')
@@ -189,6 +208,8 @@ def _axes(frame: _Frame) -> list[str]:
             f'<text class="tick" x="{left - 8:g}" y="{y + 4:.1f}" text-anchor="end">'
             f"{value:.{digits}f}</text>"
         )
+
+    # Draw frame and labels
     middle = top + frame.height / 2
     parts += [
         f'<rect class="frame" x="{left:g}" y="{top:g}" width="{frame.width:g}" '

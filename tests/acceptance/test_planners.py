@@ -12,7 +12,7 @@ from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene
 
@@ -20,7 +20,7 @@ RIVALS = ("frontier2d", "pito", "see")
 
 
 def config(tour: str, **changes: object) -> Config:
-    own = settings([{"tour": tour}, preset_options("best")]).config
+    own = build_settings([{"tour": tour}, preset_options("best")]).config
     return dataclasses.replace(own, **changes)  # type: ignore[arg-type]
 
 

@@ -1,10 +1,12 @@
+"""Made-up records of runs."""
+
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from benches import quick_tasks
+from short_experiments import quick_tasks
 
 from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.task import Task
@@ -14,6 +16,7 @@ Make = Callable[..., Record]
 
 @pytest.fixture(scope="session")
 def a_task() -> Task:
+    """A task of about a second."""
     return quick_tasks(1)[0]
 
 
@@ -27,9 +30,10 @@ def make(a_task: Task) -> Make:
         errors: tuple[float, ...] = (0.004, 0.008),
         **stated: object,
     ) -> Record:
+        """Return a record of a run with these errors."""
         steps = tuple(_step(k, error) for k, error in enumerate((None, *errors)))
         record = replace(
-            a_task.blank(),
+            a_task.blank_record(),
             key=f"{variant}-{seed}",
             variant=variant,
             seed=seed,

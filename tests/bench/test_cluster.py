@@ -13,14 +13,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from benches import busy, children, quick_tasks, wait_for
+from short_experiments import busy, children, quick_tasks, wait_for
 
 from scan3d_twin.bench.cluster import ClusterEngine, _check, cluster_engine
-from scan3d_twin.bench.engine import run
+from scan3d_twin.bench.engine import run_on_workers
 from scan3d_twin.bench.journal import read_journals
-from scan3d_twin.bench.record import lasting, to_json
+from scan3d_twin.bench.record import to_json, without_timings
 from scan3d_twin.bench.store import read_results
-from scan3d_twin.bench.work import code_hash, perform
+from scan3d_twin.bench.work import code_hash, run_task
 from scan3d_twin.core.errors import ConfigError, LinkError
 
 pytest.importorskip("distributed")
@@ -33,6 +33,7 @@ LONG = 100.0
 
 @contextmanager
 def dask(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a Dask command in a process of its own until the block ends."""
     command = [sys.executable, "-m", "distributed.cli." + arguments[0], *LOCAL, *arguments[1:]]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(command, **quiet) as process:  # type: ignore[call-overload]
@@ -59,6 +60,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, lis
 
 @pytest.fixture
 def engine(cluster: tuple[str, list[int]]) -> Iterator[ClusterEngine]:
+    """The engine on a cluster of two workers."""
     with cluster_engine(cluster[0], LONG) as opened:
         opened._client.wait_for_workers(2, timeout=60)
         yield opened
@@ -80,8 +82,10 @@ def _command(pid: int) -> bytes:
 def test_a_cluster_gives_the_same_records(engine: ClusterEngine) -> None:
     tasks = quick_tasks(3)
     assert engine.slots == 2
-    there = {done.record.seed: lasting(done.record) for done in run(tasks, engine)}
-    assert there == {task.seed: lasting(perform(task).record) for task in tasks}
+    there = {
+        done.record.seed: without_timings(done.record) for done in run_on_workers(tasks, engine)
+    }
+    assert there == {task.seed: without_timings(run_task(task).record) for task in tasks}
 
 
 def test_a_killed_worker_of_a_cluster_loses_nothing(
@@ -91,12 +95,13 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
     assert len(before) == 2
 
     def kill_one() -> None:
+        """Kill the worker that computes."""
         wait_for(lambda: any(busy(pid) > spent + BEGUN for pid, spent in before.items()))
         os.kill(max(before, key=lambda pid: busy(pid) - before[pid]), signal.SIGKILL)
 
     killer = threading.Thread(target=kill_one)
     killer.start()
-    done = list(run(quick_tasks(4), engine))
+    done = list(run_on_workers(quick_tasks(4), engine))
     killer.join()
     assert set(before) != set(workers(cluster[1]))
     assert sorted(each.record.seed for each in done) == [0, 1, 2, 3]
@@ -127,18 +132,18 @@ def test_a_killed_driver_of_a_cluster_goes_on(
 def test_a_hanging_task_of_a_cluster_is_ended(cluster: tuple[str, list[int]]) -> None:
     (task,) = quick_tasks(1)
     with cluster_engine(cluster[0], 0.05) as hurried:
-        (done,) = run([task], hurried, retries=0)
+        (done,) = run_on_workers([task], hurried, retries=0)
     assert done.record.status == "lost"
     assert done.record.stop == "not finished after 0.05 s"
     with cluster_engine(cluster[0], LONG) as patient:
-        (again,) = run([task], patient)
+        (again,) = run_on_workers([task], patient)
     assert again.record.status == "done"
 
 
 def test_nobody_there_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scan3d_twin.bench.cluster.CONNECT_TIMEOUT", 1.0)
-    told = pytest.raises(LinkError, match="start one with `dask scheduler`")
-    with told, cluster_engine("tcp://127.0.0.1:9", LONG):
+    refused = pytest.raises(LinkError, match="start one with `dask scheduler`")
+    with refused, cluster_engine("tcp://127.0.0.1:9", LONG):
         pass
 
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from scan3d_twin.bench.reporting.compare import comparisons, regrets, views_to
-from scan3d_twin.bench.reporting.figures import figures_of, steps_of
+from scan3d_twin.bench.reporting.compare import compare_variants, compare_with_oracle, views_to
+from scan3d_twin.bench.reporting.figures import draw_figures, steps_of
 from scan3d_twin.bench.reporting.files import write_report
-from scan3d_twin.bench.reporting.summary import MEASURES, summarise, table
-from scan3d_twin.bench.store import RESULTS, read_results, write_parquet
+from scan3d_twin.bench.reporting.measures import MEASURES, format_table, summarise
+from scan3d_twin.bench.store import RESULTS_FILE, read_results, write_parquet
 from scan3d_twin.core.errors import FileError
 
 CHROMIUM = shutil.which("chromium")
@@ -39,21 +39,22 @@ def records(make):
 
 @pytest.fixture(scope="module")
 def report(records, tmp_path_factory) -> Path:
+    """The folder of a written report."""
     folder = tmp_path_factory.mktemp("report")
-    write_parquet(records, folder / RESULTS)
+    write_parquet(records, folder / RESULTS_FILE)
     write_report(read_results(folder), "an example", folder, folder / "report")
     return folder / "report"
 
 
 def test_parquet_gives_the_records_back(records, tmp_path):
-    write_parquet(records, tmp_path / RESULTS)
-    assert read_results(tmp_path / RESULTS) == records
+    write_parquet(records, tmp_path / RESULTS_FILE)
+    assert read_results(tmp_path / RESULTS_FILE) == records
     assert not list(tmp_path.glob("*.part"))
 
 
 def test_records_without_a_view_or_a_number_come_back_too(make, tmp_path):
     bare = [replace(make("a", seed), steps=(), max_error=None, path=None) for seed in range(2)]
-    write_parquet(bare, tmp_path / RESULTS)
+    write_parquet(bare, tmp_path / RESULTS_FILE)
     assert read_results(tmp_path) == bare
 
 
@@ -80,11 +81,11 @@ def test_the_table_has_a_row_per_scene_and_variant(records):
     assert found["max_error_mm"].value == 30
     assert found["calibration"].value == pytest.approx(2.0)
     assert found["plan_ms"].value == pytest.approx(20.0)
-    assert len(table(list(rows.values()))[1]) == 3 + len(MEASURES)
+    assert len(format_table(list(rows.values()))[1]) == 3 + len(MEASURES)
 
 
 def test_variants_are_compared_on_equal_seeds_with_the_best(records):
-    found = {c.variant: c for c in comparisons(records)}
+    found = {c.variant: c for c in compare_variants(records)}
     assert {c.reference for c in found.values()} == {"a"}
     assert {name: c.pairs for name, c in found.items()} == {"a-far": 0, "b": 12, "o": 12}
     c = found["b"]
@@ -97,7 +98,7 @@ def test_variants_are_compared_on_equal_seeds_with_the_best(records):
 
 def test_scopes_are_not_mixed(make):
     mixed = [make("a", k, scope="sweep") for k in range(3)] + [make("b", k) for k in range(3)]
-    assert comparisons(mixed) == []
+    assert compare_variants(mixed) == []
 
 
 def test_regret_is_at_equal_coverage(make):
@@ -106,18 +107,18 @@ def test_regret_is_at_equal_coverage(make):
         make("o", errors=(0.004,), coverage=0.6, planner="oracle"),
     )
     assert [views_to(run, c) for c in (0.3, 0.6, 0.9, 0.95)] == [1, 2, 3, None]
-    (found,) = regrets([run, oracle])
+    (found,) = compare_with_oracle([run, oracle])
     assert (found.variant, found.oracle, found.regret.value) == ("a", "o", 1.0)
     slow = replace(
         run, steps=tuple(replace(s, coverage=round(0.3 * (s.view // 2 + 1), 6)) for s in run.steps)
     )
-    (found,) = regrets([slow, oracle])
+    (found,) = compare_with_oracle([slow, oracle])
     assert found.regret.value == pytest.approx(3 / 2)
 
 
 def test_a_run_that_saw_nothing_has_no_regret(make):
     blind = make("a", coverage=0.0, errors=())
-    (found,) = regrets([blind, make("o", planner="oracle")])
+    (found,) = compare_with_oracle([blind, make("o", planner="oracle")])
     assert found.regret.n == 0
 
 
@@ -131,7 +132,7 @@ def test_steps_know_their_length_and_the_features_before_them(make):
 
 
 def test_all_figures_are_there_with_their_numbers(report, records):
-    names = {figure.name for figure in figures_of(records)}
+    names = {figure.name for figure in draw_figures(records)}
     scene = "shiny_cylinder"
     kinds = ("F2", "F3", "F4", "F5a", "F5b", "F6", "F7")
     for kind in kinds:
@@ -145,7 +146,7 @@ def test_all_figures_are_there_with_their_numbers(report, records):
 
 
 def test_the_pareto_figure_has_a_dot_a_run(records):
-    (figure,) = [f for f in figures_of(records) if f.name.startswith("F2")]
+    (figure,) = [f for f in draw_figures(records) if f.name.startswith("F2")]
     shown = [record for record in records if record.status != "lost"]
     assert figure.svg.count("<circle") == len(shown) == len(figure.rows) - 1
 

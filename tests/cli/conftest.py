@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from cyclopts import App
 
 from scan3d_twin.cli import main
+from scan3d_twin.cli.app import app
 
 
 @dataclass(frozen=True)
@@ -20,10 +22,22 @@ class Result:
 
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path, monkeypatch):
-    """Run in an empty folder and without the user's own TWIN_* variables."""
+    """Run in an empty folder, on a terminal of 100 columns, without the user's own variables.
+
+    A console keeps the width that it found first.
+    """
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
     for name in [name for name in os.environ if name.startswith("TWIN_")]:
         monkeypatch.delenv(name)
+
+
+@pytest.fixture(scope="session")
+def commands() -> list[App]:
+    """All commands that do something, those of `twin session` and `twin bench` among them."""
+    groups = [app, app["session"], app["bench"]]
+    found = [each[name] for each in groups for name in each if not name.startswith("-")]
+    return [command for command in found if command.default_command]
 
 
 @pytest.fixture

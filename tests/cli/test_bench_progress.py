@@ -5,14 +5,14 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from scan3d_twin.bench.spec import experiment_of, tasks
+from scan3d_twin.bench.spec import list_tasks, make_experiment
 from scan3d_twin.cli.bench_progress import LiveProgress, bench_progress, run_words
 
 
 @pytest.fixture(scope="module")
 def lost():
-    (task,) = tasks(experiment_of(["three_boxes"], [], ["best"]))
-    return task.lost("not finished after 9 s", 3)
+    (task,) = list_tasks(make_experiment(["three_boxes"], [], ["best"]))
+    return task.lost_record("not finished after 9 s", 3)
 
 
 def test_off_a_terminal_each_run_is_a_line_with_the_time_left(lost, capsys):
@@ -38,5 +38,8 @@ def test_on_a_terminal_a_bar_moves_and_lost_runs_are_told(lost):
 
 def test_a_run_is_told_by_its_views_and_worst_error(lost):
     done = replace(lost, status="done", views=4, max_error=0.0042, coverage=0.871)
-    assert run_words(done) == "three_boxes best seed 0: 4 views, worst error 4.2 mm, 87% covered"
+    assert (
+        run_words(done)
+        == "three_boxes best seed 0: 4 views, worst error 4.2 mm, surface 87% covered"
+    )
     assert "worst error -," in run_words(replace(done, max_error=None))

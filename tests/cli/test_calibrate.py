@@ -14,7 +14,7 @@ from paper import paper_config, paper_sweep
 from scan3d_twin.cli.app import main
 from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.recording.image import image_bytes
-from scan3d_twin.recording.scans import BACK, SCAN
+from scan3d_twin.recording.scans import BACK_SCAN_FILE, SCAN_FILE
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 
@@ -32,7 +32,10 @@ def wrong_twin() -> TwinConfig:
 def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a full turn and a sweep to both sides, in the living room."""
     folder = tmp_path_factory.mktemp("cal")
-    for name, width, files in (("turn", 360.0, (SCAN,)), ("back", 300.0, (SCAN, BACK))):
+    for name, width, files in (
+        ("turn", 360.0, (SCAN_FILE,)),
+        ("back", 300.0, (SCAN_FILE, BACK_SCAN_FILE)),
+    ):
         wanted = paper_sweep(width=math.radians(width), yaw_rate=math.radians(10.0))
         config = replace(paper_config(), sweep=wanted)
         (folder / name).mkdir()
@@ -59,7 +62,7 @@ def test_it_says_what_to_write_into_the_configuration(
     out = capsys.readouterr().out
     assert "[mount]" in out
     assert "lateral = 0.0" in out
-    assert "time_offset  not known: scan to both sides" in out
+    assert "time_offset  unknown: scan in both directions" in out
 
 
 def test_a_folder_without_scans_is_refused(

@@ -60,11 +60,11 @@ def test_the_mesh_was_measured_when_the_truth_was_known(finished):
     ("arguments", "code", "words"),
     [
         (("export", "RUN", "--to", "dxf"), 2, "known: e57"),
-        (("export", "RUN", "--to", "stl", "--per-view"), 2, "are for clouds"),
+        (("export", "RUN", "--to", "stl", "--per-view"), 2, "are for point clouds"),
         (("export", "RUN", "--to", "ply", "--voxel", "-1"), 2, "--voxel must be"),
         (("export", "nowhere", "--to", "ply"), 3, "no session in nowhere"),
         (("mesh", "nowhere"), 3, "no session in nowhere"),
-        (("mesh", "RUN", "--to", "las"), 2, "no format of meshes"),
+        (("mesh", "RUN", "--to", "las"), 2, "no mesh format"),
     ],
 )
 def test_mistakes_are_told_in_a_line(arguments, code, words, finished, twin):

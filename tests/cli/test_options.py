@@ -39,10 +39,11 @@ def test_every_field_is_a_documented_option(section, cls):
 
 def test_the_help_shows_units_defaults_and_the_plain_lambda(twin):
     text = " ".join(twin("sim", "--help").out.replace("│", " ").split())
+    assert "[mm]. [default: 10]" in text
+    text = twin("options").out
     assert "--planning.lambda FLOAT" in text
-    assert "--planning.eta_min FLOAT" in text
+    assert "--planning.eta-min FLOAT" in text
     assert "[rad]" in text
-    assert "[mm] (default 10)" in text
 
 
 def test_defaults():
@@ -78,7 +79,7 @@ def test_dotted_options_in_either_spelling(name):
 def test_dotted_options_of_all_sections():
     settings = effective(
         *("--planning.lambda", "0.05", "--registration.scope", "sweep"),
-        *("--lidar.line_loss", "0.1", "--sweep.yaw_rate", "0.1", "--target.min_points", "9"),
+        *("--lidar.line-loss", "0.1", "--sweep.yaw-rate", "0.1", "--target.min-points", "9"),
     )
     assert settings.config.planning.lambda_ == 0.05
     assert settings.config.registration.scope == "sweep"

@@ -1,6 +1,6 @@
 import json
 
-from scan3d_twin.core.planning import planner_names
+from scan3d_twin.core.planning import list_planners
 
 
 def test_the_real_robot_has_no_oracle(twin):
@@ -12,7 +12,7 @@ def test_the_real_robot_has_no_oracle(twin):
 
 def test_every_planner_has_a_line(twin):
     lines = twin("planners").out.splitlines()
-    assert len(lines) == len(planner_names())
+    assert len(lines) == len(list_planners())
     assert all(len(line.split(maxsplit=1)) == 2 for line in lines)
     found = json.loads(twin("planners", "--json").out)
     assert found["oracle"].endswith("twin only.")

@@ -12,8 +12,8 @@ from scan3d_twin.cli.progress import (
     LiveProgress,
     Pace,
     PlainProgress,
+    measure_scanned_share,
     plan_words,
-    scanned_share,
     steps,
     view_words,
 )
@@ -36,23 +36,25 @@ def with_plan(session, viewpoint, predicted=0.0042):
 
 
 def test_a_view_of_the_middle_is_a_part_of_the_front():
-    assert 0.3 < scanned_share(scan()) < 0.9
+    assert 0.3 < measure_scanned_share(scan()) < 0.9
 
 
 def test_a_view_of_one_side_is_less_than_all_round():
-    assert 0.1 < scanned_share(scan("full")) < 0.9
+    assert 0.1 < measure_scanned_share(scan("full")) < 0.9
 
 
 def test_nothing_is_scanned_before_the_first_view():
     session = scan()
     empty = Session(session.config, 0, session.hint, session.front)
-    assert scanned_share(empty) == 0.0
+    assert measure_scanned_share(empty) == 0.0
 
 
 def test_a_view_tells_its_index_and_its_share():
     words = view_words(scan())
     assert words.startswith("view 0: ")
-    assert words.endswith("% of the front scanned")
+    assert "; front outline in top view: " in words
+    assert words.endswith("% scanned")
+    assert "outline all round in top view: " in view_words(scan("full"))
 
 
 def test_a_plan_tells_overlap_error_and_reason():
@@ -108,10 +110,10 @@ def test_the_time_left_is_that_of_as_many_views_as_are_allowed():
 
 
 def test_steps_tell_how_many_are_done(capsys):
-    step = steps(PlainProgress(), "replaying view", 2)
+    step = steps(PlainProgress(), "replayed view", 2)
     step(0)
     step(1)
     first, second = capsys.readouterr().err.splitlines()
-    assert first.startswith("replaying view 1 of 2, ")
+    assert first.startswith("replayed view 0: 1 of 2 done, ")
     assert first.endswith(" s left")
-    assert second == "replaying view 2 of 2"
+    assert second == "replayed view 1: 2 of 2 done"

@@ -13,7 +13,7 @@ import pytest
 
 from scan3d_twin.devices.links.transport import SerialTransport
 from scan3d_twin.recording.load import load_session
-from scan3d_twin.recording.mcap.reader import contents
+from scan3d_twin.recording.mcap.reader import read_contents
 from scan3d_twin.run.report import report_schema
 
 TWIN = [sys.executable, "-m", "scan3d_twin.cli"]
@@ -109,8 +109,8 @@ def test_two_views_over_pseudo_terminals(ports, tmp_path):
         "sys.exit(code)"
     )
     # A narrow sweep and a quick look around keep the robot's own time short.
-    quick = ["--sweep.width", "0.8", "--sweep.yaw_rate", "0.3", "--sweep.look_rate", "1.2"]
-    quick += ["--motion.turn_rate", "1.5", "--motion.speed", "0.4"]
+    quick = ["--sweep.width", "0.8", "--sweep.yaw-rate", "0.3", "--sweep.look-rate", "1.2"]
+    quick += ["--motion.turn-rate", "1.5", "--motion.speed", "0.4"]
     more = ["--max-views", "2", "--epsilon", "100", "--json", "--out", tmp_path / "run"]
     command = [sys.executable, "-c", program, "real", *ports, *quick, *map(str, more)]
     result = subprocess.run(command, capture_output=True, text=True, timeout=240)
@@ -131,7 +131,7 @@ def test_two_views_over_pseudo_terminals(ports, tmp_path):
         "model.ply", "report.json", "report.html", "top_view.svg", "config.toml", "session.mcap",
         "000.npz", "001.npz",
     }  # fmt: skip
-    raw = [each for each in contents(tmp_path / "run/session.mcap") if "serial" in topic(each)]
+    raw = [each for each in read_contents(tmp_path / "run/session.mcap") if "serial" in topic(each)]
     assert {topic(each) for each in raw} == {"/serial/base", "/serial/lidar"}
     assert sum(len(each.data) for each in raw) > 100_000
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.recording.load import lines, load_session, session_path
+from scan3d_twin.recording.load import find_session_file, load_session, read_lines
 
 SCAN = ["sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100"]
 RESULTS = ("model.ply", "config.toml", "top_view.svg", "views/000.npz", "views/001.npz")
@@ -69,10 +69,10 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(finished, twin, tmp_path):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_run_killed_at_any_moment_loses_less_than_a_second(tmp_path, finished, seed):
     """Of the robot's clock; what is left is the same, and in order."""
-    every = [line.stamp for line in lines(finished[0] / "session.mcap")]
+    every = [line.stamp for line in read_lines(finished[0] / "session.mcap")]
     count = int(np.random.default_rng(seed).integers(1, len(every)))
     last = kill(tmp_path / "run", "looking around", count)
-    left = [line.stamp for line in lines(session_path(tmp_path / "run"))]
+    left = [line.stamp for line in read_lines(find_session_file(tmp_path / "run"))]
     assert left == every[: len(left)]
     assert left[-1] > last - 1.0
     taken = json.loads((finished[0] / "report.json").read_text())["views"]
@@ -105,8 +105,8 @@ def test_a_finished_run_has_nothing_to_go_on_with(finished, twin, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--seed", "1"], "--resume goes on with the run's own scene, seed"),
-        (["--world", "harsh"], "--resume goes on with the run's own scene, seed"),
+        (["--seed", "1"], "--resume continues with the run's own scene, seed"),
+        (["--world", "harsh"], "--resume continues with the run's own scene, seed"),
         (["--out", "other"], "leave out --out"),
         (["--planner", "none"], "no planner 'none'"),
     ],

@@ -95,7 +95,7 @@ def test_a_replay_with_the_recorded_options_is_the_same_bit_by_bit(finished, twi
     assert found["identical"]
     assert found["options"] == {}
     assert [row["moved_mm"] for row in found["views"]] == [0.0, 0.0]
-    assert "the same, bit by bit" in twin("replay", finished[0]).out
+    assert "identical, bit by bit" in twin("replay", finished[0]).out
 
 
 def test_a_replay_with_other_options_tells_what_comes_out_otherwise(finished, twin):
@@ -110,10 +110,10 @@ def test_a_replay_with_other_options_tells_what_comes_out_otherwise(finished, tw
     assert [row["identical"] for row in found["views"]] == [False, False]
     assert found["views"][0]["moved_mm"] == 0.0
     assert found["views"][1]["moved_mm"] > 0.0
-    assert "replaying view 2 of 2" in result.err
+    assert "replayed view 1: 2 of 2 done" in result.err
     words = twin("replay", finished[0], *arguments).out
     assert "planning.epsilon: 0.1 recorded, 0.001 now" in words
-    assert "2 of 2 views come out otherwise" in words
+    assert "2 of 2 views differ" in words
 
 
 def test_a_replay_needs_no_end(run, twin):

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from scan3d_twin.run.report import TIMINGS, report_schema
+from scan3d_twin.run.report import TIMING_FIELDS, report_schema
 from scan3d_twin.sim.scenes.scene import load_scene
 
 SCAN = ("sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100")
@@ -15,7 +15,7 @@ SCAN = ("sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100")
 
 def lasting(report):
     """Return ``report`` without what depends on the computer."""
-    return {key: value for key, value in report.items() if key not in TIMINGS}
+    return {key: value for key, value in report.items() if key not in TIMING_FIELDS}
 
 
 def test_a_run_leaves_its_files_and_nothing_else(finished):

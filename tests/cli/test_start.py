@@ -9,7 +9,7 @@ from importlib.metadata import version
 import pytest
 
 from scan3d_twin import __version__
-from scan3d_twin.core.planning import planner_names
+from scan3d_twin.core.planning import list_planners
 from scan3d_twin.sim.scenes.scene import scene_names
 
 HEAVY = ("numpy", "scipy", "mujoco", "trimesh", "open3d")
@@ -23,10 +23,27 @@ print([name for name in {heavy} if name in sys.modules], code)
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["sim", "--help"], ["bench", "--help"], ["--version"], []], ids=str
+    "arguments",
+    [
+        ["--help"],
+        ["sim", "--help"],
+        ["real", "--help"],
+        ["bench", "--help"],
+        ["replay", "--help"],
+        ["options"],
+        ["--version"],
+        [],
+    ],
+    ids=str,
 )
 def test_help_needs_nothing_heavy(arguments):
     command = [sys.executable, "-c", PROGRAM.format(heavy=HEAVY), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[] 0"
+
+
+def test_the_overview_is_printed_without_rich():
+    command = [sys.executable, "-c", PROGRAM.format(heavy=("rich",)), "--help"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.splitlines()[-1] == "[] 0"
 
@@ -73,13 +90,13 @@ def test_scenes_are_listed_with_a_line_each(twin):
 
 def test_planners_are_listed_with_a_line_each(twin):
     lines = twin("planners").out.splitlines()
-    assert [line.split()[0] for line in lines] == list(planner_names())
+    assert [line.split()[0] for line in lines] == list(list_planners())
     assert all(len(line.split()) > 2 for line in lines)
 
 
 def test_lists_are_one_document_with_json(twin):
     assert set(json.loads(twin("scenes", "--json").out)) == set(scene_names())
-    assert set(json.loads(twin("planners", "--json").out)) == set(planner_names())
+    assert set(json.loads(twin("planners", "--json").out)) == set(list_planners())
 
 
 def test_the_help_names_the_exit_codes(twin):
@@ -98,7 +115,8 @@ def test_importing_the_package_imports_nothing_heavy():
 def test_a_run_of_the_twin_tells_what_it_does_before_it_loads_what_it_computes_with(tmp_path):
     program = """
 import sys
-from scan3d_twin.cli import main, sim
+from scan3d_twin.cli import main
+from scan3d_twin.cli.commands import sim
 def begun(scene, out):
     print(scene, *sys.modules)
     sys.exit()

@@ -4,7 +4,7 @@ import pytest
 
 from scan3d_twin.cli.commands.sim import SimOptions, resolve
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.run.settings import read_settings, settings, settings_toml
+from scan3d_twin.run.settings import build_settings, read_settings, settings_toml
 from scan3d_twin.sim.config import WORLDS, TwinConfig
 
 
@@ -30,7 +30,7 @@ def test_a_world_is_run_again_from_its_file(tmp_path):
     path = tmp_path / "config.toml"
     path.write_text(settings_toml(effective))
     assert resolve(SimOptions(config=path), {})[0] == effective
-    assert settings([read_settings(path)]) == effective
+    assert build_settings([read_settings(path)]) == effective
 
 
 def test_an_unknown_world_lists_the_known_ones():

@@ -13,7 +13,7 @@ from scan3d_twin.core.compression import (
     is_compressed,
 )
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.scanning.target_extraction import all_points
+from scan3d_twin.core.scanning.target_extraction import extract_points
 from scan3d_twin.core.types import FloatArray, Pose2
 
 MILLIMETRES = np.random.default_rng(0).integers(20, 4095, (40, 682)) / 1000.0
@@ -31,6 +31,7 @@ ARRAYS = {
 
 
 def same_bits(a, b):
+    """Return whether two arrays agree in shape, type and every bit."""
     return a.shape == b.shape and a.dtype == b.dtype and a.tobytes() == b.tobytes()
 
 
@@ -45,8 +46,8 @@ def test_what_was_folded_unfolds_bit_by_bit(name):
 
 @pytest.mark.parametrize(("name", "least"), [("ranges", 2), ("codes", 8), ("headings", 5)])
 def test_what_a_lidar_reads_becomes_much_smaller(name, least):
-    folded = CompressedArray.of(ARRAYS[name])
-    assert least * (len(folded.packed) + 12 * len(folded.values)) < ARRAYS[name].nbytes
+    compressed = CompressedArray.of(ARRAYS[name])
+    assert least * (len(compressed.packed) + 12 * len(compressed.values)) < ARRAYS[name].nbytes
 
 
 def test_other_numbers_are_refused():
@@ -57,6 +58,8 @@ def test_other_numbers_are_refused():
 @compressible("values")
 @dataclass(frozen=True)
 class Holder:
+    """A value with a compressible field."""
+
     values: FloatArray
     name: str
 
@@ -94,7 +97,7 @@ def test_a_field_that_may_be_folded_has_no_default():
 
 def test_a_folded_image_and_the_points_on_it_read_as_before():
     image = observe(Pose2(), sigma=0.003, rng=np.random.default_rng(2)).image
-    scan = all_points(image, paper_config())
+    scan = extract_points(image, paper_config())
     names = [(image, name) for name in ("yaws", "ranges", "codes")]
     names += [(scan, name) for name in ("points", "lines", "beams")]
     before = [(*place, getattr(*place).copy()) for place in names]
@@ -109,7 +112,7 @@ def test_a_folded_image_and_the_points_on_it_read_as_before():
 
 def test_points_that_are_not_on_the_image_are_kept_as_they_are():
     image = observe(Pose2()).image
-    scan = all_points(image, paper_config())
+    scan = extract_points(image, paper_config())
     moved = replace(scan, points=scan.points + 0.001)
     moved.compress(image)
     assert not is_compressed(moved, "points")

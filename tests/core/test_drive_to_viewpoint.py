@@ -14,11 +14,11 @@ from paper import paper_config
 from synthetic import Box, observe
 
 from scan3d_twin.core.config import MotionConfig
-from scan3d_twin.core.drive_to_viewpoint import BACK_OFF, drive
+from scan3d_twin.core.drive_to_viewpoint import BACK_OFF_LENGTH, drive
 from scan3d_twin.core.errors import HazardError, MotionTimeoutError, ScanError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.navigation.costmap import FREE, RESOLUTION, build_costmap
-from scan3d_twin.core.navigation.motion_control import back_off, follow
+from scan3d_twin.core.navigation.motion_control import back_off, follow_path
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Hazards, Observation, Pose2
@@ -42,6 +42,7 @@ GLASS_HOUSE = """
 
 
 def look(boxes: tuple[Box, ...], here: Pose2) -> Observation:
+    """Return a panorama of ``boxes``."""
     return observe(here, boxes, width=math.tau - 1e-3, step=math.radians(2.0))
 
 
@@ -53,6 +54,7 @@ def at(place: Pose2) -> tuple[Robot, KinematicBase]:
 
 
 def executed(base: KinematicBase) -> FloatArray:
+    """Return the path (n, 2) that the base has driven."""
     poses = [sample.T_odom_base for sample in base.odometry_since(0.0)]
     return np.array([[pose.x, pose.y] for pose in poses])
 
@@ -74,11 +76,11 @@ def test_the_body_never_leaves_the_floor_that_was_seen(
     start = Pose2(-2.0, -1.5, 0.3)
     blocks = tuple(Box((a, b, 0.0), (a + s, b + s, 0.5)) for a, b, s in boxes)
     costmap = build_costmap((look(blocks, start),), CONFIG, start)
-    path = costmap.path(x, y)
+    path = costmap.find_path(x, y)
     if path is None:
         return
     robot, base = at(start)
-    follow(robot, path, CONFIG.motion)
+    follow_path(robot, path, CONFIG.motion)
     way = executed(base)
     assert math.dist(way[-1], (x, y)) <= 2 * CONFIG.motion.position_tolerance
     i, j = np.indices(costmap.cells.shape)
@@ -103,13 +105,15 @@ def test_what_was_touched_stays_an_obstacle_whatever_the_lidar_says() -> None:
     here = Pose2()
     clear = look((), here)
     touched = ((0.5, 0.0),)
-    assert build_costmap((clear,), CONFIG, here).feasible(0.5, 0.0)
-    assert not build_costmap((clear,), CONFIG, here, touched).feasible(0.5, 0.0)
+    assert build_costmap((clear,), CONFIG, here).is_feasible(0.5, 0.0)
+    assert not build_costmap((clear,), CONFIG, here, touched).is_feasible(0.5, 0.0)
     felt = replace(clear, touched=touched)
-    assert not build_costmap((felt, clear), CONFIG, here).feasible(0.5, 0.0)
+    assert not build_costmap((felt, clear), CONFIG, here).is_feasible(0.5, 0.0)
 
 
 class Recorder(Unobserved):
+    """Observer that collects the events."""
+
     def __init__(self) -> None:
         self.events: list[str] = []
 
@@ -119,6 +123,7 @@ class Recorder(Unobserved):
 
 @pytest.fixture
 def glass_house(tmp_path) -> Iterator[Robot]:  # type: ignore[no-untyped-def]
+    """Yield a robot in front of a pane of glass."""
     path = tmp_path / "glass_house.xml"
     path.write_text(GLASS_HOUSE)
     with open_sim(load_scene(str(path)), 0, TwinConfig.ideal()) as (robot, _):
@@ -126,6 +131,7 @@ def glass_house(tmp_path) -> Iterator[Robot]:  # type: ignore[no-untyped-def]
 
 
 def session_of(observation: Observation, retries: int = 3) -> Session:
+    """Return a session that begins with a panorama and allows ``retries`` bumps."""
     motion = MotionConfig(bump_retries=retries)
     front = np.array([-1.0, 0.0])
     config = replace(CONFIG, motion=motion)
@@ -133,6 +139,7 @@ def session_of(observation: Observation, retries: int = 3) -> Session:
 
 
 def first_look(robot: Robot) -> Observation:
+    """Return a panorama from where the robot stands."""
     from scan3d_twin.core.scanning.sweep import take_panorama
 
     return take_panorama(robot, CONFIG, lambda line: None)
@@ -216,10 +223,12 @@ def test_blocked_wheels_are_an_obstacle_too(monkeypatch: pytest.MonkeyPatch) -> 
         calls.append(path)
         if len(calls) == 1:
             raise MotionTimeoutError("wheels blocked")
-        follow(robot, path, config)
+        follow_path(robot, path, config)
 
-    monkeypatch.setattr(driving, "follow", blocked_once)
-    monkeypatch.setattr(driving, "take_panorama", lambda *_: look((), Pose2(-BACK_OFF, 0.0, 0.0)))
+    monkeypatch.setattr(driving, "follow_path", blocked_once)
+    monkeypatch.setattr(
+        driving, "take_panorama", lambda *_: look((), Pose2(-BACK_OFF_LENGTH, 0.0, 0.0))
+    )
     touched = drive(robot, Pose2(1.0, 0.0, 0.0), session_of(look((), Pose2())), Unobserved())
     assert len(touched) == 5
     assert all(0.15 < x < 0.25 for x, _ in touched)

@@ -9,7 +9,7 @@ from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.navigation.motion_control import drive_to
-from scan3d_twin.core.observer import Observers, Unobserved, attended
+from scan3d_twin.core.observer import Observers, Unobserved, with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import ScanLine
 
@@ -18,7 +18,7 @@ SESSION = Session(paper_config(), 0, np.zeros((0, 2)), np.zeros(2))
 
 
 class Noting(Unobserved):
-    """Writes down what it is told, under its name, in a book shared with others."""
+    """Writes each call, under its name, into a book shared with others."""
 
     def __init__(self, name, book, wanted="go"):
         self._name, self._book, self._wanted = name, book, wanted
@@ -40,15 +40,15 @@ class Noting(Unobserved):
 
 
 @pytest.mark.parametrize(
-    ("method", "told"),
+    ("method", "argument"),
     [("on_event", "a"), ("on_line", LINE), ("on_view", SESSION), ("on_plan", SESSION)],
 )
-def test_each_is_told_everything_in_order(method, told):
+def test_each_hears_everything_in_order(method, argument):
     book = []
     both = Observers(Noting("first", book), Noting("second", book))
-    getattr(both, method)(told)
+    getattr(both, method)(argument)
     assert [name for name, _ in book] == ["first", "second"]
-    assert all(what is told for _, what in book)
+    assert all(what is argument for _, what in book)
 
 
 @pytest.mark.parametrize("wants", list(product(["go", "pause", "stop"], repeat=2)), ids="-".join)
@@ -65,7 +65,7 @@ def test_nobody_lets_the_run_go_on():
 def test_attendants_see_the_whole_way():
     base = KinematicBase()
     seen = []
-    robot = attended(
+    robot = with_clock_callbacks(
         Robot(base, None, JumpingClock(base)), lambda: seen.append(base.odometry().T_odom_base.x)
     )
     drive_to(robot, 1.0, 0.0, MotionConfig())
@@ -80,7 +80,7 @@ def test_what_an_attendant_raises_stops_the_wheels():
         if base.odometry().T_odom_base.x > 0.3:
             raise ScanError("enough")
 
-    robot = attended(Robot(base, None, JumpingClock(base)), attend)
+    robot = with_clock_callbacks(Robot(base, None, JumpingClock(base)), attend)
     with pytest.raises(ScanError, match="enough"):
         drive_to(robot, 1.0, 0.0, MotionConfig())
     assert base.speed == (0.0, 0.0)

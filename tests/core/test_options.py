@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import pytest
 
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.run.settings import Settings, settings
+from scan3d_twin.run.settings import Settings, build_settings
 
 
 def tables_of(value: Any) -> list[Any]:
@@ -44,7 +44,7 @@ def test_every_number_is_bounded_and_every_choice_is_one_of_its_literal(table, n
 
 def test_names_of_older_files_are_read_as_those_of_today():
     old = {"spare": "time", "planning": {"bend": "silhouette"}, "alignment": {"when": "closed"}}
-    read = settings([old]).config
+    read = build_settings([old]).config
     assert read.optimize_for == "speed"
     assert read.planning.corner_model == "silhouette"
     assert read.alignment.mode == "loop_closure"

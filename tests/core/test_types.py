@@ -15,6 +15,7 @@ poses = st.builds(Pose2, lengths, lengths, st.floats(-10.0, 10.0))
 
 
 def assert_same(a: Pose2, b: Pose2) -> None:
+    """Assert that two poses are equal up to rounding."""
     assert (a.x, a.y) == pytest.approx((b.x, b.y), abs=1e-9)
     assert abs(wrap(a.yaw - b.yaw)) < 1e-9
 

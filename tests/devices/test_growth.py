@@ -34,8 +34,8 @@ def held(wires, clock, seconds):
 
 
 def test_an_emulated_robot_that_streams_and_turns_holds_no_more_later(monkeypatch):
-    monkeypatch.setattr(sim_base, "HISTORY", HISTORY)
-    monkeypatch.setattr(sim_base, "SURPLUS", SURPLUS)
+    monkeypatch.setattr(sim_base, "MIN_HISTORY", HISTORY)
+    monkeypatch.setattr(sim_base, "FORGET_BATCH", SURPLUS)
     with open_robot("three_boxes", 0) as robot:
         clock = HazardFreeClock(robot.clock)
         base, lidar = Wire(CreateEmulator(robot.base), clock), Wire(UrgEmulator(robot.lidar), clock)

@@ -134,7 +134,7 @@ def test_a_pose_is_snapped_to_where_the_robot_can_stand(make):
     plan, snapped = env.plan_of_action(np.zeros(3, np.float32))  # in the middle of the target
     assert snapped
     there = env._odom_of_world @ plan.viewpoint
-    assert env.episode.costmap.feasible(there.x, there.y)
+    assert env.episode.costmap.is_feasible(there.x, there.y)
     assert inside.distance(there) < 5.0
 
 

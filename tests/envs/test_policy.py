@@ -5,10 +5,13 @@ import pytest
 
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.mapping.loop_closure import align_final
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.envs import PlannerPolicy, rollout
+from scan3d_twin.run.resolve import settings_for_scene
 from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.scenes.scene import load_scene
 
 QUICK = {"sweep": {"width": 0.7, "yaw_rate": 0.35, "look_rate": 0.7}, "max_views": 3}
 
@@ -18,10 +21,12 @@ def test_an_episode_with_physics_is_a_run_of_digitize(make, planner):
     env = make(fidelity="physics", options=QUICK, goal=1.0, rewards={"failure": 0.0})
     rollout(env, PlannerPolicy(planner), seed=7)
     session = env.session
-    with open_sim("three_boxes", session.seed) as (robot, _):
-        run = run_loop(robot, make_planner(planner), session.config, session.seed, Unobserved())
+    scene = load_scene("three_boxes")
+    config = settings_for_scene(scene, QUICK).config
+    with open_sim(scene, session.seed) as (robot, _):
+        run = run_loop(robot, make_planner(planner), config, session.seed, Unobserved())
     assert len(session.views) > 1
-    for ours, theirs in zip(session.views, run.views, strict=False):
+    for ours, theirs in zip(align_final(session).views, run.views, strict=True):
         assert np.array_equal(
             ours.observation.image.ranges, theirs.observation.image.ranges, equal_nan=True
         )

@@ -9,8 +9,8 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from emulated_base import Road
 from kinematic import turned
-from road import Road
 
 METRES_PER_COUNT = math.pi * 0.072 / 508.8
 

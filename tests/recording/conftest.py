@@ -1,3 +1,5 @@
+"""A session without a simulator to be recorded."""
+
 import pytest
 from sessions import two_planned_views
 

@@ -11,7 +11,7 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
-from scan3d_twin.recording.edit import drop_view, recover, undo, without_view
+from scan3d_twin.recording.edit import drop_view, recover_session, remove_view, undo_last_change
 from scan3d_twin.recording.mcap.reader import is_finished
 from scan3d_twin.recording.recorder import Recorder
 
@@ -28,13 +28,13 @@ def three():
         session = session.with_plan(Plan(Pose2(-0.4, y, 0.0), 0.8, 0.01, False, (), "a plan"))
     wrong = replace(session.views[1], T_world_scan=Pose2(0.0, 1.0, 0.5))
     views = (session.views[0], wrong, session.views[2])
-    return replace(session, views=views).ended("enough")
+    return replace(session, views=views).with_stop_reason("enough")
 
 
 @pytest.mark.parametrize("mode", ["off", "loop_closure"])
 def test_the_rest_is_placed_without_the_bad_view(three, mode):
     config = replace(three.config, alignment=paper_alignment(mode=mode))
-    rest = without_view(replace(three, config=config), 1)
+    rest = remove_view(replace(three, config=config), 1)
     assert len(rest.views) == len(rest.plans) == 2
     for view, y in zip(rest.views, (PLACES[0], PLACES[2]), strict=True):
         assert view.T_world_scan.distance(Pose2(-0.4, y, 0.0)) < 0.01
@@ -44,29 +44,29 @@ def test_the_rest_is_placed_without_the_bad_view(three, mode):
 @pytest.mark.parametrize(("index", "words"), [(3, "there is no view 3"), (-1, "there is no view")])
 def test_there_is_no_such_view(three, index, words):
     with pytest.raises(ConfigError, match=words):
-        without_view(three, index)
+        remove_view(three, index)
 
 
 def test_one_view_must_stay(three):
     with pytest.raises(ConfigError, match="only view"):
-        without_view(replace(three, views=three.views[:1]), 0)
+        remove_view(replace(three, views=three.views[:1]), 0)
 
 
 def test_a_change_is_recorded_and_taken_back(three, tmp_path):
     record(tmp_path, three)
     dropped = drop_view(tmp_path, 1, lambda: 0.0)
-    assert same(dropped.session, without_view(three, 1))
+    assert same(dropped.session, remove_view(three, 1))
     assert dropped.session.stop_reason == "enough"
-    assert same(undo(tmp_path).session, three)
-    assert same(undo(tmp_path).session, dropped.session)
-    assert same(undo(tmp_path).session, three)
+    assert same(undo_last_change(tmp_path).session, three)
+    assert same(undo_last_change(tmp_path).session, dropped.session)
+    assert same(undo_last_change(tmp_path).session, three)
 
 
 def test_an_unfinished_session_is_changed_too_and_comes_back_unfinished(three, tmp_path):
     record(tmp_path, three, finish=False)
     before = (tmp_path / "session.mcap.part").read_bytes()
     assert drop_view(tmp_path, 2, lambda: 0.0).finished
-    assert not undo(tmp_path).finished
+    assert not undo_last_change(tmp_path).finished
     assert (tmp_path / "session.mcap.part").read_bytes() == before
 
 
@@ -76,7 +76,7 @@ def test_a_run_in_progress_is_left_alone(three, tmp_path):
         import fcntl
 
         fcntl.flock(stream, fcntl.LOCK_EX)
-        with pytest.raises(FileError, match="is being written by a run that goes on"):
+        with pytest.raises(FileError, match="a running program is writing to"):
             drop_view(tmp_path, 1, lambda: 0.0)
     assert [path.name for path in tmp_path.iterdir()] == ["session.mcap.part"]
 
@@ -86,6 +86,6 @@ def test_what_a_robot_said_before_it_failed_can_be_made_whole(tmp_path):
     recorder = Recorder(tmp_path, lambda: 0.0, {})
     recorder.attach(make_robot())
     recorder.abandon(keep=True)
-    assert recover(tmp_path, lambda: 0.0) == tmp_path / "session.1.mcap.part"
+    assert recover_session(tmp_path, lambda: 0.0) == tmp_path / "session.1.mcap.part"
     assert is_finished(tmp_path / "session.mcap")
-    assert recover(tmp_path, lambda: 0.0) is None
+    assert recover_session(tmp_path, lambda: 0.0) is None

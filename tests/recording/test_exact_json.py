@@ -69,6 +69,8 @@ def test_fields_of_other_versions_do_not_matter():
 
 @dataclass
 class Pair:
+    """Two arrays, possibly one object."""
+
     first: float
     second: FloatArray
 

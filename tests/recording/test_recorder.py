@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from same import same
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.recording.load import commands, lines, load_session
+from scan3d_twin.recording.load import load_session, read_commands, read_lines
 from scan3d_twin.recording.mcap import file as mcap_file
 from scan3d_twin.recording.mcap.file import FLUSH_PERIOD
 from scan3d_twin.recording.recorder import Recorder, SerialTaps
@@ -117,7 +117,7 @@ def test_a_beam_up_in_the_lidar_is_a_beam_to_the_left_in_the_laser(path):
 
 
 def test_the_way_and_the_commands_are_complete(path):
-    sent = list(commands(path))
+    sent = list(read_commands(path))
     assert [stamp for stamp, _, _ in sent] == sorted(stamp for stamp, _, _ in sent)
     assert max(linear for _, linear, _ in sent) == 0.2
     assert sent[-1][1:] == (0.0, 0.0)
@@ -128,7 +128,7 @@ def test_the_way_and_the_commands_are_complete(path):
 
 
 def test_lines_come_back(path):
-    read = list(lines(path))
+    read = list(read_lines(path))
     assert len(read) == 2 * LINES
     assert np.isnan(read[0].ranges[0])
     assert read[0].codes[0] == 19
@@ -140,7 +140,7 @@ def test_nothing_is_held_back_for_longer_than_the_flush_period(tmp_path):
     for k in range(40):
         robot.clock.sleep(0.1)
         recorder.on_line(line(robot.clock.now()))
-        lost = k + 1 - len(list(lines(recorder.path.with_name("session.mcap.part"))))
+        lost = k + 1 - len(list(read_lines(recorder.path.with_name("session.mcap.part"))))
         assert lost * 0.1 <= FLUSH_PERIOD + 0.1
     recorder.close()
 
@@ -150,7 +150,7 @@ def test_a_slow_robot_is_flushed_by_our_clock(tmp_path):
     recorder = Recorder(tmp_path, lambda: FLUSH_PERIOD * next(ticks), {})
     robot = recorder.attach(make_robot())
     recorder.on_line(line(robot.clock.now()))
-    assert len(list(lines(recorder.path.with_name("session.mcap.part")))) == 1
+    assert len(list(read_lines(recorder.path.with_name("session.mcap.part")))) == 1
     recorder.close()
 
 
@@ -174,7 +174,7 @@ def test_only_one_run_records_in_a_folder(tmp_path, session):
 
 
 class FullDisk:
-    """``os.write`` on a disk that has room for so many more bytes."""
+    """``os.write`` on a disk with room for a limited number of bytes."""
 
     def __init__(self, room):
         self.room = room
@@ -205,7 +205,7 @@ def test_a_full_disk_stops_the_robot_and_keeps_what_was_before(
     recorder.describe("boxes", load_session(record(tmp_path / "other", session).path).settings)
     robot, seen = recorder.attach(make_robot()), [None]
     monkeypatch.setattr(mcap_file, "os", Os(FullDisk(room)))
-    with pytest.raises(FileError, match=r"cannot record to .*No space left on device; what was"):
+    with pytest.raises(FileError, match=r"cannot record to .*No space left on device; earlier"):
         seen += drive(recorder, robot, session)
     assert robot.base._base.speed == (0.0, 0.0)
     monkeypatch.undo()

@@ -18,10 +18,11 @@ def states(session):
     aligned = [replace(view, T_world_scan=Pose2(0.1, 0.2, 0.3)) for view in three.views]
     four = replace(three, views=tuple(aligned), misfits=(1,))
     dropped = replace(four, views=four.views[1:], misfits=(0,))
-    return [one, two, three, four, dropped, dropped.ended("enough")]
+    return [one, two, three, four, dropped, dropped.with_stop_reason("enough")]
 
 
 def records(history):
+    """Return the log's records of each session in ``history``."""
     log = SessionLog()
     return [list(log.changes(each, Mark(float(k)))) for k, each in enumerate(history)]
 
@@ -30,7 +31,7 @@ def test_every_state_comes_back_bit_by_bit(session):
     history, state = states(session), SessionState()
     for k, (expected, changes) in enumerate(zip(history, records(history), strict=True)):
         for record in changes:
-            state.take(record)
+            state.apply(record)
         assert same(state.session, expected)
         assert state.mark == Mark(float(k))
 
@@ -39,7 +40,7 @@ def test_an_open_change_does_not_count(session):
     history, state = states(session), SessionState()
     first, second, *_ = records(history)
     for record in [*first, *second[:-1]]:
-        state.take(record)
+        state.apply(record)
     assert same(state.session, history[0])
 
 
@@ -59,4 +60,4 @@ def test_a_log_without_its_beginning_is_broken(session):
     state = SessionState()
     first = records(states(session))[0]
     with pytest.raises(FileError, match="begins in the middle"):
-        state.take(first[-1])
+        state.apply(first[-1])

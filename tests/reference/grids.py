@@ -8,14 +8,14 @@ from scipy import ndimage
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 
 
-def dilated(grid: BoolArray, radius: float) -> BoolArray:
+def dilate(grid: BoolArray, radius: float) -> BoolArray:
     """Return the cells (nx, ny) within ``radius`` of one of ``grid``, from middle to middle."""
     if not grid.any():
         return np.zeros_like(grid)
     return np.asarray(ndimage.distance_transform_edt(~grid) <= radius)
 
 
-def labelled(grid: BoolArray) -> IntArray:
+def label_cells(grid: BoolArray) -> IntArray:
     """Return the labels (nx, ny) of the 8-connected components of ``grid``."""
     return np.asarray(ndimage.label(grid, structure=np.ones((3, 3)))[0])
 

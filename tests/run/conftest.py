@@ -1,3 +1,5 @@
+"""A session without a simulator for the tests of a run's report."""
+
 import pytest
 from sessions import two_planned_views
 

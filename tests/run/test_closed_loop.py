@@ -10,15 +10,15 @@ from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_by
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.session import Session
-from scan3d_twin.run.closed_loop import Loop, Odometer, close_loop
-from scan3d_twin.run.settings import Settings, settings
+from scan3d_twin.run.closed_loop import JourneyMeter, LoopOutcome, close_loop
+from scan3d_twin.run.settings import Settings, build_settings
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 
 
 def test_the_way_is_the_same_however_often_it_is_read() -> None:
     with open_sim("three_boxes", 0, TwinConfig.ideal()) as (robot, _):
-        often, once = Odometer(robot.base), Odometer(robot.base)
+        often, once = JourneyMeter(robot.base), JourneyMeter(robot.base)
         for k in range(4):
             turn_by(robot, math.pi / 2, MotionConfig())
             drive_to(robot, 0.1 * (k % 2 + 1), 0.1 * k, MotionConfig())
@@ -38,17 +38,19 @@ class StopsAfter(Unobserved):
         self.views = views
 
     def on_view(self, session: Session) -> None:
+        """Raise at the given number of views."""
         if len(session.views) == self.views:
             raise ScanError("enough")
 
 
-def looped(observer: Observer, settings: Settings) -> Loop:
+def looped(observer: Observer, settings: Settings) -> LoopOutcome:
+    """Return the result of a loop at three boxes in an ideal twin; time counts calls."""
     with open_sim("three_boxes", 0, TwinConfig.ideal()) as (robot, truth):
         return close_loop(robot, truth, settings, observer, itertools.count().__next__)
 
 
 def test_a_loop_knows_its_way_and_thoughts_view_by_view() -> None:
-    loop = looped(Unobserved(), settings([{"max_views": 2}]))
+    loop = looped(Unobserved(), build_settings([{"max_views": 2}]))
     assert loop.ended is None
     assert loop.session.stop_reason.startswith("max_views")
     assert len(loop.journeys) == len(loop.plan_times) == len(loop.session.views) == 2
@@ -68,4 +70,4 @@ def test_what_ends_a_loop_is_told_with_what_there_is() -> None:
 
 def test_without_a_view_there_is_nothing_to_tell() -> None:
     with pytest.raises(ConfigError, match="a name or x,y"):
-        looped(Unobserved(), settings([{"run": {"target": "a,b"}}]))
+        looped(Unobserved(), build_settings([{"run": {"target": "a,b"}}]))

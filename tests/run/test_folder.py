@@ -1,7 +1,7 @@
 import pytest
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.run.folder import claim_folder, free_folder, release_folder, write_file
+from scan3d_twin.run.folder import claim_folder, find_free_folder, release_folder, write_file
 
 
 def test_a_claimed_folder_exists_and_is_empty(tmp_path):
@@ -42,10 +42,10 @@ def test_writing_below_a_file_is_a_file_error(tmp_path):
 
 
 def test_a_free_folder_does_not_exist_yet(tmp_path):
-    assert free_folder(tmp_path / "r") == tmp_path / "r"
+    assert find_free_folder(tmp_path / "r") == tmp_path / "r"
     (tmp_path / "r").mkdir()
     (tmp_path / "r-2").mkdir()
-    assert free_folder(tmp_path / "r") == tmp_path / "r-3"
+    assert find_free_folder(tmp_path / "r") == tmp_path / "r-3"
 
 
 def test_only_an_empty_folder_is_released(tmp_path):

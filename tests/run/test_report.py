@@ -7,11 +7,11 @@ import pytest
 
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.run.report import (
-    TIMINGS,
+    TIMING_FIELDS,
     Effort,
     Journey,
     build_report,
-    failure,
+    failure_reason,
     report_json,
     report_schema,
 )
@@ -29,6 +29,7 @@ EVALUATION = Evaluation(
 
 
 def report(session, evaluation=EVALUATION):
+    """Return the report of ``session`` with a made-up journey and effort."""
     journey = Journey(path=2.5, turn=math.pi, duration=100.0)
     effort = Effort(wall_time=4.0, plan_time=0.5, peak_memory=2e8)
     return build_report("three_boxes", Settings(), session, journey, effort, 123, evaluation)
@@ -80,21 +81,29 @@ def test_what_is_not_a_number_is_null(session):
 
 
 def test_the_timings_are_fields_of_the_report(session):
-    assert set(TIMINGS) < set(report(session))
+    assert set(TIMING_FIELDS) < set(report(session))
 
 
 def test_two_registered_views_without_a_prediction_are_no_failure(session):
-    assert failure(session) == ""
+    assert failure_reason(session) == ""
 
 
 def test_one_registered_view_is_a_failure(session):
     lost = replace(session.views[1].registration, converged=False)
     views = (session.views[0], replace(session.views[1], registration=lost))
-    assert failure(replace(session, views=views)).startswith("1 of 2 views registered")
-    assert failure(replace(session, views=views[:1])).startswith("1 of 1 views registered")
+    assert failure_reason(replace(session, views=views)).startswith("1 of 2 views registered")
+    assert failure_reason(replace(session, views=views[:1])).startswith("1 of 1 views registered")
+
+
+def test_one_registered_view_is_enough_where_one_was_wanted(session):
+    one = replace(session, config=replace(session.config, max_views=1))
+    assert failure_reason(replace(one, views=one.views[:1], plans=())) == ""
+    assert failure_reason(replace(one, views=(), plans=())).startswith("0 of 0 views registered")
 
 
 def test_only_predictions_above_epsilon_are_a_failure(session):
     above, below = (replace(session.plans[0], predicted_rmse=e) for e in (0.0101, 0.0099))
-    assert "10.1 mm at best, 10.0 mm wanted" in failure(replace(session, plans=(above, above)))
-    assert failure(replace(session, plans=(above, below))) == ""
+    assert "10.1 mm at best, 10.0 mm wanted" in failure_reason(
+        replace(session, plans=(above, above))
+    )
+    assert failure_reason(replace(session, plans=(above, below))) == ""

@@ -6,33 +6,33 @@ from paper import paper_config, paper_planning
 
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.run.settings import (
-    Run,
+    RunConfig,
     Settings,
-    merge,
+    build_settings,
+    merge_options,
     read_settings,
-    settings,
     settings_toml,
 )
 
 
 def test_later_sources_win_key_by_key():
-    merged = merge([{"a": {"x": 1, "y": 1}, "b": 1}, {"a": {"y": 2}}, {"b": 3}])
+    merged = merge_options([{"a": {"x": 1, "y": 1}, "b": 1}, {"a": {"y": 2}}, {"b": 3}])
     assert merged == {"a": {"x": 1, "y": 2}, "b": 3}
 
 
 def test_nothing_stated_gives_the_defaults():
-    assert settings([]) == Settings()
+    assert build_settings([]) == Settings()
 
 
 def test_written_settings_read_back_as_they_were(tmp_path):
     planning = replace(paper_planning(), lambda_=0.05, trials=8, epsilon=0.0125)
     before = Settings(
-        run=Run(scene="sine_box", seed=3, target="0.5,-1"),
+        run=RunConfig(scene="sine_box", seed=3, target="0.5,-1"),
         config=paper_config(tour="full", max_views=4, planning=planning),
     )
     path = tmp_path / "config.toml"
     path.write_text(settings_toml(before), encoding="utf-8")
-    assert settings([read_settings(path)]) == before
+    assert build_settings([read_settings(path)]) == before
 
 
 def test_a_reserved_word_is_written_without_its_underscore():
@@ -43,7 +43,7 @@ def test_an_unknown_key_is_named_with_the_nearest_and_the_known_ones():
     with pytest.raises(
         ConfigError, match=r"planning\.trails; did you mean planning\.trials"
     ) as info:
-        settings([{"planning": {"trails": 3}}])
+        build_settings([{"planning": {"trails": 3}}])
     assert "quantile" in str(info.value)
 
 
@@ -63,11 +63,11 @@ def test_an_unknown_key_is_named_with_the_nearest_and_the_known_ones():
 )
 def test_a_wrong_value_is_refused_with_its_key(options, words):
     with pytest.raises(ConfigError, match=words):
-        settings([options])
+        build_settings([options])
 
 
 def test_a_whole_number_is_a_number():
-    assert settings([{"planning": {"standoff": 1}}]).config.planning.standoff == 1.0
+    assert build_settings([{"planning": {"standoff": 1}}]).config.planning.standoff == 1.0
 
 
 def test_a_missing_file_is_a_file_error(tmp_path):

@@ -28,6 +28,7 @@ def scene_of(tmp_path):
     """Load a scene from the inside of its worldbody."""
 
     def load(body, head="", spawn='<site name="spawn"/>'):
+        """Return the scene with this ``body``."""
         path = tmp_path / "scene.xml"
         path.write_text(f"<mujoco>{head}<worldbody>{spawn}{body}</worldbody></mujoco>")
         return load_scene(str(path))

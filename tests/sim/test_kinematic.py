@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from paper import paper_config
 
-from scan3d_twin.core.model.evaluation import surface_distance, true_pose
+from scan3d_twin.core.model.evaluation import (
+    find_true_pose,
+    measure_surface_distance,
+)
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.types import Pose2, wrap
-from scan3d_twin.sim.base.motion_errors import CREEP, SLIP_XY, SLIP_YAW, true_move
+from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, TURN_CREEP, apply_motion_errors
 from scan3d_twin.sim.base.profiles import CREATE2
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import (
@@ -30,6 +33,7 @@ CONFIG = paper_config()
 
 
 def robot(seed=0, twin=None):
+    """Return a kinematic robot, by default without errors."""
     twin = TwinConfig.ideal() if twin is None else twin
     return KinematicRobot(SCENE, CASTER, seed, twin, CONFIG, Thinning())
 
@@ -48,7 +52,7 @@ def test_its_points_lie_on_the_surface():
     boxes = boxes[boxes[:, 0] > 0.5]
     assert len(boxes) > 500
     # Creep turns half a sweep by 2 mm at 1 m.
-    assert np.quantile(surface_distance(boxes, surface, normals, 0.01), 0.99) < 0.003
+    assert np.quantile(measure_surface_distance(boxes, surface, normals, 0.01), 0.99) < 0.003
 
 
 def test_one_robot_errs_alike_in_all_its_moves():
@@ -78,23 +82,23 @@ def test_an_ideal_robot_only_slips():
         errors.append([true.x, true.y - 0.8, true.yaw - 0.5])
     spread = np.std(np.array(errors), axis=0)
     assert spread == pytest.approx([SLIP_XY, SLIP_XY, SLIP_YAW], rel=0.2)
-    assert np.mean(errors, axis=0) == pytest.approx([0, 0, -0.5 * CREEP / 0.7], abs=6e-3)
+    assert np.mean(errors, axis=0) == pytest.approx([0, 0, -0.5 * TURN_CREEP / 0.7], abs=6e-3)
 
 
 def test_it_errs_as_the_robot_of_the_physics_does():
     """The same robots, the same moves: what the wheels' errors explain is most of the error."""
-    told, errors = Pose2(0.0, 0.8, 0.9), {"physics": [], "kinematic": []}
+    goal, errors = Pose2(0.0, 0.8, 0.9), {"physics": [], "kinematic": []}
     for seed in range(8):
         drawn = draw_robot(SCENE, seed, TwinConfig().errors)
         with open_sim(SCENE, seed) as (real, truth):
             start = truth.pose_at(0.0)
-            drive_to(real, told.x, told.y, CONFIG.motion)
-            turn_to(real, told.yaw, CONFIG.motion)
+            drive_to(real, goal.x, goal.y, CONFIG.motion)
+            turn_to(real, goal.yaw, CONFIG.motion)
             real.clock.sleep(0.5)
             end = real.base.odometry().T_odom_base
             true = start.inverse() @ truth.pose_at(real.clock.now())
         path = np.array([[end.x, end.y]])
-        drifted = true_move(Pose2(), path, end.yaw, CREATE2, drawn)
+        drifted = apply_motion_errors(Pose2(), path, end.yaw, CREATE2, drawn)
         for name, there in (("physics", true), ("kinematic", drifted)):
             off = (there.x - end.x, there.y - end.y, wrap(there.yaw - end.yaw))
             errors[name].append(off)
@@ -110,14 +114,16 @@ def test_it_errs_as_the_robot_of_the_physics_does():
 
 
 def test_the_same_seed_gives_the_same_bits():
-    one, two, other = (robot(seed, twin=TwinConfig()).look().image.ranges for seed in (1, 1, 2))
+    one, two, other = (
+        robot(seed, twin=TwinConfig()).take_panorama().image.ranges for seed in (1, 1, 2)
+    )
     assert np.array_equal(one, two, equal_nan=True)
     assert not np.array_equal(one, other, equal_nan=True)
 
 
 def test_time_passes_as_with_a_real_robot():
     moving = robot()
-    moving.look()
+    moving.take_panorama()
     turned = math.tau / CONFIG.sweep.look_rate
     assert turned < moving.world.time < turned + 10.0
     before = moving.world.time
@@ -147,6 +153,6 @@ def test_a_sweep_is_placed_by_its_middle_line():
     moving = robot()
     seen = moving.observe(np.array([[0.0, 0.4]]), 0.3)
     view = type("View", (), {"observation": seen})()
-    placed = moving.truth.spawn.inverse() @ true_pose(view, moving.truth)
+    placed = moving.truth.spawn.inverse() @ find_true_pose(view, moving.truth)
     assert placed.distance(seen.T_odom_scan) < 0.02
     assert placed.yaw == pytest.approx(0.3, abs=0.02)

@@ -7,6 +7,7 @@ from scan3d_twin.sim.scenes.scene import load_scene, scene_names
 
 
 def rays(rng, count):
+    """Return origins and directions (n, 3) of random rays."""
     origins = rng.uniform([-1, -1, 0.1], [1, 1, 0.6], (count, 3))
     directions = rng.standard_normal((count, 3))
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -75,7 +76,7 @@ def test_embree_is_chosen_for_crowds_and_large_meshes_that_stand_still(scene_of)
 
 
 def test_without_embree_mujoco_casts_all(monkeypatch):
-    monkeypatch.setattr("scan3d_twin.sim.ray_casting.available", lambda: False)
+    monkeypatch.setattr("scan3d_twin.sim.ray_casting.is_available", lambda: False)
     assert isinstance(choose_caster(load_scene("clutter_100").model), MujocoCaster)
 
 

@@ -10,6 +10,7 @@ from scan3d_twin.sim.robot import open_sim
 
 @pytest.fixture
 def truth():
+    """The ground truth of three boxes without errors."""
     with open_sim("three_boxes", 0, TwinConfig.ideal()) as (_, truth):
         yield truth
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from scan3d_twin.sim.config import RobotErrorConfig
-from scan3d_twin.sim.trace import Trace
+from scan3d_twin.sim.trace import PoseTrace
 from scan3d_twin.sim.world import PREFIX, TIMESTEP, RobotErrors, robot_spec
 
 
@@ -101,7 +101,7 @@ def test_poses_are_those_of_their_stamp_not_of_a_step_later(bare, make_world):
     positions, rotations = world.lidar_poses(np.array([stamp]))
     assert positions[0] == pytest.approx(data.site(PREFIX + "lidar").xpos, abs=1e-12)
     assert rotations[0].ravel() == pytest.approx(data.site(PREFIX + "lidar").xmat, abs=1e-12)
-    assert Trace(world).base_pose(stamp).x == pytest.approx(
+    assert PoseTrace(world).base_pose(stamp).x == pytest.approx(
         data.body(PREFIX + "base").xpos[0], abs=1e-12
     )
 
@@ -110,7 +110,7 @@ def test_poses_between_steps_are_interpolated(bare, make_world):
     world = make_world(bare)
     world.data.ctrl[world.model.actuator(PREFIX + "left_drive").id] = 5.0
     world.advance(100)
-    trace = Trace(world)
+    trace = PoseTrace(world)
     a, middle, b = (trace.base_pose(t) for t in (0.1, 0.1 + TIMESTEP / 2, 0.1 + TIMESTEP))
     assert middle.x == pytest.approx((a.x + b.x) / 2, abs=1e-9)
     assert middle.yaw == pytest.approx((a.yaw + b.yaw) / 2, abs=1e-9)
@@ -119,7 +119,7 @@ def test_poses_between_steps_are_interpolated(bare, make_world):
 
 def test_the_base_trace_keeps_the_whole_run(bare, make_world):
     world = make_world(bare)
-    trace = Trace(world)
+    trace = PoseTrace(world)
     world.data.ctrl[world.model.actuator(PREFIX + "left_drive").id] = 5.0
     poses = []
     for _ in range(7):

@@ -75,6 +75,7 @@ def test_a_create1_can_tell_what_its_wheels_turned(bare):
 
 def test_an_uneven_floor_rocks_the_robot(bare):
     def rocking(uneven):
+        """Return how much the base rocks on a floor this uneven."""
         config = TwinConfig(errors=RobotErrorConfig(uneven=uneven, cogging=0.0))
         with open_sim(bare, 1, config) as (robot, _):
             robot.base.set_velocity(0.2, 0.0)

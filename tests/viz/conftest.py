@@ -1,3 +1,5 @@
+"""A session to be shown, and a browser without access to other machines."""
+
 import math
 import shutil
 
@@ -36,7 +38,7 @@ def session() -> Session:
     for y, each in zip((0.6, 0.1, -0.5), plans, strict=True):
         seen = synthetic.observe(Pose2(-0.4, y, 0.0), sigma=0.004, rng=rng)
         session = integrate(session, seen).with_plan(each)
-    return session.ended("front complete")
+    return session.with_stop_reason("front complete")
 
 
 @pytest.fixture(scope="session")
@@ -75,6 +77,7 @@ def open_page(browser):
     contexts = []
 
     def opening(url, *, width=1000, height=800, **options):
+        """Open ``url`` and return the watched page."""
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
         watched = Watched(context.new_page())

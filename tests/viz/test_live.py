@@ -12,12 +12,13 @@ from scan3d_twin.core.errors import LinkError
 from scan3d_twin.core.observer import Observers, Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.viz.live import LiveView, open_live_view, plan_table
+from scan3d_twin.viz.live import LiveView, format_plan, open_live_view
 from scan3d_twin.viz.server import LOOPBACK, open_server
 
 
 @pytest.fixture
 def view():
+    """A live view of a twin without a speed limit."""
     with open_live_view(LOOPBACK, 0, "boxes", "unlimited", lambda _: None) as opened:
         yield opened
 
@@ -123,7 +124,7 @@ def test_a_slow_speed_keeps_the_twin_at_it(view):
 
 
 def test_the_plan_is_told_as_a_table(session):
-    table = plan_table(replace(session, plans=session.plans[:2]))
+    table = format_plan(replace(session, plans=session.plans[:2]))
     assert "| 20% | no registration |" in table
     assert "| **80%** | **15.0 mm** |" in table
 
@@ -160,12 +161,12 @@ class Run(threading.Thread):
 
 
 def test_a_run_can_be_watched_paused_continued_and_stopped_in_a_browser(open_page):
-    told = []
-    with open_live_view(LOOPBACK, 0, "boxes", "unlimited", told.append) as view:
+    notes = []
+    with open_live_view(LOOPBACK, 0, "boxes", "unlimited", notes.append) as view:
         run = Run(view)
         view._set_pause(True)  # so that the page comes in time for the first view
         run.start()
-        shown = open_page(told[0].removeprefix("live view: "), **SMALL)
+        shown = open_page(notes[0].removeprefix("live view: "), **SMALL)
         page = shown.page
         page.get_by_text("paused", exact=True).wait_for(timeout=SOON)
         page.get_by_text("1 views").wait_for(timeout=SOON)

@@ -8,11 +8,11 @@ from pixels import share_of
 
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.model.fused_cloud import Model, build_model
-from scan3d_twin.recording.colours import colour
+from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Effort, Journey, build_report
 from scan3d_twin.run.settings import Settings, settings_toml
-from scan3d_twin.viz.report_page import Pictures, report_page
-from scan3d_twin.viz.top_view import top_view
+from scan3d_twin.viz.report_page import Pictures, render_report_page
+from scan3d_twin.viz.top_view import draw_top_view
 
 EVALUATION = Evaluation(
     coverage=0.91,
@@ -27,26 +27,29 @@ PNG = b"\x89PNG\r\n\x1a\n not a real picture"
 
 
 def page_of(session, evaluation=EVALUATION, scene="no EGL here", model=None):
+    """Return the page of ``session`` with a made-up journey and effort."""
     cloud = build_model(session)
     settings, effort = Settings(), Effort(4.0, 0.5, 2e8)
     journey = Journey(2.5, 3.1, 100.0)
     report = build_report("boxes", settings, session, journey, effort, len(cloud), evaluation)
     poses = [each.T_world_scan for each in session.views]
-    drawing = top_view(
+    drawing = draw_top_view(
         cloud.points, cloud.view, poses, sweep_width=1.05, standoff=1.0, title="boxes"
     )
     pictures = Pictures(drawing, scene)
     options = settings_toml(settings)
-    return report_page(report, options, session, model or cloud, pictures, evaluation)
+    return render_report_page(report, options, session, model or cloud, pictures, evaluation)
 
 
 @pytest.fixture(scope="module")
 def page(session):
+    """The page of the session."""
     return page_of(session)
 
 
 @pytest.fixture(scope="module")
 def url(page, tmp_path_factory):
+    """The address of the page as a file."""
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(page, encoding="utf-8")
     return path.as_uri()
@@ -111,7 +114,7 @@ def test_the_scene_is_shown_or_the_reason_why_not(page, session):
 
 
 def test_what_users_name_is_no_markup(session):
-    page = page_of(session.ended("<script>alert(1)</script>"))
+    page = page_of(session.with_stop_reason("<script>alert(1)</script>"))
     assert "<script>alert" not in page.casefold()
 
 
@@ -127,7 +130,7 @@ def test_the_model_is_drawn_in_the_colours_of_its_views_without_asking_others(op
     assert model.get_attribute("class") == "frame drawn"
     assert shown.page.locator("#model canvas").is_visible()
     picture = model.screenshot()
-    assert all(share_of(picture, colour(k)) > 0.005 for k in range(3))
+    assert all(share_of(picture, view_colour(k)) > 0.005 for k in range(3))
     assert (shown.errors, shown.asked) == ([], [])
 
 
@@ -138,11 +141,11 @@ def test_its_buttons_work(open_page, url):
     page.locator("#controls input[data-view='0']").uncheck()
     page.wait_for_timeout(100)
     without = model.screenshot()
-    assert share_of(without, colour(0)) < 0.3 * share_of(before, colour(0))
+    assert share_of(without, view_colour(0)) < 0.3 * share_of(before, view_colour(0))
     page.locator("#upto").fill("1")
     page.wait_for_timeout(100)
-    assert page.locator("#told").inner_text() == "2 of 3"
-    assert share_of(model.screenshot(), colour(2)) < 0.001
+    assert page.locator("#shown").inner_text() == "2 of 3"
+    assert share_of(model.screenshot(), view_colour(2)) < 0.001
     page.locator("#colouring").select_option("height")
     page.locator("#around").check()
     page.locator("#model canvas").drag_to(model, source_position={"x": 300, "y": 200})
@@ -168,7 +171,7 @@ def test_in_print_the_model_is_a_still_picture(open_page, url):
     assert not page.locator("#model canvas").is_visible()
     assert not page.locator("#controls").is_visible()
     picture = page.locator("#model").screenshot()
-    assert all(share_of(picture, colour(k)) > 0.005 for k in range(3))
+    assert all(share_of(picture, view_colour(k)) > 0.005 for k in range(3))
     assert page.evaluate("document.documentElement.scrollWidth") <= 760
 
 

@@ -9,12 +9,12 @@ def test_a_session_is_shown_by_view_back_and_forth_light_and_dark(session, open_
         SessionView(server, "boxes", session)
         shown = open_page(address, **SMALL)
         page = shown.page
-        page.get_by_text("view 2 of 2").wait_for(timeout=SOON)
+        page.get_by_text("view 2 (3 of 3 views)").wait_for(timeout=SOON)
         assert drawn(page, {0, 1, 2}) == {0, 1, 2}
 
         page.get_by_role("slider").first.focus()
         page.keyboard.press("ArrowLeft")
-        page.get_by_text("view 1 of 2").wait_for(timeout=SOON)
+        page.get_by_text("view 1 (2 of 3 views)").wait_for(timeout=SOON)
         page.get_by_text("15.0 mm").first.wait_for(timeout=SOON)  # what its plan predicted
         assert drawn(page, {0, 1}) == {0, 1}
 

@@ -5,22 +5,24 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.types import Pose2
-from scan3d_twin.recording.colours import colour
-from scan3d_twin.viz.top_view import top_view
+from scan3d_twin.recording.colours import view_colour
+from scan3d_twin.viz.top_view import draw_top_view
 
 SVG = "{http://www.w3.org/2000/svg}"
 VIEWPOINTS = (Pose2(0.0, 0.0, math.pi / 2), Pose2(0.5, 0.1, math.pi / 2), Pose2(1.0, 0.0, 2.0))
 
 
 def draw(n=3000, viewpoints=VIEWPOINTS, title="boxes", seed=0):
+    """Return the top view of ``n`` random points."""
     rng = np.random.default_rng(seed)
     points = rng.uniform((-0.5, 0.9, 0.0), (1.5, 1.1, 0.7), size=(n, 3))
     view = rng.integers(len(viewpoints), size=n)
     options = {"sweep_width": math.radians(60), "standoff": 1.0, "title": title}
-    return top_view(points, view, viewpoints, **options)
+    return draw_top_view(points, view, viewpoints, **options)
 
 
 def of_class(svg, name):
+    """Return the elements of a class."""
     return [each for each in ET.fromstring(svg).iter() if each.get("class") == name]
 
 
@@ -43,10 +45,10 @@ def test_each_viewpoint_has_a_star_a_number_and_a_dashed_sector():
 def test_points_stars_and_sectors_of_a_view_share_its_colour():
     svg = draw()
     for index in range(3):
-        assert of_class(svg, "star")[index].get("fill") == colour(index)
-        assert of_class(svg, "sector")[index].get("stroke") == colour(index)
+        assert of_class(svg, "star")[index].get("fill") == view_colour(index)
+        assert of_class(svg, "sector")[index].get("stroke") == view_colour(index)
     dots = [each for each in ET.fromstring(svg).iter(SVG + "path") if each.get("stroke")]
-    assert [each.get("stroke") for each in dots] == [colour(k) for k in range(3)]
+    assert [each.get("stroke") for each in dots] == [view_colour(k) for k in range(3)]
 
 
 def test_a_metre_is_as_long_upwards_as_sideways_and_y_points_up():

@@ -16,10 +16,10 @@ from scan3d_twin.devices.urg.emulated_profile import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
-from scan3d_twin.recording.load import last_odometry, load_session
+from scan3d_twin.recording.load import load_session, read_last_odometry
 from scan3d_twin.recording.recorder import Recorder
-from scan3d_twin.recording.resume import continued, warning
-from scan3d_twin.run.closed_loop import Earlier, close_loop
+from scan3d_twin.recording.resume import continue_odometry, moved_warning
+from scan3d_twin.run.closed_loop import EarlierRun, close_loop
 from scan3d_twin.run.report import Journey
 from scan3d_twin.run.settings import Settings
 from scan3d_twin.sim.robot import open_sim
@@ -36,7 +36,7 @@ class Warned(Unobserved):
 
     def on_view(self, session):
         if self.said is None:
-            self.said = warning(session)
+            self.said = moved_warning(session)
 
 
 def settings(views):
@@ -61,13 +61,13 @@ def gone_on(tmp_path_factory):
             close_loop(recorder.attach(robot), None, settings(2), recorder, timer)
             recorder.close()
         earlier = load_session(folder)
-        stamp, here = last_odometry(earlier.path)
+        stamp, here = read_last_odometry(earlier.path)
         again, warned = Recorder(folder, lambda: 0.0, {}, earlier), Warned()
         with opening() as robot:
-            robot = again.attach(continued(robot, here, stamp))
+            robot = again.attach(continue_odometry(robot, here, stamp))
             journey = Journey(earlier.mark.path, earlier.mark.turn, earlier.mark.stamp)
             both = Observers(again, warned)
-            part = Earlier(earlier.session, journey)
+            part = EarlierRun(earlier.session, journey)
             loop = close_loop(robot, None, settings(3), both, timer, part)
             again.finish(loop.session)
     return load_session(folder), loop, warned.said

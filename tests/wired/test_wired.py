@@ -14,7 +14,7 @@ from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.recording.views import view_bytes
-from scan3d_twin.run.settings import settings
+from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import open_wired
@@ -38,7 +38,7 @@ def digitised(opener, link, config, seed=0, start=0.0):
 @pytest.mark.parametrize("link", ["usb", "115200"])
 def test_three_boxes_through_the_drivers_is_as_good_as_without(link):
     """From the same instant on, so that both see the same noise; benchmarks/links.py has more."""
-    config = settings([{"tour": "front"}, preset_options("best")]).config
+    config = build_settings([{"tour": "front"}, preset_options("best")]).config
     wired, by_wired, lidar, began = digitised(open_wired, link, config, seed=2)
     sim, by_sim, _, _ = digitised(open_sim, link, config, seed=2, start=began)
     assert abs(len(wired.views) - len(sim.views)) <= 1

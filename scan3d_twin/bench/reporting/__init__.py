@@ -1,1 +1,1 @@
-"""What an experiment shows: statistics, comparisons, figures, tables and the page."""
+"""The report of an experiment: statistics, comparisons, figures, tables and the page."""

@@ -9,25 +9,25 @@ from dataclasses import dataclass
 from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.reporting.statistics import (
     Estimate,
-    discordant,
-    median,
-    paired_difference,
+    estimate_median,
+    mcnemar_p,
+    wilcoxon_p,
 )
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A variant against the reference of its scene and scope, run by run of one seed each.
+    """A variant against the reference of its scene and scope, paired by seed.
 
     Attributes:
-        scene, scope, variant, reference: What is compared.
-        pairs: Seeds that both have.
-        success: Share of successes less that of the reference.
-        success_p: McNemar's exact test that both are equally often successful.
-        views: Views over the reference's, median of the pairs.
-        views_p: Wilcoxon's signed-rank test that they take equally many.
-        time: Robot's time over the reference's, median of the pairs.
-        time_p: Wilcoxon's test that it is equal.
+        scene, scope, variant, reference: The compared runs.
+        pairs: Number of seeds that both have.
+        success: Success rate minus that of the reference.
+        success_p: p value of McNemar's exact test on success.
+        views: Ratio of views to the reference, median of the pairs.
+        views_p: p value of Wilcoxon's signed-rank test on views.
+        time: Ratio of the robot's time to the reference, median of the pairs.
+        time_p: p value of Wilcoxon's signed-rank test on time.
     """
 
     scene: str
@@ -48,8 +48,8 @@ class Regret:
     """A variant against the oracle of its scene, on equal seeds and at equal coverage.
 
     Attributes:
-        scene, variant, oracle: What is compared.
-        regret: Views over the oracle's, both up to the lower of the two final coverages.
+        scene, variant, oracle: The compared runs.
+        regret: Ratio of views to the oracle, both up to the lower of the two final coverages.
     """
 
     scene: str
@@ -62,45 +62,45 @@ Runs = dict[str, dict[int, Record]]
 """Records by variant and seed."""
 
 
-def comparisons(records: Iterable[Record]) -> list[Comparison]:
-    """Return each variant against the best of its scene and scope.
+def compare_variants(records: Iterable[Record]) -> list[Comparison]:
+    """Return each variant against the best variant of its scene and scope.
 
-    Scopes are not mixed: who registers all that is seen solves an easier task than who registers
-    the target alone. The best has the most successes, and of equals the fewest views; oracles know
-    the truth and are no reference.
+    Scopes are not mixed: to register whole sweeps is an easier task than to register the target
+    alone. The best variant has the highest success rate and, among equals, the fewest views;
+    oracles know the truth and are no reference.
     """
     found = []
-    for (scene, scope), runs in _runs(records, lambda r: (r.scene, r.scope)).items():
+    for (scene, scope), runs in _group_runs(records, lambda r: (r.scene, r.scope)).items():
         able = [name for name in runs if not _is_oracle(runs[name])]
         if len(runs) < 2 or not able:
             continue
         reference = min(able, key=lambda name: (*_rank(list(runs[name].values())), name))
         for name in runs:
             if name != reference:
-                found.append(_comparison(scene, scope, name, runs[name], reference, runs))
+                found.append(_compare(scene, scope, name, runs[name], reference, runs))
     return found
 
 
-def regrets(records: Iterable[Record]) -> list[Regret]:
+def compare_with_oracle(records: Iterable[Record]) -> list[Regret]:
     """Return each variant against each oracle of its scene."""
     found = []
-    for (scene, _), runs in _runs(records, lambda r: (r.scene, "")).items():
+    for (scene, _), runs in _group_runs(records, lambda r: (r.scene, "")).items():
         oracles = [name for name in runs if _is_oracle(runs[name])]
         for oracle in oracles:
             for name in runs:
                 if name not in oracles:
                     ratios = [_regret(a, b) for a, b in _pairs(runs[name], runs[oracle])]
-                    found.append(Regret(scene, name, oracle, median(ratios)))
+                    found.append(Regret(scene, name, oracle, estimate_median(ratios)))
     return found
 
 
 def views_to(record: Record, coverage: float) -> int | None:
-    """Return after how many views ``coverage`` was reached; None if never."""
+    """Return the number of views up to ``coverage``; None if it was never reached."""
     reached = [step.view + 1 for step in record.steps if (step.coverage or 0.0) >= coverage]
     return min(reached, default=None)
 
 
-def _runs(
+def _group_runs(
     records: Iterable[Record], key: Callable[[Record], tuple[str, str]]
 ) -> dict[tuple[str, str], Runs]:
     found: dict[tuple[str, str], Runs] = {}
@@ -117,20 +117,23 @@ def _is_oracle(runs: dict[int, Record]) -> bool:
 
 def _rank(records: Sequence[Record]) -> tuple[float, float]:
     success = sum(record.success for record in records) / len(records)
-    return -success, median([record.views for record in records]).value
+    return -success, estimate_median([record.views for record in records]).value
 
 
 def _pairs(a: dict[int, Record], b: dict[int, Record]) -> list[tuple[Record, Record]]:
     return [(a[seed], b[seed]) for seed in sorted(a.keys() & b.keys())]
 
 
-def _comparison(
+def _compare(
     scene: str, scope: str, name: str, mine: dict[int, Record], reference: str, runs: Runs
 ) -> Comparison:
+    # Pair the runs by seed
     pairs = _pairs(mine, runs[reference])
     a, b = [x for x, _ in pairs], [y for _, y in pairs]
     timed = [(x.duration, y.duration) for x, y in pairs if x.duration and y.duration]
     count = max(1, len(pairs))
+
+    # Estimate ratios, test the differences
     return Comparison(
         scene=scene,
         scope=scope,
@@ -138,16 +141,16 @@ def _comparison(
         reference=reference,
         pairs=len(pairs),
         success=(sum(x.success for x in a) - sum(y.success for y in b)) / count,
-        success_p=discordant([x.success for x in a], [y.success for y in b]),
-        views=median([x.views / y.views for x, y in pairs if y.views]),
-        views_p=paired_difference([x.views for x in a], [y.views for y in b]),
-        time=median([x / y for x, y in timed]),
-        time_p=paired_difference([x for x, _ in timed], [y for _, y in timed]),
+        success_p=mcnemar_p([x.success for x in a], [y.success for y in b]),
+        views=estimate_median([x.views / y.views for x, y in pairs if y.views]),
+        views_p=wilcoxon_p([x.views for x in a], [y.views for y in b]),
+        time=estimate_median([x / y for x, y in timed]),
+        time_p=wilcoxon_p([x for x, _ in timed], [y for _, y in timed]),
     )
 
 
 def _regret(record: Record, oracle: Record) -> float:
-    """Return the ratio of views to the lower of both final coverages; NaN if one saw nothing."""
+    """Return the ratio of views up to the lower final coverage; NaN if one covered nothing."""
     coverage = min(record.coverage, oracle.coverage)
     mine, least = views_to(record, coverage), views_to(oracle, coverage)
     if coverage <= 0 or mine is None or least is None:

@@ -8,41 +8,52 @@ from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from scan3d_twin.bench.drive import PICTURES, picture_path
+from scan3d_twin.bench.execute import PICTURES_FOLDER, picture_path
 from scan3d_twin.bench.record import Record, Step
-from scan3d_twin.bench.reporting.compare import comparisons, regrets
-from scan3d_twin.bench.reporting.figures import Cells, figures_of
-from scan3d_twin.bench.reporting.page import comparison_rows, page
-from scan3d_twin.bench.reporting.summary import MEASURES, Row, summarise
+from scan3d_twin.bench.reporting.compare import compare_variants, compare_with_oracle
+from scan3d_twin.bench.reporting.figures import Cells, draw_figures
+from scan3d_twin.bench.reporting.measures import MEASURES, SummaryRow, summarise
+from scan3d_twin.bench.reporting.page import comparison_cells, render_page
 from scan3d_twin.run.folder import write_file
 
-PAGE = "report.html"
+PAGE_FILE = "report.html"
 
 
 def write_report(records: Sequence[Record], title: str, pictures: Path, out: Path) -> Path:
     """Write the report of ``records`` into the folder ``out`` and return the page.
 
     Args:
-        records: Of one experiment.
-        title: Its name.
-        pictures: Folder of the bench, where top views may be.
-        out: Its files of the same names are written over.
+        records: Records of one experiment.
+        title: Name of the experiment.
+        pictures: Folder of the bench, which may hold top views.
+        out: Folder of the report; files of the same names are replaced.
 
     Raises:
         FileError: The folder cannot be written.
     """
-    rows, compared, figures = summarise(records), comparisons(records), figures_of(records)
+    # Write the figures
+    rows, compared, figures = summarise(records), compare_variants(records), draw_figures(records)
     for figure in figures:
         write_file(out / "figures" / f"{figure.name}.svg", figure.svg)
         write_file(out / "figures" / f"{figure.name}.csv", csv_text(figure.rows))
+
+    # Write the tables
     write_file(out / "summary.csv", csv_text(_summary_rows(rows)))
     write_file(out / "steps.csv", csv_text(_step_rows(records)))
-    write_file(out / "comparisons.csv", csv_text(comparison_rows(compared)))
-    text = page(
-        title, records, rows, compared, regrets(records), figures, _pictures(records, pictures)
+    write_file(out / "comparisons.csv", csv_text(comparison_cells(compared)))
+
+    # Write the page
+    text = render_page(
+        title,
+        records,
+        rows,
+        compared,
+        compare_with_oracle(records),
+        figures,
+        _pictures(records, pictures),
     )
-    write_file(out / PAGE, text)
-    return out / PAGE
+    write_file(out / PAGE_FILE, text)
+    return out / PAGE_FILE
 
 
 def csv_text(rows: Cells) -> str:
@@ -52,10 +63,13 @@ def csv_text(rows: Cells) -> str:
     return text.getvalue()
 
 
-def _summary_rows(rows: Sequence[Row]) -> Cells:
+def _summary_rows(rows: Sequence[SummaryRow]) -> Cells:
+    # Name the columns
     parts = ("", "_low", "_high")
     names = [measure.name + part for measure in MEASURES for part in parts]
     cells: Cells = [["scene", "variant", "scope", "runs", "failed", "lost", *names]]
+
+    # Fill one line per row
     for row in rows:
         numbers = [
             value
@@ -76,7 +90,7 @@ def _summary_rows(rows: Sequence[Row]) -> Cells:
 
 
 def _step_rows(records: Sequence[Record]) -> Cells:
-    """Return a row per view of all runs."""
+    """Return one row per view of all runs, with a heading."""
     names = [field.name for field in fields(Step)]
     cells: Cells = [["scene", "variant", "seed", *names]]
     for record in records:
@@ -86,10 +100,10 @@ def _step_rows(records: Sequence[Record]) -> Cells:
 
 
 def _pictures(records: Sequence[Record], folder: Path) -> dict[str, bytes]:
-    """Return the stored top views by caption; the presets' own variants first."""
+    """Return the stored top views by caption; variants named after a preset come first."""
     found: dict[str, bytes] = {}
     ordered = sorted(records, key=lambda r: (r.variant != r.preset, r.scene, r.variant, r.seed))
-    for record in ordered if (folder / PICTURES).is_dir() else ():
+    for record in ordered if (folder / PICTURES_FOLDER).is_dir() else ():
         path = picture_path(folder, record)
         if path.is_file():
             caption = f"{record.scene}, {record.variant}, seed {record.seed}: {record.stop}"

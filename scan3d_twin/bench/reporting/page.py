@@ -1,4 +1,4 @@
-"""The report of an experiment as one HTML page that needs nothing else."""
+"""The report of an experiment as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from itertools import groupby
 from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.reporting.compare import Comparison, Regret
 from scan3d_twin.bench.reporting.figures import Cells, Figure
-from scan3d_twin.bench.reporting.summary import MEASURES, Row, table, words
+from scan3d_twin.bench.reporting.measures import MEASURES, SummaryRow, format_estimate, format_table
 
-MOST_PICTURES = 12
-"""Top views on the page; each may have 2 MB. The others stay in their folder."""
+MAX_PICTURES = 12
+"""Most top views on the page, each up to 2 MB; the others stay in their folder."""
 
 
-def page(
+def render_page(
     title: str,
     records: Sequence[Record],
-    rows: Sequence[Row],
+    rows: Sequence[SummaryRow],
     comparisons: Sequence[Comparison],
     regrets: Sequence[Regret],
     figures: Sequence[Figure],
@@ -31,18 +31,18 @@ def page(
 
     Args:
         title: Name of the experiment.
-        records: All of them.
-        rows: The table.
-        comparisons: Within each scope.
-        regrets: Against the oracle.
-        figures: In order, by scene.
+        records: All records.
+        rows: Rows of the table of measures.
+        comparisons: Comparisons within each scope.
+        regrets: Comparisons with the oracle.
+        figures: All figures.
         pictures: Top views as SVG, by caption.
     """
     parts = [
         f"<h1>{escape(title)}</h1>",
         *_facts(records),
         "<h2>Figures of all runs</h2>",
-        _table(table(rows)),
+        _table(format_table(rows)),
         "<p class=facts>In brackets: 95 % intervals, Wilson's for shares of runs and bootstrap for "
         "medians.</p>",
         _meanings(),
@@ -64,7 +64,7 @@ def _head(title: str) -> str:
     )
 
 
-def comparison_rows(comparisons: Iterable[Comparison]) -> Cells:
+def comparison_cells(comparisons: Iterable[Comparison]) -> Cells:
     """Return the comparisons as numbers, with a heading."""
     names = [field.name for field in fields(Comparison)]
     rows: Cells = [[*names, "views_low", "views_high", "time_low", "time_high"]]
@@ -76,7 +76,8 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> Cells:
 
 
 def _facts(records: Sequence[Record]) -> list[str]:
-    """Return where the numbers come from."""
+    """Return the provenance of the numbers: runs, seeds, processor hours, versions."""
+    # Count runs, seeds and hours
     codes = sorted({record.code for record in records if record.code})
     versions = sorted({record.version for record in records})
     hours = sum(record.cpu or 0.0 for record in records) / 3600
@@ -88,6 +89,8 @@ def _facts(records: Sequence[Record]) -> list[str]:
         f"hours; "
         f"scan3d_twin {', '.join(versions)}, sources {', '.join(codes)}.</p>"
     ]
+
+    # Warn of mixed or lost runs
     if len(codes) > 1:
         parts.append("<p class=note>These runs are of different sources: do not quote them.</p>")
     if lost:
@@ -104,7 +107,7 @@ def _table(cells: Sequence[Sequence[str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a cell with its interval, if it has one, below the value."""
+    """Return a table cell, its interval, if any, below the value."""
     value, bracket, interval = text.partition(" [")
     below = f"<br><small>{escape(bracket[1:] + interval)}</small>" if bracket else ""
     return f"<td>{escape(value)}{below}</td>"
@@ -120,6 +123,8 @@ def _comparisons(comparisons: Sequence[Comparison]) -> list[str]:
     parts = []
     for (scene, scope), group in groupby(comparisons, key=lambda c: (c.scene, c.scope)):
         found = list(group)
+
+        # Fill one row per variant
         heading = ["variant", "pairs", "success", "p", "views", "p", "time", "p"]
         cells = [heading] + [
             [
@@ -127,13 +132,15 @@ def _comparisons(comparisons: Sequence[Comparison]) -> list[str]:
                 str(c.pairs),
                 f"{100 * c.success:+.0f} points",
                 f"{c.success_p:.2g}",
-                "\N{MULTIPLICATION SIGN} " + words(c.views, "{:.2f}"),
+                "\N{MULTIPLICATION SIGN} " + format_estimate(c.views, "{:.2f}"),
                 f"{c.views_p:.2g}",
-                "\N{MULTIPLICATION SIGN} " + words(c.time, "{:.2f}"),
+                "\N{MULTIPLICATION SIGN} " + format_estimate(c.time, "{:.2f}"),
                 f"{c.time_p:.2g}",
             ]
             for c in found
         ]
+
+        # Title and table
         parts.append(f"<h2>{escape(scene)}, registration of the {escape(scope)}: "
                      f"against {escape(found[0].reference)}</h2>")  # fmt: skip
         parts.append(_table(cells))
@@ -149,20 +156,23 @@ def _regrets(regrets: Sequence[Regret]) -> list[str]:
     if not regrets:
         return []
     cells = [["scene", "variant", "oracle", "views over the oracle's", "pairs"]] + [
-        [r.scene, r.variant, r.oracle, words(r.regret, "{:.2f}"), str(r.regret.n)] for r in regrets
+        [r.scene, r.variant, r.oracle, format_estimate(r.regret, "{:.2f}"), str(r.regret.n)]
+        for r in regrets
     ]
     return [
         "<h2>Against the oracle</h2>",
         _table(cells),
         "<p class=facts>Views up to the lower of both final coverages, seed by seed. The oracle "
-        "knows the surface and places the fewest views that overlap as it is told.</p>",
+        "knows the surface and places the fewest views that overlap as required.</p>",
     ]
 
 
 def _pictures(pictures: Mapping[str, bytes]) -> list[str]:
     if not pictures:
         return []
-    shown = list(pictures.items())[:MOST_PICTURES]
+
+    # Embed pictures with their captions
+    shown = list(pictures.items())[:MAX_PICTURES]
     parts = ["<h2>F1: top views</h2><div class=figures>"]
     for caption, svg in shown:
         data = base64.b64encode(svg).decode("ascii")
@@ -170,6 +180,8 @@ def _pictures(pictures: Mapping[str, bytes]) -> list[str]:
             f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(caption)}">'
             f"<figcaption>{escape(caption)}</figcaption></figure>"
         )
+
+    # Count the pictures left out
     left = len(pictures) - len(shown)
     parts.append("</div>" + (f"<p class=facts>{left} more in top_views/.</p>" if left else ""))
     return parts
@@ -195,7 +207,7 @@ def _figures(figures: Sequence[Figure]) -> list[str]:
 _TITLES = {
     "F2": "views and errors",
     "F3": "coverage",
-    "F4": "what was predicted and what came",
+    "F4": "predicted and realised errors",
     "F5": "overlaps and features",
     "F6": "the error the planner assumes",
     "F7": "variants side by side",

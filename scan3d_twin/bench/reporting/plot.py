@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from xml.sax.saxutils import escape
 
 from scan3d_twin.bench.reporting.statistics import Estimate
-from scan3d_twin.recording.colours import COLOURS
+from scan3d_twin.recording.colours import VIEW_COLOURS
 
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 34.0, 46.0
-"""Room round the plot, in the picture's own units."""
+"""Margins of the plot [units of the picture]."""
 LEGEND_LINE = 18.0
 STYLE = """
 .pl { font: 12px system-ui, "Helvetica Neue", Arial, sans-serif; background: #ffffff; }
@@ -26,7 +26,7 @@ STYLE = """
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """An axis from ``low`` to ``high``; ``form`` writes a tick."""
+    """An axis from ``low`` to ``high``; ``form`` formats a tick label."""
 
     label: str
     low: float
@@ -35,7 +35,7 @@ class Axis:
     form: str = "{:g}"
 
     def share(self, value: float) -> float:
-        """Return where ``value`` lies, 0..1; what lies outside is put on the edge."""
+        """Return the position of ``value`` along the axis, clipped to 0..1."""
         if self.log:
             low, high = math.log(self.low), math.log(self.high)
             value = math.log(max(value, self.low))
@@ -57,7 +57,7 @@ class Axis:
 
 
 def axis_over(label: str, values: Iterable[float], *, log: bool = False) -> Axis:
-    """Return an axis that holds all finite ``values`` and a little more."""
+    """Return an axis that spans all finite ``values`` with a margin."""
     known = [value for value in values if math.isfinite(value) and (value > 0 or not log)]
     if not known:
         return Axis(label, 1.0, 10.0, log) if log else Axis(label, 0.0, 1.0)
@@ -69,21 +69,21 @@ def axis_over(label: str, values: Iterable[float], *, log: bool = False) -> Axis
     return Axis(label, low, high + 0.05 * (high - low))
 
 
-def shares(label: str) -> Axis:
+def share_axis(label: str) -> Axis:
     """Return an axis from 0 to 100 %."""
     return Axis(label, 0.0, 1.0, form="{:.0%}")
 
 
 @dataclass
 class Plot:
-    """A picture that grows by its methods.
+    """A plot to which dots, lines, bands and bars are added.
 
     Attributes:
-        title: Above it.
+        title: Text above it.
         x: Horizontal axis.
         y: Vertical axis.
-        width: In the picture's own units.
-        height: Without the legend.
+        width: Width [units of the picture].
+        height: Height without the legend [units of the picture].
     """
 
     title: str
@@ -94,78 +94,85 @@ class Plot:
     _parts: list[str] = field(default_factory=list)
     _legend: list[tuple[str, str]] = field(default_factory=list)
 
-    def place(self, x: float, y: float) -> tuple[float, float]:
-        """Return where (x, y) lies in the picture."""
+    def position_of(self, x: float, y: float) -> tuple[float, float]:
+        """Return the position of (x, y) in the picture."""
         wide, high = self.width - LEFT - RIGHT, self.height - TOP - BOTTOM
         return LEFT + wide * self.x.share(x), self.height - BOTTOM - high * self.y.share(y)
 
-    def name(self, label: str, colour: str) -> None:
-        """Add a line to the legend."""
+    def add_legend(self, label: str, colour: str) -> None:
+        """Add an entry to the legend."""
         if (label, colour) not in self._legend:
             self._legend.append((label, colour))
 
-    def dots(self, points: Iterable[tuple[float, float]], colour: str, size: float = 3.0) -> None:
-        """Draw a dot at each of ``points`` that is finite."""
+    def add_dots(
+        self, points: Iterable[tuple[float, float]], colour: str, size: float = 3.0
+    ) -> None:
+        """Draw a dot at each finite one of ``points``."""
         for x, y in points:
             if math.isfinite(x) and math.isfinite(y):
-                px, py = self.place(x, y)
+                px, py = self.position_of(x, y)
                 self._parts.append(
                     f'<circle cx="{px:.1f}" cy="{py:.1f}" r="{size:g}" fill="{colour}" '
                     'fill-opacity="0.55"/>'
                 )
 
-    def line(self, points: Iterable[tuple[float, float]], colour: str) -> None:
+    def add_line(self, points: Iterable[tuple[float, float]], colour: str) -> None:
         """Join ``points``."""
-        path = "L".join(f"{x:.1f} {y:.1f}" for x, y in (self.place(*point) for point in points))
+        path = "L".join(
+            f"{x:.1f} {y:.1f}" for x, y in (self.position_of(*point) for point in points)
+        )
         if path:
             self._parts.append(f'<path class="line" d="M{path}" stroke="{colour}"/>')
 
-    def band(self, rows: Sequence[tuple[float, Estimate]], colour: str) -> None:
+    def add_band(self, rows: Sequence[tuple[float, Estimate]], colour: str) -> None:
         """Draw a line through values by x and a band through their intervals."""
-        upper = [self.place(x, e.high) for x, e in rows if e.n]
-        lower = [self.place(x, e.low) for x, e in reversed(rows) if e.n]
+        upper = [self.position_of(x, e.high) for x, e in rows if e.n]
+        lower = [self.position_of(x, e.low) for x, e in reversed(rows) if e.n]
         corners = " ".join(f"{x:.1f},{y:.1f}" for x, y in upper + lower)
         if corners:
             self._parts.append(f'<polygon points="{corners}" fill="{colour}" fill-opacity="0.15"/>')
-        self.line([(x, e.value) for x, e in rows if e.n], colour)
+        self.add_line([(x, e.value) for x, e in rows if e.n], colour)
 
-    def bar(self, x: float, half: float, estimate: Estimate, colour: str) -> None:
+    def add_bar(self, x: float, half: float, estimate: Estimate, colour: str) -> None:
         """Draw a bar from the axis to a value, with its interval as a whisker."""
         if estimate.n == 0:
             return
-        (left, top), (right, bottom) = self.place(x - half, estimate.value), self.place(x + half, 0)
+        (left, top), (right, bottom) = (
+            self.position_of(x - half, estimate.value),
+            self.position_of(x + half, 0),
+        )
         self._parts.append(
             f'<rect x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" '
             f'height="{bottom - top:.1f}" fill="{colour}" fill-opacity="0.75"/>'
         )
-        self.whisker(x, estimate)
+        self.add_whisker(x, estimate)
 
-    def whisker(self, x: float, estimate: Estimate) -> None:
+    def add_whisker(self, x: float, estimate: Estimate) -> None:
         """Draw an interval."""
-        px, low = self.place(x, estimate.low)
-        high = self.place(x, estimate.high)[1]
+        px, low = self.position_of(x, estimate.low)
+        high = self.position_of(x, estimate.high)[1]
         self._parts.append(
             f'<path class="axis" d="M{px:.1f} {low:.1f}V{high:.1f}M{px - 4:.1f} {low:.1f}h8'
             f'M{px - 4:.1f} {high:.1f}h8"/>'
         )
 
-    def limit(self, y: float, label: str) -> None:
+    def add_limit(self, y: float, label: str) -> None:
         """Draw a dashed line across."""
-        px, py = self.place(self.x.high, y)
+        px, py = self.position_of(self.x.high, y)
         self._parts.append(f'<path class="limit" d="M{LEFT:g} {py:.1f}H{px:.1f}"/>')
         self._parts.append(
             f'<text class="tick" x="{px - 3:.1f}" y="{py - 5:.1f}" text-anchor="end">'
             f"{escape(label)}</text>"
         )
 
-    def diagonal(self) -> None:
+    def add_diagonal(self) -> None:
         """Draw y = x, dashed."""
         low, high = max(self.x.low, self.y.low), min(self.x.high, self.y.high)
-        (ax, ay), (bx, by) = self.place(low, low), self.place(high, high)
+        (ax, ay), (bx, by) = self.position_of(low, low), self.position_of(high, high)
         self._parts.append(f'<path class="limit" d="M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}"/>')
 
-    def svg(self) -> str:
-        """Return the picture as an SVG document that a page can hold too."""
+    def render(self) -> str:
+        """Return the plot as an SVG document that can also be embedded in a page."""
         total = self.height + LEGEND_LINE * math.ceil(len(self._legend) / 2)
         return "\n".join(
             [
@@ -182,22 +189,28 @@ class Plot:
 
     def _axes(self) -> list[str]:
         bottom, right = self.height - BOTTOM, self.width - RIGHT
+
+        # Draw ticks and grid of y
         parts = []
         for value in self.y.ticks():
-            y = self.place(self.x.low, value)[1]
+            y = self.position_of(self.x.low, value)[1]
             words = self.y.form.format(value)
             parts.append(f'<path class="grid" d="M{LEFT:g} {y:.1f}H{right:g}"/>')
             parts.append(
                 f'<text class="tick" x="{LEFT - 6:g}" y="{y + 4:.1f}" text-anchor="end">'
                 f"{words}</text>"
             )
+
+        # Draw the ticks of x
         for value in self.x.ticks() if self.x.label else ():
-            x = self.place(value, self.y.low)[0]
+            x = self.position_of(value, self.y.low)[0]
             words = self.x.form.format(value)
             parts.append(
                 f'<text class="tick" x="{x:.1f}" y="{bottom + 16:g}" text-anchor="middle">'
                 f"{words}</text>"
             )
+
+        # Draw the axis and labels
         middle = (TOP + bottom) / 2
         return [
             *parts,
@@ -219,9 +232,9 @@ class Plot:
         return parts
 
 
-def colours(names: Iterable[str]) -> dict[str, str]:
+def assign_colours(names: Iterable[str]) -> dict[str, str]:
     """Return a colour for each name, the same in all plots of a report."""
-    return {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}
+    return {name: VIEW_COLOURS[k % len(VIEW_COLOURS)] for k, name in enumerate(names)}
 
 
 def _round_step(length: float) -> float:

@@ -1,4 +1,4 @@
-"""Rates and medians with their intervals: 95 % throughout."""
+"""Rates, medians and paired tests; all intervals are 95 % confidence intervals."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binomtest, wilcoxon
 
-Z = 1.959964
-"""Of the standard normal distribution: 95 % lie within."""
-DRAWS = 2000
-"""Bootstrap samples; the ends of the interval then move by a few percent of its width."""
-SEED = 0
-"""Of the bootstrap: the same records give the same intervals."""
+Z_95 = 1.959964
+"""Two-sided 95 % quantile of the standard normal distribution."""
+BOOTSTRAP_DRAWS = 2000
+"""Bootstrap samples; the ends of an interval then vary by a few percent of its width."""
+BOOTSTRAP_SEED = 0
+"""Seed of the bootstrap: the same records give the same intervals."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number with its 95 % interval, from ``n`` runs; all NaN without any."""
+    """A value with its 95 % interval, from ``n`` runs; all NaN without runs."""
 
     value: float
     low: float
@@ -27,56 +27,61 @@ class Estimate:
     n: int
 
 
-NOTHING = Estimate(math.nan, math.nan, math.nan, 0)
+NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan, 0)
 
 
-def rate(successes: int, n: int) -> Estimate:
+def estimate_rate(successes: int, n: int) -> Estimate:
     """Return a share with its Wilson score interval (Wilson 1927)."""
     if n == 0:
-        return NOTHING
-    p, z = successes / n, Z
+        return NO_ESTIMATE
+    p, z = successes / n, Z_95
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     return Estimate(p, max(0.0, middle - half), min(1.0, middle + half), n)
 
 
-def median(values: Sequence[float]) -> Estimate:
+def estimate_median(values: Sequence[float]) -> Estimate:
     """Return the median with its percentile bootstrap interval (Efron 1979)."""
     known = np.asarray([value for value in values if math.isfinite(value)], dtype=np.float64)
     if len(known) == 0:
-        return NOTHING
-    index = np.random.default_rng(SEED).integers(0, len(known), (DRAWS, len(known)))
+        return NO_ESTIMATE
+    index = np.random.default_rng(BOOTSTRAP_SEED).integers(
+        0, len(known), (BOOTSTRAP_DRAWS, len(known))
+    )
     draws = np.median(known[index], axis=1)
     low, high = np.quantile(draws, [0.025, 0.975])
     return Estimate(float(np.median(known)), float(low), float(high), len(known))
 
 
-def clustered_rate(groups: Sequence[Sequence[bool]]) -> Estimate:
-    """Return the share of True over all ``groups``; the interval draws whole groups.
+def estimate_clustered_rate(groups: Sequence[Sequence[bool]]) -> Estimate:
+    """Return the share of True over all ``groups``, with a cluster bootstrap interval.
 
-    The steps of one run share a robot and its errors: they are not independent.
+    The bootstrap draws whole groups, because the steps of one run share a robot and its errors and
+    are not independent.
     """
     filled = [group for group in groups if group]
     if not filled:
-        return NOTHING
+        return NO_ESTIMATE
     hits = np.array([sum(group) for group in filled])
     sizes = np.array([len(group) for group in filled])
-    index = np.random.default_rng(SEED).integers(0, len(filled), (DRAWS, len(filled)))
+    index = np.random.default_rng(BOOTSTRAP_SEED).integers(
+        0, len(filled), (BOOTSTRAP_DRAWS, len(filled))
+    )
     draws = hits[index].sum(axis=1) / sizes[index].sum(axis=1)
     low, high = np.quantile(draws, [0.025, 0.975])
     return Estimate(float(hits.sum() / sizes.sum()), float(low), float(high), int(sizes.sum()))
 
 
-def paired_difference(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the p value of Wilcoxon's signed-rank test that pairs do not differ; 1 if none do."""
+def wilcoxon_p(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return the p value of Wilcoxon's signed-rank test on pairs; 1 if no pair differs."""
     difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
     if len(difference) == 0 or not np.any(difference):
         return 1.0
     return float(wilcoxon(difference).pvalue)
 
 
-def discordant(a: Sequence[bool], b: Sequence[bool]) -> float:
-    """Return the p value of McNemar's exact test that two success rates do not differ."""
+def mcnemar_p(a: Sequence[bool], b: Sequence[bool]) -> float:
+    """Return the p value of McNemar's exact test on paired successes; 1 if no pair differs."""
     only_a = sum(x and not y for x, y in zip(a, b, strict=True))
     only_b = sum(y and not x for x, y in zip(a, b, strict=True))
     if only_a + only_b == 0:

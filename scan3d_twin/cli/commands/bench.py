@@ -1,4 +1,4 @@
-"""``twin bench``: planners against planners, on many seeds."""
+"""``twin bench``: compare planners on many seeds."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from scan3d_twin.cli.defaults import default_text
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, ScanError
-from scan3d_twin.run.settings import Options, merge
+from scan3d_twin.run.settings import Options, merge_options
 from scan3d_twin.sim.config import TwinConfig
 
 if TYPE_CHECKING:
@@ -27,44 +28,55 @@ if TYPE_CHECKING:
 else:
     DottedOptions = dotted_options(Config, TwinConfig)
 
-app = App(name="bench", help_format="markdown")
-Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True, show_default=False)]
+app = App(
+    name="bench",
+    help_format="markdown",
+    help="Compare planners on many seeds in the twin: `twin bench --suite smoke`.",
+)
+Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True)]
+SEEDS = 10
+"""Seeds of an experiment that the options describe."""
+
+
+def _shown(default: str) -> Parameter:
+    """Return a parameter whose default help pages show as ``default``, see ``default_text``."""
+    return Parameter(show_default=lambda _: default_text(default))
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions:
-    """What is run, where and by whom."""
+    """What is run, where and by which workers."""
 
     suite: str | None = None
     """Experiment of the package: smoke, paper-fig10, paper-fig13, full or costs."""
-    scenes: Names = ()
-    """Scenes, by name or file (default three_boxes)."""
-    planners: Names = ()
-    """Planners, see `twin planners` (default: each preset's own)."""
-    presets: Names = ()
-    """Presets (default best)."""
-    seeds: int | None = None
-    """Number of seeds; all planners meet the same ones (default 10, or the file's)."""
-    first_seed: int | None = None
-    """The first seed (default 0, or the file's)."""
-    epsilon: float | None = None
-    """Wanted registration error of all runs, root mean square [mm] (default 10)."""
-    tour: Literal["front", "full"] | None = None
-    """Scan the front only, or all round (default: the scene's)."""
-    max_views: int | None = None
-    """All runs stop after this many views (default 20)."""
-    world: str | None = None
-    """Errors of robot, lidar and floor: ideal, typical or harsh (default typical)."""
-    jobs: int | None = None
-    """Workers on this computer (default: its processors)."""
+    scenes: Annotated[Names, _shown("{run.scene}")] = ()
+    """Scenes, by name or file."""
+    planners: Annotated[Names, _shown("each preset's own")] = ()
+    """Planners (`twin planners`)."""
+    presets: Annotated[Names, _shown("{run.preset}")] = ()
+    """Presets: paper or best."""
+    seeds: Annotated[int | None, _shown(f"{SEEDS}, or the file's")] = None
+    """Number of seeds, the same ones for all planners."""
+    first_seed: Annotated[int | None, _shown("0, or the file's")] = None
+    """The first seed."""
+    epsilon: Annotated[float | None, _shown("{epsilon_mm:g}")] = None
+    """Wanted registration error of all runs, root mean square [mm]."""
+    tour: Annotated[Literal["front", "full"] | None, _shown("front, or the scene's own")] = None
+    """Scan the front or all round."""
+    max_views: Annotated[int | None, _shown("{config.max_views}")] = None
+    """Stop each run after this number of views."""
+    world: Annotated[str | None, _shown("{run.world}")] = None
+    """Level of the twin's errors: ideal, typical or harsh."""
+    jobs: Annotated[int | None, _shown("one per processor")] = None
+    """Workers on this computer."""
     timeout: float = 900.0
-    """A run that takes longer is ended and begun again, twice at most [s]."""
+    """Limit of a run, which is then tried again, twice at most [s]."""
     cluster: str | None = None
     """Scheduler of a Dask cluster whose workers do the runs, such as tcp://10.0.0.1:8786."""
     shard: str | None = None
     """Do one part of the runs only, such as 2/8; the parts may share the folder."""
-    out: Path | None = None
-    """Folder for journal, results.parquet and top views (default runs/bench-NAME)."""
+    out: Annotated[Path | None, _shown("runs/bench-NAME")] = None
+    """Folder for journal, results and top views; runs that are in it are not repeated."""
     json: bool = False
     """Print the figures as one JSON document."""
 
@@ -72,69 +84,70 @@ class BenchOptions:
 @app.default
 def bench(
     file: Path | None = None,
+    /,
     *,
     options: Annotated[BenchOptions, Parameter(name="*")] = BenchOptions(),
     dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
 ) -> None:
-    """Run planners against planners in the twin.
+    """Compare planners on many seeds in the twin.
 
-    What is run comes from a TOML file (docs/bench.md), a --suite, or --scenes, --planners and
-    --presets. Each run is written to a journal as it ends: after whatever stopped the bench, the
-    same command goes on with what is missing. Dotted options hold for all runs.
+    The experiment is a TOML file (docs/bench.md), a --suite, or given by --scenes, --planners and
+    --presets. Each run is written to a journal as it ends; when the bench was stopped, the same
+    command continues with the runs that are missing. Dotted options apply to all runs.
 
     Args:
-        file: Experiment as a TOML file.
-        options: What is run, where and by whom.
+        file: Experiment as a TOML file (docs/bench.md).
+        options: What is run, where and by which workers.
         dotted: Configuration in SI units and radians.
 
     Raises:
         TwinError: An option is wrong, a file cannot be written, or runs were lost.
     """
-    from scan3d_twin.bench.spec import shard_of, tasks
+    from scan3d_twin.bench.spec import list_tasks, select_shard
 
     common = _common(options, {} if dotted is None else stated(dotted))
     experiment = _experiment(file, options).with_options(common)
     number, count = shard = _shard(options.shard)
     folder = options.out or Path("runs") / f"bench-{experiment.name}"
     _require_store()
-    chosen = shard_of(tasks(experiment), number, count)
+    chosen = select_shard(list_tasks(experiment), number, count)
     records = _run(chosen, shard, folder, options)
-    _tell(records, folder, as_json=options.json)
+    _print_figures(records, folder, as_json=options.json)
     lost = sum(record.status == "lost" for record in records)
     if lost:
-        raise ScanError(f"{lost} runs were lost, see {folder}; the same command tries them again")
+        raise ScanError(f"{lost} runs were lost, see {folder}; repeat the command to retry them")
 
 
 def _run(
     chosen: list[Task], shard: tuple[int, int], folder: Path, options: BenchOptions
 ) -> list[Record]:
     """Run what is left of the ``chosen`` tasks; return all records of the folder."""
-    from scan3d_twin.bench.drive import conduct, left_to_do
+    from scan3d_twin.bench.execute import execute_tasks, find_open_tasks
     from scan3d_twin.bench.journal import Journal, journal_path
-    from scan3d_twin.bench.store import RESULTS, collect, write_parquet
+    from scan3d_twin.bench.store import RESULTS_FILE, collect_records, write_parquet
     from scan3d_twin.cli.bench_progress import bench_progress
 
     with Journal(journal_path(folder, shard)) as journal:
-        todo = left_to_do(chosen, folder)
+        todo = find_open_tasks(chosen, folder)
         left = len(todo)
-        with bench_progress(len(chosen), len(chosen) - left) as told:
+        with bench_progress(len(chosen), len(chosen) - left) as progress:
             try:
                 if todo:
                     with _engine(options) as engine:
-                        conduct(todo, engine, journal, folder, told.done)
+                        execute_tasks(todo, engine, journal, folder, progress.done)
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
-                    f"interrupted; {told.count} of {len(chosen)} runs are in {folder}, the same "
-                    "command goes on"
+                    f"interrupted; {progress.count} of {len(chosen)} runs are in {folder}; repeat "
+                    "the command to continue"
                 ) from None
-        records = collect(folder)
-        write_parquet(records, folder / RESULTS)
+        records = collect_records(folder)
+        write_parquet(records, folder / RESULTS_FILE)
     return records
 
 
 def _experiment(file: Path | None, options: BenchOptions) -> Experiment:
     """Return what is to be run."""
-    from scan3d_twin.bench.spec import experiment_of, load_suite, read_experiment
+    from scan3d_twin.bench.spec import load_suite, make_experiment, read_experiment
 
     given = bool(options.scenes or options.planners or options.presets)
     if (file is not None) + (options.suite is not None) + given > 1:
@@ -144,11 +157,11 @@ def _experiment(file: Path | None, options: BenchOptions) -> Experiment:
     elif file is not None:
         found = read_experiment(file)
     elif given:
-        found = experiment_of(
+        found = make_experiment(
             options.scenes or ("three_boxes",), options.planners, options.presets or ("best",)
-        ).with_seeds(10, 0)
+        ).with_seeds(SEEDS, 0)
     else:
-        raise ConfigError("nothing to run; give a FILE, --suite smoke, or --planners NAME ...")
+        raise ConfigError("no experiment: give a FILE, --suite smoke, or --planners NAME ...")
     return found.with_seeds(options.seeds, options.first_seed)
 
 
@@ -160,7 +173,7 @@ def _common(options: BenchOptions, sections: Options) -> Options:
         flat["run"] = {"world": options.world}
     if options.epsilon is not None:
         flat["planning"] = {"epsilon": options.epsilon / 1e3}
-    return merge([flat, sections])
+    return merge_options([flat, sections])
 
 
 def _engine(options: BenchOptions) -> AbstractContextManager[Engine]:
@@ -196,48 +209,50 @@ def _require_store() -> None:
     from importlib.util import find_spec
 
     if find_spec("duckdb") is None:
-        raise ConfigError("DuckDB is not installed; pip install 'scan3d-twin[bench]'")
+        raise ConfigError("DuckDB is not installed: pip install duckdb pebble")
 
 
-def _tell(records: list[Record], folder: Path, *, as_json: bool) -> None:
+def _print_figures(records: list[Record], folder: Path, *, as_json: bool) -> None:
     """Print the figures of all records in ``folder``."""
-    from scan3d_twin.bench.reporting.summary import as_rows, summarise, table
-    from scan3d_twin.bench.store import RESULTS
+    from scan3d_twin.bench.reporting.measures import format_table, rows_as_dicts, summarise
+    from scan3d_twin.bench.store import RESULTS_FILE
 
     rows = summarise(records)
     if as_json:
-        document = {"folder": str(folder), "runs": len(records), "figures": as_rows(rows)}
+        document = {"folder": str(folder), "runs": len(records), "figures": rows_as_dicts(rows)}
         print(json_module.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
         return
-    cells = table(rows)
+    cells = format_table(rows)
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     for row in cells:
         padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         print("  ".join(padded).rstrip())
-    print(f"\n[low, high]: 95 % intervals; {folder}: {RESULTS} journal top_views/")
+    print(f"\n[low, high]: 95 % intervals; {folder}: {RESULTS_FILE} journal top_views/")
     codes = {record.code for record in records if record.code}
     if len(codes) > 1:
-        print(f"these runs are of {len(codes)} different states of the sources: do not quote them")
+        print(f"do not quote these figures: the runs used {len(codes)} versions of the sources")
 
 
 @app.command
-def report(path: Path, *, out: Path | None = None, json: bool = False) -> None:
+def report(
+    path: Path, /, *, out: Annotated[Path | None, _shown("PATH/report")] = None, json: bool = False
+) -> None:
     """Make a page of tables and figures from the results of a bench.
 
-    Writes report.html, which needs nothing else, and each figure and table as SVG and CSV.
+    Writes report.html, which works offline, and each figure as SVG and each table as CSV.
 
     Args:
         path: Folder of a bench, or its results.parquet.
-        out: Folder for the report (default report in that folder).
-        json: Print the figures as one JSON document, with the comparisons.
+        out: Folder for the report.
+        json: Print the figures and the comparisons as one JSON document.
 
     Raises:
         TwinError: There are no results, or the folder cannot be written.
     """
-    from scan3d_twin.bench.record import finite
-    from scan3d_twin.bench.reporting.compare import comparisons, regrets
+    from scan3d_twin.bench.record import replace_nonfinite
+    from scan3d_twin.bench.reporting.compare import compare_variants, compare_with_oracle
     from scan3d_twin.bench.reporting.files import write_report
-    from scan3d_twin.bench.reporting.summary import as_rows, summarise
+    from scan3d_twin.bench.reporting.measures import rows_as_dicts, summarise
     from scan3d_twin.bench.store import read_results
 
     records = read_results(path)
@@ -247,10 +262,14 @@ def report(path: Path, *, out: Path | None = None, json: bool = False) -> None:
     if json:
         document = {
             "report": str(written),
-            "figures": as_rows(summarise(records)),
-            "comparisons": [asdict(each) for each in comparisons(records)],
-            "regrets": [asdict(each) for each in regrets(records)],
+            "figures": rows_as_dicts(summarise(records)),
+            "comparisons": [asdict(each) for each in compare_variants(records)],
+            "regrets": [asdict(each) for each in compare_with_oracle(records)],
         }
-        print(json_module.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False))
+        print(
+            json_module.dumps(
+                replace_nonfinite(document), indent=2, ensure_ascii=False, allow_nan=False
+            )
+        )
     else:
         print(written)

@@ -1,4 +1,4 @@
-"""``twin calibrate lidar``: find out from scans where the lidar really sits."""
+"""``twin calibrate lidar``: estimate the lidar's extrinsics from scans."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ if TYPE_CHECKING:
     from scan3d_twin.core.scanning.extrinsic_calibration import Calibration
 
 _UNITS = {
-    "lateral": (1e3, "mm", "to the left of where it should be"),
+    "lateral": (1e3, "mm", "to the left of its nominal place"),
     "roll": (math.degrees(1.0), "deg", "leaning to its right"),
     "pitch": (math.degrees(1.0), "deg", "looking down"),
-    "yaw_scale": (1e2, "%", "more turned than the odometry tells"),
-    "time_offset": (1e3, "ms", "later than the stamps tell"),
+    "yaw_scale": (1e2, "%", "turned further than the odometry says"),
+    "time_offset": (1e3, "ms", "measured later than stamped"),
 }
 _CURES = {
     "yaw_scale": "scan a full turn: twin scan --width 360",
-    "time_offset": "scan to both sides: twin scan --width 300 --back",
+    "time_offset": "scan in both directions: twin scan --width 300 --back",
 }
-"""How to get at a value that the scans do not tell."""
+"""Which scans make a value observable."""
 
 
 def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) -> None:
-    """Find from scans where the lidar sits: offset, tilt, yaw scale and time offset.
+    """Estimate the lidar's extrinsics from scans: offset, tilt, yaw scale and time offset.
 
-    Scan a room from where the robot stands, `twin scan --width 360 --out cal/turn` and for the time
-    offset `twin scan --width 300 --back --out cal/back`, then `twin calibrate lidar cal`. More
-    places make it better. The range error that belongs to single materials is left out.
+    Scans from more places make it more accurate. Range errors of single materials are not
+    estimated.
 
     Args:
-        what: The lidar's mount; there is nothing else to calibrate.
-        folder: Of scans, or of a run.
+        what: What to calibrate: the lidar's extrinsics.
+        folder: Folder of a run, or of scans of a room: `twin scan --width 360 --out cal/turn`, and
+            for the time offset `twin scan --width 300 --back --out cal/back`.
         json: Print one line of JSON.
 
     Raises:
@@ -44,11 +44,11 @@ def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) ->
         RegistrationError: The scans show no walls.
     """
     from scan3d_twin.core.scanning import extrinsic_calibration as self_calibration
-    from scan3d_twin.core.scanning.extrinsics import composed
-    from scan3d_twin.recording.scans import places_in
+    from scan3d_twin.core.scanning.extrinsics import compose_mounts
+    from scan3d_twin.recording.scans import read_places
 
-    found = self_calibration.calibrate(places_in(folder))
-    mount = composed(_taken_with(folder), found.mount)
+    found = self_calibration.calibrate(read_places(folder))
+    mount = compose_mounts(_taken_with(folder), found.mount)
     if json:
         print(json_module.dumps(_document(mount, found)))
     else:
@@ -56,17 +56,17 @@ def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) ->
 
 
 def _taken_with(folder: Path) -> MountConfig:
-    """Return the mount that the run in ``folder`` already corrected by; all 0 for other scans."""
+    """Return the extrinsics that the run in ``folder`` was corrected by; all 0 for scans."""
     from scan3d_twin.core.config import MountConfig
     from scan3d_twin.core.errors import FileError
     from scan3d_twin.recording.load import load_session
-    from scan3d_twin.run.settings import read_settings, settings
+    from scan3d_twin.run.settings import build_settings, read_settings
 
     try:
         return load_session(folder).session.config.mount
     except FileError:
         path = folder / "config.toml"
-    return settings([read_settings(path)]).config.mount if path.exists() else MountConfig()
+    return build_settings([read_settings(path)]).config.mount if path.exists() else MountConfig()
 
 
 def _document(mount: MountConfig, found: Calibration) -> dict[str, object]:
@@ -92,8 +92,8 @@ def _lines(mount: MountConfig, found: Calibration) -> Iterator[str]:
         if known:
             yield f"{name:12s} {factor * value:+8.2f} +- {factor * sigma:.2f} {unit:4s} {words}"
         else:
-            yield f"{name:12s} not known: {_CURES.get(name, 'scan from more places')}"
-    yield "for the file given by --config:\n[mount]"
+            yield f"{name:12s} unknown: {_CURES.get(name, 'scan from more places')}"
+    yield "for a --config FILE:\n[mount]"
     for (name, value), known in zip(values.items(), found.known, strict=True):
         if known:
             yield f"{name} = {value:.6f}"

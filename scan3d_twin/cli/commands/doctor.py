@@ -1,4 +1,4 @@
-"""``twin doctor``: look at all the real robot needs, and say what is wrong and how to cure it."""
+"""``twin doctor``: check everything the real robot needs, and name a cure for what is wrong."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LOW_BATTERY = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions(PortOptions):
-    """What is looked at."""
+    """What is checked."""
 
     json: bool = False
     """Print one JSON document."""
@@ -39,11 +39,11 @@ class DoctorOptions(PortOptions):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing looked at.
+    """The result of one check.
 
     Attributes:
-        what: Which.
-        ok: Whether it is as it should be.
+        what: What was checked.
+        ok: Whether it passed.
         found: What was found.
         cure: What to do about it; empty if nothing.
     """
@@ -55,10 +55,10 @@ class Finding:
 
 
 def doctor(*, options: Annotated[DoctorOptions, Parameter(name="*")] = DoctorOptions()) -> None:
-    """Look at ports, permissions, base, lidar and libraries; nothing moves.
+    """Check ports, permissions, base, lidar and libraries; nothing moves.
 
     Raises:
-        LinkError: Something is not as it should be; everything found has been printed.
+        LinkError: A check failed; all findings have been printed.
     """
     findings = []
     for finding in examine(options):
@@ -80,7 +80,7 @@ def words(finding: Finding) -> str:
 
 
 def examine(options: PortOptions) -> Iterator[Finding]:
-    """Yield what is found, the simplest things first."""
+    """Yield the result of each check, the simplest first."""
     from scan3d_twin.real.clock import RealClock
     from scan3d_twin.real.ports import choose_ports, usb_ports
 
@@ -118,7 +118,7 @@ def _imports(name: str) -> bool:
 
 
 def _modem_manager() -> Iterator[Finding]:
-    """Yield a warning about the service that talks to every new serial port."""
+    """Yield a warning if the service that probes every new serial port is running."""
     for path in Path("/proc").glob("[0-9]*/comm"):
         try:
             running = path.read_text().strip() == "ModemManager"
@@ -128,13 +128,13 @@ def _modem_manager() -> Iterator[Finding]:
             yield Finding(
                 "ModemManager",
                 False,
-                "it probes new serial ports for half a minute, the lidar's too",
+                "it probes each new serial port for half a minute, also the lidar's",
                 "sudo systemctl disable --now ModemManager",
             )
 
 
 def _port(what: str, port: str) -> Iterator[Finding]:
-    """Yield whether the port may be used, and by whom it is."""
+    """Yield whether the port may be used, and which programs use it."""
     from scan3d_twin.devices.links.transport import holders
 
     if "://" in port:
@@ -150,7 +150,7 @@ def _port(what: str, port: str) -> Iterator[Finding]:
         cure = f"sudo usermod -aG {group} $USER, then log in again"
         yield Finding(f"{what} port", False, f"no permission for {port} (group {group})", cure)
     if others := holders(port):
-        yield Finding(f"{what} port is free", False, f"held by {', '.join(others)}", "end it")
+        yield Finding(f"{what} port is free", False, f"in use by {', '.join(others)}", "end it")
 
 
 def _answers(
@@ -163,7 +163,7 @@ def _answers(
 
 
 def _base(port: str, clock: Clock) -> Iterator[Finding]:
-    """Yield what the base says; it stays in mode Passive."""
+    """Yield the state of the base, which stays in mode Passive."""
     from scan3d_twin.devices.create.driver import open_create
     from scan3d_twin.devices.links.transport import SerialTransport
 
@@ -186,7 +186,7 @@ def _base(port: str, clock: Clock) -> Iterator[Finding]:
             "base readings",
             heard > 0.9 * expected,
             f"{heard / WATCHED:.0f} per second of {expected:.0f}, {base.bad} dropped",
-            "" if heard > 0.9 * expected else "check the cable; keep it away from the motors",
+            "" if heard > 0.9 * expected else "check the cable; route it away from the motors",
         )
         charge = f"{hazards.battery:.0%}"
         low = hazards.battery < LOW_BATTERY
@@ -199,7 +199,7 @@ def _base(port: str, clock: Clock) -> Iterator[Finding]:
 
 
 def _lidar(port: str, clock: Clock) -> Iterator[Finding]:
-    """Yield what the lidar says, and how fast it really scans."""
+    """Yield the state of the lidar, and its measured scan rate."""
     from scan3d_twin.devices.links.transport import SerialTransport
     from scan3d_twin.devices.urg.driver import UrgLidar
 
@@ -222,4 +222,4 @@ def _lidar(port: str, clock: Clock) -> Iterator[Finding]:
         found = f"{rate:.2f} Hz of {wanted:.0f}, {lidar.stats.bad} dropped"
         yield Finding("lidar rate", good, found, cure)
         seen = sum(float((line.ranges > 0).mean()) for line in lines) / LINES
-        yield Finding("lidar view", seen > 0.1, f"{seen:.0%} of the beams see something")
+        yield Finding("lidar view", seen > 0.1, f"{seen:.0%} of the beams return")

@@ -1,4 +1,4 @@
-"""``twin emulate``: the twin's devices on serial ports, for this program's drivers and others'."""
+"""``twin emulate``: the twin's devices on serial ports, for this program's drivers and others."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from scan3d_twin.devices.links.line_model import Line
     from scan3d_twin.devices.links.serve import Port
 
-HASTE = -10
-"""Priority of the emulator, -20 to 19; assumption."""
+NICENESS = -10
+"""Scheduling priority of the emulator, -20 (first) to 19; assumption."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,15 +31,15 @@ class EmulateOptions:
     base: Literal["create1", "create2"] = "create2"
     """Model of the base."""
     lidar_cable: Literal["usb", "serial"] = "usb"
-    """How the lidar is connected: over usb bit rates do not matter, over serial they do."""
+    """Cable of the lidar; the bit rate matters over serial only."""
     lidar_baud: int = 19200
-    """Bit rate of the lidar when powered up."""
+    """Bit rate of the lidar after power-up."""
     scip: Literal["1.1", "2.0"] = "2.0"
-    """Protocol of the lidar when powered up."""
+    """Protocol of the lidar after power-up."""
     corrupt: Annotated[float, Parameter(allow_leading_hyphen=True)] = 0.0
-    """Probability that a byte is lost, that one is inserted, and that one is altered, 0 to 0.1."""
+    """Probability of losing a byte, of inserting one and of altering one, 0 to 0.1."""
     seed: int = 0
-    """Draws the robot's errors, the sensor's noise and the faults of the lines."""
+    """Seed of the robot's errors, the lidar's noise and the faults of the lines."""
     tcp: bool = False
     """Serve on TCP ports (`socket://HOST:PORT`) instead of pseudo-terminals."""
     json: bool = False
@@ -61,14 +61,14 @@ def emulate(*, options: Annotated[EmulateOptions, Parameter(name="*")] = Emulate
         else:
             line = f"twin real --port {base.path} --lidar-port {lidar.path}"
         print(line, flush=True)
-        _hurry()
+        _raise_priority()
         serve([base, lidar], clock)
 
 
-def _hurry() -> None:
-    """Go before other programs, as far as that is permitted: a device is never busy elsewhere."""
+def _raise_priority() -> None:
+    """Run before other programs where that is permitted: a real device is never busy elsewhere."""
     with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, HASTE)
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
 
 
 @contextmanager

@@ -15,35 +15,33 @@ def export(
     *,
     to: str,
     per_view: bool = False,
-    voxel: Annotated[float, Parameter(name="--voxel")] = 0.0,
-    out: Path | None = None,
+    voxel: float = 0.0,
+    out: Annotated[Path | None, Parameter(show_default="in the run's folder")] = None,
     json: bool = False,
 ) -> None:
-    """Write the model of a run for other programs.
-
-    Point clouds: ply, pcd, xyz, las, laz, e57 or uos (3DTK); meshes: obj, stl or glb, as
-    `twin mesh` makes them; rosbag2: everything that was recorded.
+    """Write the model of a run for other programs; meshes as `twin mesh` makes them.
 
     Args:
-        run: The run's folder, or its session file.
-        to: Format: ply, pcd, xyz, las, laz, e57, uos, rosbag2, obj, stl or glb.
+        run: Folder of a run, or its session file.
+        to: Format: ply, pcd, xyz, las, laz, e57 or uos (3DTK) for points; obj, stl or glb for a
+            mesh; rosbag2 for all that was recorded.
         per_view: Keep the views apart, each in its own frame, with their poses.
-        voxel: Side of the voxels in which the views are fused, weighted by their uncertainty [mm];
-            0 keeps all points.
-        out: File or folder to write (default: in the run's folder).
-        json: Print what was written as JSON.
+        voxel: Voxel size at which the views are fused, weighted by their uncertainty [mm]; 0 keeps
+            all points.
+        out: File or folder to write.
+        json: Print the paths of the files as JSON.
     """
     from scan3d_twin.core.errors import ConfigError, UnknownNameError
     from scan3d_twin.recording.export import CLOUDS
-    from scan3d_twin.recording.export.meshes import MESHES
+    from scan3d_twin.recording.export.meshes import MESH_FORMATS
 
-    known = {*CLOUDS, *MESHES, "rosbag2"}
+    known = {*CLOUDS, *MESH_FORMATS, "rosbag2"}
     if to not in known:
         raise UnknownNameError("format", to, known)
     if not voxel >= 0:
         raise ConfigError(f"--voxel must be >= 0 mm, got {voxel:g}")
     if (per_view or voxel) and to not in CLOUDS:
-        raise ConfigError(f"--per-view and --voxel are for clouds; {to} has no choice of them")
+        raise ConfigError(f"--per-view and --voxel are for point clouds; {to} is none")
     if to == "rosbag2":
         files = _bag(run, out)
     elif to in CLOUDS:
@@ -76,8 +74,8 @@ def _cloud(run: Path, name: str, out: Path | None, *, per_view: bool, voxel: flo
 
 def _bag(run: Path, out: Path | None) -> list[Path]:
     from scan3d_twin.recording.export import rosbag2
-    from scan3d_twin.recording.load import session_path
+    from scan3d_twin.recording.load import find_session_file
 
     path = out or folder_of(run) / "rosbag2"
-    rosbag2.write(session_path(run), path)
+    rosbag2.write(find_session_file(run), path)
     return [path]

@@ -1,19 +1,27 @@
-"""``twin scenes`` and ``twin planners``: what there is to choose from, a line each."""
+"""``twin scenes`` and ``twin planners``: the choices, one line each."""
 
 from __future__ import annotations
 
 import json as json_module
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from scan3d_twin.core.errors import ConfigError
 
 
-def scenes(*, show: str | None = None, out: Path | None = None, json: bool = False) -> None:
+def scenes(
+    *,
+    show: str | None = None,
+    out: Annotated[Path | None, Parameter(show_default="NAME.png")] = None,
+    json: bool = False,
+) -> None:
     """List the scenes that come with the package, or draw one.
 
     Args:
-        show: Write a picture of this scene, a name or a file as for `twin sim --scene`, instead.
-        out: Where the picture goes (default NAME.png).
+        show: Draw this scene, a name or a file as for `twin sim --scene`, instead of listing.
+        out: File for the picture.
         json: Print one JSON document instead of lines.
     """
     from scan3d_twin.sim.scenes.scene import load_scene, scene_names
@@ -29,12 +37,12 @@ def scenes(*, show: str | None = None, out: Path | None = None, json: bool = Fal
 
 def _draw(name: str, out: Path | None, as_json: bool) -> None:
     """Write the picture of a scene and say where."""
-    from scan3d_twin.sim.scenes.pictures import render, write_png
+    from scan3d_twin.sim.scenes.pictures import render_scene, write_png
     from scan3d_twin.sim.scenes.scene import load_scene
 
     scene = load_scene(name)
     path = Path(f"{scene.name}.png") if out is None else out
-    write_png(path, render(scene))
+    write_png(path, render_scene(scene))
     print(json_module.dumps({"scene": scene.name, "picture": str(path)}) if as_json else path)
 
 
@@ -44,9 +52,9 @@ def planners(*, json: bool = False) -> None:
     Args:
         json: Print one JSON document instead of lines.
     """
-    from scan3d_twin.core.planning import planner_names, planner_summary
+    from scan3d_twin.core.planning import list_planners, summarise_planner
 
-    _show({name: planner_summary(name) for name in planner_names()}, json)
+    _show({name: summarise_planner(name) for name in list_planners()}, json)
 
 
 def _show(lines: dict[str, str], as_json: bool) -> None:

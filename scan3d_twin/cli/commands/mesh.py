@@ -1,17 +1,19 @@
-"""``twin mesh``: the surface of a run's target as triangles."""
+"""``twin mesh``: the surface of a run's target as a triangle mesh."""
 
 from __future__ import annotations
 
 import json as json_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from scan3d_twin.core.model.mesh import Mesh
     from scan3d_twin.core.session import Session
 
 POISSON_VOXEL = 0.005
-"""Side of the voxels in which the views are fused before Poisson [m]: half the wanted accuracy."""
+"""Voxel size at which the views are fused before Poisson [m]: half the wanted accuracy."""
 
 
 def mesh(
@@ -20,31 +22,31 @@ def mesh(
     *,
     to: str = "obj",
     method: Literal["grid", "poisson"] = "grid",
-    out: Path | None = None,
+    out: Annotated[Path | None, Parameter(show_default="mesh.FORMAT in the run's folder")] = None,
     json: bool = False,
 ) -> None:
-    """Write the surface of a run's target as triangles.
+    """Write the surface of a run's target as a triangle mesh.
 
-    What was not seen stays open: readings that are missing, and steps in depth, are no surface.
+    What was not seen stays open: there are no triangles across missing readings or depth edges.
 
     Args:
-        run: The run's folder, or its session file.
+        run: Folder of a run, or its session file.
         to: Format: obj, stl, glb or ply.
-        method: grid: neighbouring readings of each view, where views overlap the better one.
-            poisson: one smooth surface through all views, by Open3D.
-        out: File to write (default: mesh.FORMAT in the run's folder).
-        json: Print the mesh's size as JSON.
+        method: grid joins neighbouring readings of each view, and takes the better view where two
+            overlap; poisson fits one smooth surface to all views with Open3D.
+        out: File to write.
+        json: Print the size of the mesh as JSON.
     """
     from scan3d_twin.cli.commands.export import folder_of
     from scan3d_twin.core.errors import ScanError, UnknownNameError
-    from scan3d_twin.recording.export.meshes import MESHES, write_mesh
+    from scan3d_twin.recording.export.meshes import MESH_FORMATS, write_mesh
     from scan3d_twin.recording.load import load_session
 
-    if to not in MESHES:
-        raise UnknownNameError("format of meshes", to, MESHES)
+    if to not in MESH_FORMATS:
+        raise UnknownNameError("mesh format", to, MESH_FORMATS)
     surface = _surface(load_session(run).session, method)
     if len(surface.faces) == 0:
-        raise ScanError(f"the views in {run} show no surface: there is nothing to write")
+        raise ScanError(f"the views in {run} show no surface; nothing is written")
     path = out or folder_of(run) / f"mesh.{to}"
     write_mesh(surface, to, path)
     found = {
@@ -62,10 +64,10 @@ def mesh(
 def _surface(session: Session, method: str) -> Mesh:
     if method == "poisson":
         from scan3d_twin.core.model.fused_cloud import build_model
-        from scan3d_twin.recording.export.meshes import poisson
+        from scan3d_twin.recording.export.meshes import reconstruct_poisson
 
-        return poisson(build_model(session, POISSON_VOXEL))
-    from scan3d_twin.core.model.fused_cloud import sightings
+        return reconstruct_poisson(build_model(session, POISSON_VOXEL))
+    from scan3d_twin.core.model.fused_cloud import build_view_clouds
     from scan3d_twin.core.model.mesh import build_mesh
 
-    return build_mesh(session, sightings(session))
+    return build_mesh(session, build_view_clouds(session))

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d_twin.api.watch import Watch
+from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import HazardError, ScanError
-from scan3d_twin.run.settings import REAL, Options, Settings, settings
+from scan3d_twin.run.settings import REAL_SCENE, Options, Settings, build_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from scan3d_twin.api.resume import Resume
+    from scan3d_twin.api.resume import ResumedRun
     from scan3d_twin.core.hal import Robot
     from scan3d_twin.recording.recorder import SerialTaps
 
@@ -33,17 +33,17 @@ else:
 REHEARSED_LINES = 20
 """Lines read by a dry run: 2 s at 10 Hz."""
 SMALL_COMPUTER = {"optimize_for": "memory"}
-"""What a robot's own computer asks for unless told otherwise."""
+"""Default on a robot's own computer, which has little memory."""
 USABLE_SHARE = 0.1
-"""A lidar that sees less than this share of its beams is blind; a cover is on it."""
+"""A lidar with fewer returns than this share of its beams is blind: a cover is on it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RealOptions(ViewOptions, ScanOptions, PortOptions):
-    """What only the real robot has a choice of; None is not stated."""
+    """The options of the real robot; None is not stated."""
 
     dry_run: bool = False
-    """Do everything but move: open both devices, read them, say whether the robot could start."""
+    """Read both devices and report if the robot could start; do not move."""
 
 
 def real(
@@ -55,11 +55,11 @@ def real(
 
     The robot turns once to look around, drives round the target, scans it, and writes model.ply,
     report.json, top_view.svg, config.toml and views/NNN.npz. Ctrl-C stops it at once; finished
-    views are saved. Later ones win: defaults, preset, --config FILE, environment (TWIN_EPSILON,
-    ...), command line.
+    views are saved. Later sources take precedence: defaults, preset, --config FILE, environment
+    (TWIN_EPSILON, ...), command line.
 
     Raises:
-        TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
+        TwinError: The scan failed or was stopped; the views finished by then are saved.
     """
     from scan3d_twin.cli.memory import give_back_memory
     from scan3d_twin.cli.multi_target import run_each
@@ -79,25 +79,25 @@ def real(
     if options.targets is not None:
         run_each(
             effective,
-            REAL,
+            REAL_SCENE,
             opening,
             options.out,
             options.targets,
             as_json=options.json,
-            watch=Watch(options.address),
+            watch=WatchOptions(options.address),
             taps=taps,
         )
         return
-    with begun(REAL, options.out) if resume is None else nullcontext(resume.folder) as folder:
+    with begun(REAL_SCENE, options.out) if resume is None else nullcontext(resume.folder) as folder:
         run(
             effective,
-            REAL,
+            REAL_SCENE,
             opening,
             folder,
             as_json=options.json,
             taps=taps,
             resume=resume,
-            watch=Watch(options.address),
+            watch=WatchOptions(options.address),
         )
 
 
@@ -106,13 +106,15 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
     from scan3d_twin.core.planning import check_planner
 
     given = stated_options(options, sections)
-    name = settings([given]).run.preset
-    effective = settings([preset_options(name), SMALL_COMPUTER, given, {"run": {"scene": REAL}}])
+    name = build_settings([given]).run.preset
+    effective = build_settings(
+        [preset_options(name), SMALL_COMPUTER, given, {"run": {"scene": REAL_SCENE}}]
+    )
     check_planner(effective.config.planner, truth_known=False)
     return effective
 
 
-def _going_on(options: RealOptions, folder: Path, sections: Options) -> Resume:
+def _going_on(options: RealOptions, folder: Path, sections: Options) -> ResumedRun:
     """Return how the run in ``folder`` goes on."""
     from scan3d_twin.api.resume import resume_real
     from scan3d_twin.cli.multi_target import refuse_resume
@@ -124,7 +126,7 @@ def _going_on(options: RealOptions, folder: Path, sections: Options) -> Resume:
 def open_robot(
     options: PortOptions, lidar_link: str, taps: SerialTaps | None = None
 ) -> AbstractContextManager[tuple[Robot, None]]:
-    """Return what opens the robot on the ports that are given or found; nobody knows the truth."""
+    """Return what opens the robot on the ports that are given or found; there is no truth."""
     from scan3d_twin.devices.urg.model import LINKS
     from scan3d_twin.real.ports import choose_ports
     from scan3d_twin.real.robot import open_real
@@ -139,11 +141,11 @@ def open_robot(
 
 
 def rehearse(robot: Robot, *, as_json: bool) -> None:
-    """Read both devices, say what they say, and do not move.
+    """Read both devices and print their state; do not move.
 
     Raises:
         HazardError: The robot could not drive off.
-        ScanError: The lidar sees nothing.
+        ScanError: The lidar has hardly any returns.
     """
     lines = [robot.lidar.read_line(1.0) for _ in range(REHEARSED_LINES)]
     seen = sum(float((line.ranges > 0).mean()) for line in lines) / len(lines)
@@ -164,4 +166,4 @@ def rehearse(robot: Robot, *, as_json: bool) -> None:
     if hazards.active():
         raise HazardError(f"the robot could not drive off: {', '.join(hazards.active())}")
     if seen < USABLE_SHARE:
-        raise ScanError(f"the lidar sees {seen:.0%} of its beams: take its cover off, clean it")
+        raise ScanError(f"only {seen:.0%} of the lidar's beams return: remove its cover, clean it")

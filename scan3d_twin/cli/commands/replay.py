@@ -1,4 +1,4 @@
-"""``twin replay``: registration and planning once more on recorded images."""
+"""``twin replay``: repeat registration and planning on recorded sweeps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from cyclopts import Parameter
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.run.settings import Options, Settings, merge, read_settings, settings
+from scan3d_twin.run.settings import (
+    Options,
+    Settings,
+    build_settings,
+    merge_options,
+    read_settings,
+)
 
 if TYPE_CHECKING:
     DottedOptions = Any
@@ -21,38 +27,43 @@ else:
     DottedOptions = dotted_options(Config)
 
 
+AS_RECORDED = Parameter(show_default=lambda _: "as recorded")
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReplayOptions:
-    """What may be other than it was; None is as recorded."""
+    """Options that replace recorded ones; None is as recorded."""
 
-    epsilon: float | None = None
+    epsilon: Annotated[float | None, AS_RECORDED] = None
     """Wanted registration error, root mean square [mm]."""
-    tour: Literal["front", "full"] | None = None
-    """Scan the front only, or all round."""
-    planner: str | None = None
-    """Name of the planner, see `twin planners`."""
-    preset: str | None = None
+    tour: Annotated[Literal["front", "full"] | None, AS_RECORDED] = None
+    """Scan the front or all round."""
+    planner: Annotated[str | None, AS_RECORDED] = None
+    """Viewpoint planner (`twin planners`)."""
+    preset: Annotated[str | None, AS_RECORDED] = None
     """Named set of options: paper or best."""
     config: Path | None = None
-    """TOML file with options; the command line wins over it."""
+    """TOML file of options; the command line overrides it."""
     json: bool = False
     """Print one JSON document instead of a table."""
 
 
 def replay(
     folder: Path,
+    /,
     *,
     options: Annotated[ReplayOptions, Parameter(name="*")] = ReplayOptions(),
     dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
 ) -> None:
-    """Register and plan once more on what a run has recorded, and say what comes out otherwise.
+    """Repeat registration and planning on a recorded run, and list what differs.
 
-    With the recorded options every pose and plan is the same bit by bit. With others, the robot
-    still goes where it went; the table shows where the views would lie and where it would be sent.
+    With the recorded options all poses and plans are identical, bit by bit. With other options
+    the robot's path stays as recorded; the table shows the poses and plans that would have come of
+    it. The default of each option is the recorded value.
 
     Args:
-        folder: Folder of a run, or a session file.
-        options: What may be other than it was.
+        folder: Folder of a run, or its session file.
+        options: Options that replace recorded ones.
         dotted: Likewise, by section.
     """
     from scan3d_twin.cli.progress import make_progress, steps
@@ -65,7 +76,7 @@ def replay(
     session = recorded.before_end
     planner = make_planner(effective.config.planner, None)
     with make_progress() as progress:
-        step = steps(progress, "replaying view", len(session.views))
+        step = steps(progress, "replayed view", len(session.views))
         again = run_again(session, effective.config, planner, step)
     found = _findings(recorded.session, session, again, recorded.settings, effective)
     print(json_module.dumps(found, indent=2) if options.json else _words(found))
@@ -81,12 +92,12 @@ def _effective(recorded: Settings, options: ReplayOptions, sections: Options) ->
         if "epsilon" in sections.get("planning", {}):
             raise ConfigError("--epsilon [mm] and --planning.epsilon [m] are the same; give one")
         flat["planning"] = {"epsilon": options.epsilon / 1e3}
-    return settings(
+    return build_settings(
         [
             tomllib.loads(settings_toml(recorded)),
             {} if options.preset is None else preset_options(options.preset),
             {} if options.config is None else read_settings(options.config),
-            merge([sections, flat]),
+            merge_options([sections, flat]),
         ]
     )
 
@@ -94,11 +105,11 @@ def _effective(recorded: Settings, options: ReplayOptions, sections: Options) ->
 def _findings(
     recorded: Any, before: Any, again: Any, old: Settings, new: Settings
 ) -> dict[str, Any]:
-    from scan3d_twin.recording.replay import differences, finished, identical
+    from scan3d_twin.recording.replay import compare_sessions, finish_replay, is_identical
 
-    ended = finished(again, recorded)
-    same_end = identical((ended.views, ended.misfits), (recorded.views, recorded.misfits))
-    rows = differences(before, again)
+    ended = finish_replay(again, recorded)
+    same_end = is_identical((ended.views, ended.misfits), (recorded.views, recorded.misfits))
+    rows = compare_sessions(before, again)
     return {
         "identical": same_end and all(row["identical"] for row in rows),
         "identical_at_the_end": same_end,
@@ -138,10 +149,10 @@ def _words(found: dict[str, Any]) -> str:
         mark = "" if row["identical"] else "  differs"
         lines.append("  ".join(f"{cell:>9}" for cell in cells) + mark)
     lines.append(
-        "all poses and plans are the same, bit by bit"
+        "all poses and plans are identical, bit by bit"
         if found["identical"]
         else f"{sum(not row['identical'] for row in found['views'])} of "
-        f"{len(found['views'])} views come out otherwise"
+        f"{len(found['views'])} views differ"
     )
     return "\n".join(lines)
 

@@ -25,21 +25,22 @@ if TYPE_CHECKING:
 class OneScanOptions(PortOptions):
     """What is scanned, and how finely."""
 
-    scene: Annotated[str | None, env("SCENE")] = None
-    """Scan a scene of the twin instead of what stands in front of the real robot."""
+    scene: Annotated[str | None, env("SCENE", "none, the real robot")] = None
+    """Scene of the twin (`twin scenes`) in which to scan."""
     width: float = 60.0
-    """Horizontal angle of the image, around where the robot looks [deg]."""
+    """Horizontal angle of the image, centred on the robot's heading [deg]."""
     rate: float = 5.0
-    """Speed of the turn [deg/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
+    """Turn rate [deg/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
     lidar_link: Annotated[str, env("LIDAR_LINK")] = "usb"
     """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
     (682 steps, 5 Hz)."""
     back: bool = False
-    """Sweep back to the other side too, for `twin calibrate lidar`; the width must be below 350."""
+    """Sweep back in the other direction too, for `twin calibrate lidar`; needs a width below
+    350 deg."""
     seed: int = 0
-    """Of the twin's noise."""
-    out: Annotated[Path | None, env("OUT")] = None
-    """Folder for the results, new or empty (default runs/scan-TIME)."""
+    """Seed of the twin's errors and noise."""
+    out: Annotated[Path | None, env("OUT", "runs/scan-TIME")] = None
+    """Folder for the results, new or empty."""
     json: bool = False
     """Print one line of JSON."""
 
@@ -51,24 +52,24 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     scan.npz, the raw range image; with --back also scan_back.npz.
 
     Raises:
-        TwinError: Whatever keeps the image from being taken; the robot is stopped.
+        TwinError: The image could not be taken; the robot is stopped.
     """
     from scan3d_twin.core.config import Config, SweepConfig
     from scan3d_twin.core.scanning.sweep import sweep
     from scan3d_twin.devices.urg.model import LINKS
-    from scan3d_twin.run.folder import claim_folder, free_folder, release_folder
+    from scan3d_twin.run.folder import claim_folder, find_free_folder, release_folder
 
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
     if options.lidar_link not in LINKS:
         raise UnknownNameError("lidar link", options.lidar_link, LINKS)
     if options.scene and (options.port or options.lidar_port):
-        raise ConfigError("--scene is the twin's, --port and --lidar-port the real robot's")
+        raise ConfigError("--scene is for the twin, --port and --lidar-port for the real robot")
     wanted = SweepConfig(
         width=math.radians(options.width), margin=0.0, yaw_rate=math.radians(options.rate)
     )
     default = Path("runs") / f"scan-{datetime.now():%Y%m%d-%H%M%S}"
-    folder = claim_folder(free_folder(default) if options.out is None else options.out)
+    folder = claim_folder(find_free_folder(default) if options.out is None else options.out)
     try:
         with _opening(options) as (robot, _):
             observations = [
@@ -96,13 +97,13 @@ def _save(observations: list[Observation], folder: Path, *, as_json: bool) -> No
 
     from scan3d_twin.recording.image import image_bytes
     from scan3d_twin.recording.ply import ply_bytes
-    from scan3d_twin.recording.scans import BACK, SCAN
+    from scan3d_twin.recording.scans import BACK_SCAN_FILE, SCAN_FILE
     from scan3d_twin.run.folder import write_file
 
     image = observations[0].image
     points = image.points[np.isfinite(image.ranges)]
     write_file(folder / "scan.ply", ply_bytes(points, np.zeros(len(points), np.int64)))
-    names = (SCAN, BACK)[: len(observations)]
+    names = (SCAN_FILE, BACK_SCAN_FILE)[: len(observations)]
     for name, observation in zip(names, observations, strict=True):
         write_file(folder / name, image_bytes(observation))
     if as_json:

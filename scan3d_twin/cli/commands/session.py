@@ -1,4 +1,4 @@
-"""``twin session``: what a run has recorded, saved and changed."""
+"""``twin session``: look at, repair and change what a run recorded."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import App
 
 if TYPE_CHECKING:
-    from scan3d_twin.recording.load import Recorded
+    from scan3d_twin.recording.load import RecordedRun
     from scan3d_twin.run.report import Report
 
 app = App(
-    name="session", help_format="markdown", help="Look at, save and change what a run has recorded."
+    name="session", help_format="markdown", help="Look at, repair and change what a run recorded."
 )
 
 
 @app.command
-def info(folder: Path, *, json: bool = False) -> None:
-    """Say what a session holds; also while its run goes on.
+def info(folder: Path, /, *, json: bool = False) -> None:
+    """Show what a session holds, even while its run goes on.
 
     Args:
-        folder: Folder of a run, or a session file.
+        folder: Folder of a run, or its session file.
         json: Print one JSON document instead of lines.
     """
+    from scan3d_twin.cli.summary import count
     from scan3d_twin.recording.load import load_session
 
     found = _facts(load_session(folder))
@@ -35,8 +36,9 @@ def info(folder: Path, *, json: bool = False) -> None:
     print(f"{found['path']}: {found['state']}, {found['size_mb']} MB")
     print(f"{found['name']}, seed {found['seed']}, planner {found['planner']}")
     print(f"scan3d_twin {found['version']}, {found['started']}: {found['command']}")
+    views = count(len(found["views"]), "view")
     print(
-        f"{len(found['views'])} views, {found['lines']} lines, {found['duration_s']:.1f} s, "
+        f"{views}, {found['lines']} lines, {found['duration_s']:.1f} s, "
         f"{found['path_m']:.1f} m; {found['stop_reason'] or 'did not end'}"
     )
     for k, view in enumerate(found["views"]):
@@ -45,8 +47,8 @@ def info(folder: Path, *, json: bool = False) -> None:
         print(f"view {k}: {view['lines']} lines, {view['target_points']} points, {placed}")
 
 
-def _facts(recorded: Recorded) -> dict[str, Any]:
-    from scan3d_twin.recording.load import lines
+def _facts(recorded: RecordedRun) -> dict[str, Any]:
+    from scan3d_twin.recording.load import read_lines
 
     session, mark, origin = recorded.session, recorded.mark, recorded.provenance
     state = "finished" if recorded.finished else "going on" if recorded.running else "killed"
@@ -65,7 +67,7 @@ def _facts(recorded: Recorded) -> dict[str, Any]:
         "stop_reason": session.stop_reason,
         "duration_s": round(mark.stamp, 3),
         "path_m": round(mark.path, 3),
-        "lines": sum(1 for _ in lines(recorded.path)),
+        "lines": sum(1 for _ in read_lines(recorded.path)),
         "plans": len(session.plans),
         "views": [
             {
@@ -79,36 +81,36 @@ def _facts(recorded: Recorded) -> dict[str, Any]:
 
 
 @app.command
-def recover(folder: Path, *, json: bool = False) -> None:
-    """Make a session file whole that a killed run or a bad disk has left.
+def recover(folder: Path, /, *, json: bool = False) -> None:
+    """Repair the session file of a run that was killed.
 
-    Twin's own commands read such a file as it is; others' programs want it whole. The old file is
-    kept beside the new one.
+    `twin` itself reads such a file as it is; other programs need it repaired. The old file is kept
+    beside the new one.
 
     Args:
         folder: Folder of a run.
         json: Print one JSON document instead of a line.
     """
-    from scan3d_twin.recording.edit import recover as make_whole
-    from scan3d_twin.recording.load import session_path
+    from scan3d_twin.recording.edit import recover_session as make_whole
+    from scan3d_twin.recording.load import find_session_file
 
     backup = make_whole(folder, time.monotonic)
-    path = session_path(folder)
+    path = find_session_file(folder)
     if json:
         print(json_module.dumps({"path": str(path), "kept": backup and str(backup)}))
     elif backup is None:
-        print(f"{path} is whole: nothing to do")
+        print(f"{path} is intact: nothing to do")
     else:
-        print(f"{path} is whole now; as it was: {backup}")
+        print(f"{path} is repaired; the old file: {backup}")
 
 
 @app.command(name="drop-view")
-def drop_view(folder: Path, view: int, *, json: bool = False) -> None:
-    """Leave a view out and place the others anew; `twin session undo` takes it back.
+def drop_view(folder: Path, view: int, /, *, json: bool = False) -> None:
+    """Remove a view and register the others again; `twin session undo` takes it back.
 
     Args:
         folder: Folder of a run.
-        view: The view's number in the report, counted from 0.
+        view: Number of the view, counted from 0 as in the report.
         json: Print the new report as JSON.
     """
     from scan3d_twin.recording.edit import drop_view as drop
@@ -117,19 +119,19 @@ def drop_view(folder: Path, view: int, *, json: bool = False) -> None:
 
 
 @app.command
-def undo(folder: Path, *, json: bool = False) -> None:
-    """Take back the last drop-view, recover or --resume; doing it twice does it again.
+def undo(folder: Path, /, *, json: bool = False) -> None:
+    """Take back the last drop-view, recover or --resume; a second undo takes back the first.
 
     Args:
         folder: Folder of a run.
         json: Print the report as JSON.
     """
-    from scan3d_twin.recording.edit import undo as take_back
+    from scan3d_twin.recording.edit import undo_last_change as take_back
 
     _show(folder, take_back(folder), as_json=json)
 
 
-def _show(folder: Path, recorded: Recorded, *, as_json: bool) -> None:
+def _show(folder: Path, recorded: RecordedRun, *, as_json: bool) -> None:
     from scan3d_twin.cli.summary import summary
     from scan3d_twin.run.report import report_json
 
@@ -137,20 +139,20 @@ def _show(folder: Path, recorded: Recorded, *, as_json: bool) -> None:
     print(report_json(report) if as_json else summary(report, folder), end="")
 
 
-def _save_again(recorded: Recorded) -> Report:
+def _save_again(recorded: RecordedRun) -> Report:
     """Write the model and the report of a changed session; in the twin, against the truth."""
     from scan3d_twin.api.save import save_run
     from scan3d_twin.cli.progress import make_progress
-    from scan3d_twin.recording.load import commands
+    from scan3d_twin.recording.load import read_commands
     from scan3d_twin.recording.resume import reenact
     from scan3d_twin.run.report import Journey
-    from scan3d_twin.run.settings import REAL
+    from scan3d_twin.run.settings import REAL_SCENE
 
     run, mark, folder = recorded.settings.run, recorded.mark, recorded.path.parent
     journey = Journey(mark.path, mark.turn, mark.stamp)
     what = recorded.name, recorded.settings, recorded.session, journey, _effort(folder)
     with make_progress() as progress:
-        if run.scene == REAL:
+        if run.scene == REAL_SCENE:
             progress.on_event("saving")
             return save_run(folder, *what)
         from scan3d_twin.sim.robot import open_sim
@@ -159,7 +161,7 @@ def _save_again(recorded: Recorded) -> Report:
         progress.on_event(f"driving through {mark.stamp:.0f} s again for the truth")
         scene = load_scene(run.scene, run.mesh_scale)
         with open_sim(scene, run.seed, recorded.settings.twin) as (robot, truth):
-            reenact(robot, commands(recorded.path), mark)
+            reenact(robot, read_commands(recorded.path), mark)
             progress.on_event("evaluating and saving")
             return save_run(folder, *what, truth)
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d_twin.api.watch import Watch
+from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
-from scan3d_twin.cli.options import ScanOptions, env, stated_options
+from scan3d_twin.cli.options import ScanOptions, SceneOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
@@ -20,8 +20,8 @@ from scan3d_twin.sim.config import RobotName, TwinConfig
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from scan3d_twin.api.resume import Resume
-    from scan3d_twin.run.closed_loop import Opening
+    from scan3d_twin.api.resume import ResumedRun
+    from scan3d_twin.run.closed_loop import RobotContext
     from scan3d_twin.sim.scenes.scene import Scene
 
     DottedOptions = Any
@@ -30,22 +30,12 @@ else:
 
 
 SPEED = "10x"
-"""Of a twin that is watched, at first: a run of three minutes takes twenty seconds."""
+"""Initial speed of a twin that is watched: a run of three minutes takes twenty seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimOptions(ViewOptions, ScanOptions):
-    """What only the twin has a choice of; None is not stated."""
-
-    scene: Annotated[str | None, env("SCENE")] = None
-    """Name of a scene (`twin scenes`), random:SEED for one drawn by SEED, or an .xml, .stl, .ply,
-    .obj or .glb file (default three_boxes)."""
-    mesh_scale: Annotated[float | None, env("MESH_SCALE")] = None
-    """Metres per unit of a mesh file (default 1)."""
-    robot: Annotated[str | None, env("ROBOT")] = None
-    """Robot profile: create1 or create2 (default create2)."""
-    world: Annotated[str | None, env("WORLD")] = None
-    """Named errors of robot, lidar and floor: ideal, typical or harsh (default typical)."""
+class SimOptions(ViewOptions, ScanOptions, SceneOptions):
+    """The options of the twin; None is not stated."""
 
 
 def sim(
@@ -56,11 +46,11 @@ def sim(
     """Digitise a scene with the twin.
 
     Drives the simulated robot round the target, scans it, and writes model.ply, report.json,
-    top_view.svg, config.toml and views/NNN.npz. Later ones win: defaults, scene, preset, --config
-    FILE, environment (TWIN_EPSILON, TWIN_PLANNING_TRIALS, ...), command line.
+    top_view.svg, config.toml and views/NNN.npz. Later sources take precedence: defaults, scene,
+    preset, --config FILE, environment (TWIN_EPSILON, TWIN_PLANNING_TRIALS, ...), command line.
 
     Raises:
-        TwinError: Whatever keeps the scan from being done; what was scanned by then is saved.
+        TwinError: The scan failed or was stopped; the views finished by then are saved.
     """
     given = {} if dotted is None else stated(dotted)
     if options.resume is None:
@@ -68,7 +58,7 @@ def sim(
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
-    watch = Watch(options.address, SPEED, lambda: _picture(scene, effective.twin.robot))
+    watch = WatchOptions(options.address, SPEED, lambda: _picture(scene, effective.twin.robot))
     if options.targets is not None:
         from scan3d_twin.cli.multi_target import run_each
 
@@ -103,7 +93,7 @@ def _picture(scene: Scene, robot: RobotName) -> bytes | str:
     return draw_scene(scene, robot)
 
 
-def _opened(scene: Scene, effective: Settings) -> Opening:
+def _opened(scene: Scene, effective: Settings) -> RobotContext:
     """Return what opens the twin in ``scene``."""
     from scan3d_twin.sim.robot import open_sim
 
@@ -117,7 +107,7 @@ def resolve(options: SimOptions, sections: Options) -> tuple[Settings, Scene]:
     return resolve_sim(stated_options(options, sections))
 
 
-def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Resume, Scene]:
+def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[ResumedRun, Scene]:
     """Return how the run in ``folder`` goes on, and its scene."""
     from scan3d_twin.api.resume import resume_sim
     from scan3d_twin.cli.multi_target import refuse_resume

@@ -7,8 +7,6 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
-
 from scan3d_twin.cli.options import env
 
 
@@ -17,7 +15,7 @@ def view(
     /,
     *,
     host: Annotated[str, env("HOST")] = "127.0.0.1",
-    view_port: Annotated[int, env("VIEW_PORT"), Parameter(name="--view-port")] = 8080,
+    view_port: Annotated[int, env("VIEW_PORT")] = 8080,
     json: bool = False,
 ) -> None:
     """Show a recorded run on a web page: its views, plans and a timeline.
@@ -26,7 +24,7 @@ def view(
 
     Args:
         run: The run's folder, or its session file.
-        host: Address at which the page is served; 0.0.0.0 lets others watch.
+        host: Address of the page; 0.0.0.0 lets others watch.
         view_port: TCP port of the page; 0 takes a free one.
         json: Print the page's address as JSON.
     """

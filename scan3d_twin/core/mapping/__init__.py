@@ -1,1 +1,1 @@
-"""Where the views lie: scan matching of a new view, loop closure and the pose graph."""
+"""Poses of the views: scan matching of a new view, loop closure and the pose graph."""

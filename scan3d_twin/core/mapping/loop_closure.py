@@ -1,19 +1,20 @@
-"""Global alignment: all views at once, by a pose graph over every two that overlap.
+"""Loop closure and global alignment: a pose graph over all pairs of views that overlap.
 
-A chain of views adds up the errors of its links; around a target the last view sees the first
-again, which says by how much. The graph's edges are the odometry between neighbours and the
-registrations of all pairs that overlap. A registration is maximum a posteriori: with the prior
-(x0, L0) it is based on it is at x, of information L. What the scans alone say is taken out of it,
+A chain of registrations accumulates their errors. Once around a target, the last view sees the
+first again: registering the two closes the loop and reveals the accumulated error. The edges of the
+graph are the odometry between neighbours and the registrations of all overlapping pairs.
 
-    L_d = L - L0,   x_d = x + L_d^+ L0 (x - x0),
+A registration is a maximum-a-posteriori estimate x with information matrix L, based on a prior of
+mean x0 and information L0. The prior is removed again, so that odometry counts only once:
 
-so that odometry counts once. Where several basins fit, the pair knows little more than its prior:
-the less the gap tells them apart, the more of the prior's covariance is added to its own.
+    L_d = L - L0,   x_d = x + L_d^+ L0 (x - x0).
+
+An ambiguous pair, where several basins fit, adds little to its prior: the smaller the gap between
+their scores, the more of the prior's covariance is added to its own.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -22,40 +23,38 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.mapping.pose_graph import GATE, PoseGraph, Solution
-from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale
-from scan3d_twin.core.mapping.surfel_store import Prepared
+from scan3d_twin.core.mapping.pose_graph import CHI2_GATE, PoseGraph, Solution
+from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior
+from scan3d_twin.core.mapping.surfel_store import SurfelStore
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.multistart import MIN_CONTRADICTION_GAP
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, wrap
+from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult
+from scan3d_twin.core.viewpoints import NEARLY_ROUND, sum_turns
 
-SEARCH = 0.30
-"""Overlap is looked for with a gate this wide [m]: the drift around a target before alignment."""
-MOST_LINKS = 6
-"""Pairs per view beyond its neighbours, the most overlapping first; more repeat what these say."""
-OPTIMISM = 2.0
-"""Standard deviations of chained registrations are multiplied by this when they become the prior of
-another one; realised errors are 0.5 to 4 times the predicted ones."""
-NEARLY_ROUND = math.radians(240.0)
-"""Turn since the first view after which the latest may see the same again; three sides of a box
-are 270 deg."""
-ROUNDS = 2
-"""Searches for pairs: after the first, views lie where more can be found."""
-KNOWN = 0.05
-"""Directions in which the scans say less than this share of what the prior does are left out."""
-STRIDE = 8
-"""Every so manieth surfel is looked at when overlap is counted."""
-CERTAIN = 0.03
-"""A prior that lets the source move by less than this has one basin [m]: a quarter of the starts
-will do, in case it does not."""
+OVERLAP_GATE = 0.30
+"""Gate of the correspondences by which overlap is measured [m]: the drift around a target before
+alignment."""
+MAX_LINKS_PER_VIEW = 6
+"""Largest number of pairs per view beyond its neighbours, by overlap; more add no information."""
+PRIOR_INFLATION = 2.0
+"""Factor on the standard deviations of the graph when they become the prior of a registration;
+realised errors are 0.5 to 4 times the predicted ones."""
+PAIR_SEARCHES = 2
+"""Number of searches for overlapping pairs: after the first, better poses reveal more of them."""
+MIN_INFORMATION_SHARE = 0.05
+"""Information of the scans, as a share of the prior's, below which a direction is left out."""
+OVERLAP_STRIDE = 8
+"""Stride of the surfels by which overlap is measured."""
+SINGLE_BASIN_SPREAD = 0.03
+"""Spread of the prior below which one basin is expected [m]: a quarter of the starts is enough."""
 
 
-Grids = Sequence[SurfelGrid | None] | Prepared
-"""Surfels of each view; None for one without a surface."""
+Grids = Sequence[SurfelGrid | None] | SurfelStore
+"""The surfel grid of each view; None for a view without a surface."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,8 @@ class Link:
     Attributes:
         target: Index of the view registered on.
         source: Index of the view that was registered.
-        chi2: How far it lies from the aligned views, squared in standard deviations.
-        weight: 1 where it agrees with the rest, near 0 where it was overruled.
+        chi2: Squared distance from the aligned poses in standard deviations.
+        weight: 1 where it agrees with the other pairs, near 0 where it is rejected.
     """
 
     target: int
@@ -77,13 +76,14 @@ class Link:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Views aligned all at once.
+    """The poses of views that were aligned together.
 
     Attributes:
         views: Indices of the views that took part.
         poses: ``T_world_scan`` of each of them.
-        sigmas: Standard deviations (n, 3) of x, y [m], theta [rad] of each, along its own axes.
-        links: Registered pairs.
+        sigmas: Standard deviations (n, 3) of x, y [m], theta [rad] of each pose, along its own
+            axes.
+        links: The registered pairs.
         misfits: Views that contradict the others in most of their pairs.
     """
 
@@ -96,7 +96,14 @@ class Alignment:
 
 @dataclass(frozen=True)
 class Edge:
-    """What two scans alone say of ``T_target_source``: mean and information (3, 3) about target."""
+    """An edge of the graph: ``T_target_source`` by two scans without a prior.
+
+    Attributes:
+        target: Index of the view registered on.
+        source: Index of the view that was registered.
+        T: Mean of ``T_target_source``.
+        information: Its information matrix (3, 3) about the target's origin.
+    """
 
     target: int
     source: int
@@ -105,96 +112,104 @@ class Edge:
 
 
 def align(session: Session, leave_out: Collection[int] = ()) -> Session:
-    """Return ``session`` with all views placed at once; those of ``leave_out`` are dropped.
+    """Return ``session`` with all its views aligned, without those of ``leave_out``.
 
     Pure: the same session gives the same bits. Fewer than two views stay as they are.
 
     Raises:
         ConfigError: A view to leave out does not exist, or none is left.
     """
-    return apply_alignment(session, solve(session, leave_out))
+    return apply_alignment(session, solve_alignment(session, leave_out))
 
 
 def apply_alignment(session: Session, alignment: Alignment) -> Session:
-    """Return ``session`` with its views where ``alignment`` has them, without the others.
+    """Return ``session`` with the poses of ``alignment``, without the views that took no part.
 
-    With a view goes the plan that led to it, with the first one the plan made after it. Looks
-    around stay, as what they saw of the floor does.
+    Together with a view, the plan that led to it is dropped; with the first view, the plan that
+    followed it. Panoramas stay, as what they show of the floor remains true.
     """
+    # Move the views that took part
     kept = alignment.views
     dropped = [k for k in range(len(session.views)) if k not in kept]
     views = tuple(
         replace(session.views[k], T_world_scan=pose)
         for k, pose in zip(kept, alignment.poses, strict=True)
     )
+
+    # Drop the plans of the others
     unplanned = {max(0, k - 1) for k in dropped}
     return replace(
         session,
         views=views,
         plans=tuple(plan for k, plan in enumerate(session.plans) if k not in unplanned),
         panoramas=tuple(
-            (taken - sum(k < taken for k in dropped), look) for taken, look in session.panoramas
+            (taken - sum(k < taken for k in dropped), panorama)
+            for taken, panorama in session.panoramas
         ),
         misfits=tuple(kept.index(k) for k in alignment.misfits),
     )
 
 
 def align_on_loop_closure(session: Session) -> Session:
-    """Return ``session`` aligned if the latest view closes the contour; else as it is."""
-    if session.config.alignment.mode == "off" or not _turned_round(session):
+    """Return ``session`` aligned if the latest view can close the loop; else as it is."""
+    if session.config.alignment.mode == "off" or not _is_loop_closed(session):
         return session
     return align(session)
 
 
 def align_final(session: Session) -> Session:
-    """Return a finished ``session`` aligned as its configuration wants it.
+    """Return a finished ``session`` with its views aligned, as its configuration wants it.
 
-    With ``alignment.misfits`` drop, views that contradict most others are left out and the rest is
-    aligned again, as long as two are left.
+    With ``alignment.misfits = drop``, views that contradict most others are left out and the rest
+    is aligned again, if at least two are left.
     """
     if session.config.alignment.mode == "off":
         return session
-    alignment = solve(session)
+    alignment = solve_alignment(session)
     left = len(session.views) - len(alignment.misfits)
     if session.config.alignment.misfits == "drop" and alignment.misfits and left >= 2:
-        alignment = solve(session, alignment.misfits)
+        alignment = solve_alignment(session, alignment.misfits)
     return apply_alignment(session, alignment)
 
 
-def _turned_round(session: Session) -> bool:
-    """Tell whether the robot has gone far enough around the target to see the first view again."""
-    yaws = [view.T_world_scan.yaw for view in session.views]
-    return sum(wrap(b - a) for a, b in pairwise(yaws)) >= NEARLY_ROUND
+def _is_loop_closed(session: Session) -> bool:
+    """Return whether the robot has gone far enough around to see the first view's surface again."""
+    return sum_turns(view.T_world_scan for view in session.views) >= NEARLY_ROUND
 
 
-def solve(session: Session, leave_out: Collection[int] = ()) -> Alignment:
-    """Return how all views but those of ``leave_out`` lie together; errors as for ``align``."""
-    kept = _kept(session, leave_out)
+def solve_alignment(session: Session, leave_out: Collection[int] = ()) -> Alignment:
+    """Return the alignment of all views but those of ``leave_out``; errors as for ``align``."""
+    kept = _kept_views(session, leave_out)
     views = [session.views[k] for k in kept]
     if len(views) < 2:
         return Alignment(
             tuple(kept), tuple(v.T_world_scan for v in views), np.zeros((len(kept), 3)), (), ()
         )
+
+    # Align by the pose graph
     edges, solution = align_views(views, session.config)
     sigmas = np.sqrt(np.diagonal(solution.covariance)).reshape(-1, 3)
+
+    # Judge the registered pairs
     found = zip(edges, solution.chi2[-len(edges) :], solution.weights[-len(edges) :], strict=True)
     links = tuple(
         Link(kept[e.target], kept[e.source], float(chi2), float(weight))
         for e, chi2, weight in (found if edges else ())
     )
-    return Alignment(tuple(kept), solution.poses, sigmas, links, misfits(links))
+    return Alignment(tuple(kept), solution.poses, sigmas, links, find_misfits(links))
 
 
-def misfits(links: Sequence[Link]) -> tuple[int, ...]:
-    """Return the views that contradict the others: most of their pairs exceed chi2's ``GATE``."""
+def find_misfits(links: Sequence[Link]) -> tuple[int, ...]:
+    """Return the views that contradict the others: most of their pairs exceed ``CHI2_GATE``."""
     wrong: dict[int, list[bool]] = {}
     for link in links:
         for view in (link.target, link.source):
-            wrong.setdefault(view, []).append(link.chi2 > GATE)
+            wrong.setdefault(view, []).append(link.chi2 > CHI2_GATE)
     return tuple(sorted(view for view, bad in wrong.items() if 2 * sum(bad) > len(bad)))
 
 
-def _kept(session: Session, leave_out: Collection[int]) -> list[int]:
+def _kept_views(session: Session, leave_out: Collection[int]) -> list[int]:
+    """Return the indices of all views but those of ``leave_out``; errors as for ``align``."""
     missing = [k for k in leave_out if not 0 <= k < len(session.views)]
     if missing:
         raise ConfigError(
@@ -208,11 +223,11 @@ def _kept(session: Session, leave_out: Collection[int]) -> list[int]:
 
 
 def align_views(views: Sequence[View], config: Config) -> tuple[list[Edge], Solution]:
-    """Return the registered pairs of two views or more, and how all of them lie together."""
-    scale = odometry_scale(views, config) if config.registration.engine == "grid" else 1.0
+    """Return the registered pairs of two or more views, and the solution of their pose graph."""
+    scale = estimate_odometry_scale(views, config) if config.registration.engine == "grid" else 1.0
     return align_grids(
-        Prepared(views, config),
-        [_odometry(a, b, config, scale) for a, b in pairwise(views)],
+        SurfelStore(views, config),
+        [_odometry_prior(a, b, config, scale) for a, b in pairwise(views)],
         first=views[0].T_world_scan,
         starts=config.registration.starts,
         min_overlap=config.alignment.min_overlap,
@@ -227,77 +242,102 @@ def align_grids(
     starts: int = 4,
     min_overlap: float = 0.15,
 ) -> tuple[list[Edge], Solution]:
-    """Return the registered pairs of scans, and how all of them lie together.
+    """Return the registered pairs of scans, and the solution of their pose graph.
 
     Args:
-        grids: The scans in the order they were taken; None for one without a surface.
-        odometry: Of each scan in the one before it, so one fewer.
-        first: Where the first scan lies; the origin by default.
-        starts: Of each registration.
-        min_overlap: Two scans are registered when so much of the smaller one finds a partner.
+        grids: The scans in the order in which they were taken; None for one without a surface.
+        odometry: Prior of each scan in the one before it, so one fewer.
+        first: Pose of the first scan; the origin by default.
+        starts: Number of starting poses of each registration.
+        min_overlap: Share of the smaller scan that must overlap for two scans to be registered.
     """
+    # Chain the odometry
     poses = [first or Pose2()]
     for prior in odometry:
         poses.append(poses[-1] @ Pose2.from_matrix(prior.T))
+
+    # Register neighbours
     chain = (register_pair(grids, k, k + 1, prior, starts) for k, prior in enumerate(odometry))
     edges = [edge for edge in chain if edge is not None]
-    solution = _solve(poses, odometry, edges)
+    solution = _optimize_graph(poses, odometry, edges)
+
+    # Register all other overlapping pairs
     tried = {(k, k + 1) for k in range(len(odometry))}
-    for _ in range(ROUNDS):
-        seen = overlapping(grids, solution.poses, min_overlap)
+    for _ in range(PAIR_SEARCHES):
+        seen = find_overlapping_pairs(grids, solution.poses, min_overlap)
         pairs = [pair for pair in seen if pair not in tried]
         tried.update(pairs)
-        found = (register_pair(grids, i, j, _prior(solution, i, j), starts) for i, j in pairs)
+        found = (register_pair(grids, i, j, _graph_prior(solution, i, j), starts) for i, j in pairs)
         edges += [edge for edge in found if edge is not None]
-        solution = _solve(solution.poses, odometry, edges)
+        solution = _optimize_graph(solution.poses, odometry, edges)
     return edges, solution
 
 
-def _odometry(previous: View, view: View, config: Config, scale: float) -> PosePrior:
+def _odometry_prior(previous: View, view: View, config: Config, scale: float) -> PosePrior:
     move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     return motion_prior(move, config.planning, scale)
 
 
 def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -> Edge | None:
-    """Return what the scans i and j say of each other; None where they do not overlap."""
+    """Return the edge between the scans i and j; None where they do not overlap.
+
+    Args:
+        grids: The scans.
+        i: Index of the scan registered on.
+        j: Index of the scan that is registered.
+        prior: Prior of scan j in i.
+        starts: Number of starting poses.
+    """
     target, source = grids[i], grids[j]
     if target is None or source is None:
         return None
-    points = source.sample(STRIDE).rows[:, X] @ prior.T[:3, :3].T
-    if predict_rmse(points, prior.covariance) < CERTAIN:
+
+    # Spend fewer starts on one basin
+    points = source.sample(OVERLAP_STRIDE).rows[:, X] @ prior.T[:3, :3].T
+    if predict_rmse(points, prior.covariance) < SINGLE_BASIN_SPREAD:
         starts = max(1, starts // 4)
+
+    # Register and remove the prior
     try:
         result = register(target, source, prior=prior, starts=starts)
     except RegistrationError:
         return None
     if not result.converged:
         return None
-    return Edge(i, j, *scans_alone(result, prior))
+    return Edge(i, j, *remove_prior(result, prior))
 
 
-def scans_alone(result: RegistrationResult, prior: PosePrior) -> tuple[Pose2, FloatArray]:
-    """Return mean and information (3, 3) of what the scans say without the prior.
+def remove_prior(result: RegistrationResult, prior: PosePrior) -> tuple[Pose2, FloatArray]:
+    """Return mean and information matrix (3, 3) of a registration without its prior.
 
-    About the target's origin along its axes; the equations are at the module's head. In the metric
-    of the prior, L0 = A^T A, the eigenvalues of A^-T L A^-1 are 1 + what the scans add.
+    Both are about the target's origin along its axes; the equations are in the module's docstring.
+    In the metric of the prior, L0 = A^T A, the eigenvalues of A^-T L A^-1 are 1 plus the
+    information that the scans add.
     """
+    # Express the result in the prior's metric
     shift = shift_to_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
     rows = list(PLANAR)
     deviation = shift @ prior.deviation(result.T_target_source)[rows]
     half = np.linalg.cholesky(shift @ prior.covariance[np.ix_(PLANAR, PLANAR)] @ shift.T)
     values, vectors = np.linalg.eigh(half.T @ result.information[np.ix_(PLANAR, PLANAR)] @ half)
-    added = np.where(values - 1.0 > KNOWN, values - 1.0, 0.0)
+
+    # Remove the prior where scans add information
+    added = np.where(values - 1.0 > MIN_INFORMATION_SHARE, values - 1.0, 0.0)
     along = vectors.T @ np.linalg.solve(half, deviation)
     correction = half @ vectors @ np.divide(along, added, out=np.zeros(3), where=added > 0)
+
+    # Weaken ambiguous results
     doubt = max(0.0, 1.0 - result.ambiguity_gap / MIN_CONTRADICTION_GAP)
     added = added / (1.0 + doubt * added)
+
+    # Return to metres and radians
     back = np.linalg.solve(half.T, vectors)
     T = Pose2.from_matrix(result.T_target_source)
     moved = Pose2(float(correction[0]), float(correction[1]), float(correction[2])) @ T
     return moved, (back * added) @ back.T
 
 
-def _solve(
+def _optimize_graph(
     poses: Sequence[Pose2], odometry: Sequence[PosePrior], edges: Sequence[Edge]
 ) -> Solution:
     graph = PoseGraph(poses)
@@ -311,36 +351,46 @@ def _solve(
     return graph.optimize()
 
 
-def _prior(solution: Solution, i: int, j: int) -> PosePrior:
-    """Return what the graph knows of view j in i, less sure of it, about j's origin."""
+def _graph_prior(solution: Solution, i: int, j: int) -> PosePrior:
+    """Return the graph's pose of view j in i as a prior about j's origin, its sigmas inflated."""
     T, C = solution.relative(i, j)
     back = np.linalg.inv(shift_to_target(T.matrix())[np.ix_(PLANAR, PLANAR)])
-    C = OPTIMISM**2 * (back @ C @ back.T)
+    C = PRIOR_INFLATION**2 * (back @ C @ back.T)
     return PosePrior.of_robot(T, (C + C.T) / 2)
 
 
-def overlapping(grids: Grids, poses: Sequence[Pose2], least: float) -> Iterator[tuple[int, int]]:
-    """Yield the pairs that share ``least`` or more, best first, at most ``MOST_LINKS`` per view."""
+def find_overlapping_pairs(
+    grids: Grids, poses: Sequence[Pose2], least: float
+) -> Iterator[tuple[int, int]]:
+    """Yield the pairs whose overlap is at least ``least``, the largest overlap first.
+
+    A view has at most ``MAX_LINKS_PER_VIEW`` pairs beside its neighbours.
+    """
+    # Measure the overlap of all pairs
     shares = [
         (share, i, j)
         for j in range(len(grids))
         for i in range(j)
-        if (share := _overlap(grids[i], grids[j], poses[i].inverse() @ poses[j])) >= least
+        if (share := _measure_overlap(grids[i], grids[j], poses[i].inverse() @ poses[j])) >= least
     ]
+
+    # Limit the pairs per view
     count = dict.fromkeys(range(len(grids)), 0)
     for _, i, j in sorted(shares, key=lambda row: (-row[0], row[1], row[2])):
         neighbours = j == i + 1
-        if neighbours or max(count[i], count[j]) < MOST_LINKS:
+        if neighbours or max(count[i], count[j]) < MAX_LINKS_PER_VIEW:
             yield i, j
             count[i] += not neighbours
             count[j] += not neighbours
 
 
-def _overlap(a: SurfelGrid | None, b: SurfelGrid | None, T_a_b: Pose2) -> float:
-    """Return the share of the smaller view's surfels that find one of the other's."""
+def _measure_overlap(a: SurfelGrid | None, b: SurfelGrid | None, T_a_b: Pose2) -> float:
+    """Return the share of the smaller view's surfels that have a partner in the other view."""
     if a is None or b is None:
         return 0.0
-    of_a, of_b = (len(grid.sample(STRIDE).rows) for grid in (a, b))
+    of_a, of_b = (len(grid.sample(OVERLAP_STRIDE).rows) for grid in (a, b))
     target, source, T = (a, b, T_a_b) if of_b <= of_a else (b, a, T_a_b.inverse())
-    pairs = linearise(target, source, STRIDE, T.matrix(), 0.0, Gate(SEARCH, 1.0)).pairs
+    pairs = linearise(
+        target, source, OVERLAP_STRIDE, T.matrix(), 0.0, Gate(OVERLAP_GATE, 1.0)
+    ).pairs
     return pairs / max(1, min(of_a, of_b))

@@ -1,4 +1,4 @@
-"""Where a new view lies: registered on the previous one, by either engine, or by odometry."""
+"""Scan matching: the pose of a new view by registration on the previous one, else by odometry."""
 
 from __future__ import annotations
 
@@ -23,32 +23,35 @@ from scan3d_twin.core.types import (
     rms,
     wrap,
 )
-from scan3d_twin.core.viewpoints import ends_in_view
+from scan3d_twin.core.viewpoints import is_end_in_view
 
-STANDING_XY, STANDING_YAW = 0.003, math.radians(0.2)
-"""What a move of no length may still be off [m], [rad]: the wheels' play and the turning centre."""
-
-
+MIN_SIGMA_XY, MIN_SIGMA_YAW = 0.003, math.radians(0.2)
+"""Standard deviations of a move of no length [m], [rad]: play of the wheels and the turning
+centre."""
 SURFELS = "surfels"
 """Under which an image keeps those of the latest view."""
-INNOVATIONS = 6.0
-"""Degrees of freedom for which the configured motion error counts: those of two moves."""
-TOLD = 0.5
-"""Registration tells of odometry where it takes away at least this share of its variance."""
+PRIOR_INNOVATIONS = 6.0
+"""Weight of the configured motion error in degrees of freedom: those of two moves."""
+MIN_VARIANCE_REDUCTION = 0.5
+"""Share of the odometry's variance that registration must remove in a direction to measure the
+odometry's error there."""
 
 
 def match_to_previous(view: View, views: Sequence[View], config: Config) -> View:
-    """Return ``view`` registered on the last of ``views``; by odometry where that has failed."""
+    """Return ``view`` registered on the last of ``views``; by odometry where that fails."""
     if config.registration.engine == "grid":
-        return _place_by_grid(view, views, config)
-    return _place_by_icp(view, views[-1], config)
+        return _match_by_grid(view, views, config)
+    return _match_by_icp(view, views[-1], config)
 
 
-def _place_by_grid(view: View, views: Sequence[View], config: Config) -> View:
-    """Register the readings in scope; odometry is the prior, so the result is never worse."""
-    previous, scale = views[-1], odometry_scale(views, config)
+def _match_by_grid(view: View, views: Sequence[View], config: Config) -> View:
+    """Register by the grid engine; odometry is the prior, so that the result is never worse."""
+    # Predict by odometry
+    previous, scale = views[-1], estimate_odometry_scale(views, config)
     move = previous.T_world_scan.inverse() @ view.T_world_scan
     prior = motion_prior(move, config.planning, scale)
+
+    # Register on the previous view
     try:
         result = register(
             surfels_of(previous, config),
@@ -57,53 +60,57 @@ def _place_by_grid(view: View, views: Sequence[View], config: Config) -> View:
             starts=config.registration.starts,
         )
     except RegistrationError:
-        return replace(view, registration=_by_odometry(prior))
+        return replace(view, registration=_fall_back_to_odometry(prior))
     finally:
         previous.observation.image.derived.pop(SURFELS, None)
-    result = replace(result, predicted_rmse=_predicted(result, view))
+
+    # Place the view in the world
+    result = replace(result, predicted_rmse=_predict_rmse(result, view))
     T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
     return replace(view, T_world_scan=T_world_scan, registration=result)
 
 
-def _predicted(result: RegistrationResult, view: View) -> float:
-    """Return the expected displacement [m] of the target's points, which is what is modelled."""
+def _predict_rmse(result: RegistrationResult, view: View) -> float:
+    """Return the expected RMS displacement [m] of the points that are modelled, the target's."""
     points = view.target.points if len(view.target) else view.sweep.points
     return predict_rmse(Pose2.from_matrix(result.T_target_source).apply(points), result.covariance)
 
 
-def odometry_scale(views: Sequence[View], config: Config) -> float:
-    """Return by how much this robot's odometry errs more than configured, as its moves tell.
+def estimate_odometry_scale(views: Sequence[View], config: Config) -> float:
+    """Return the factor by which this robot's odometry errors exceed the configured ones.
 
-    A registration moves the pose by d from the prior's mean. With P the prior's covariance and C
-    the result's, d has the covariance P - C; where C is small beside P, d^T (P - C)^-1 d tells the
-    square of the scale. The configured error counts like ``INNOVATIONS`` such squares of 1. Only
-    the motion prior is scaled by it: what registration adds to the error is another matter.
+    It is estimated from innovations: a registration moves the pose by d from the prior's mean. With
+    P the prior's covariance and C the result's, d has the covariance P - C; where C is small
+    compared with P, d^T (P - C)^-1 d estimates the squared factor. The configured error counts like
+    ``PRIOR_INNOVATIONS`` such squares of 1. Only the motion prior is scaled, not the error that
+    registration adds.
     """
-    square, count = INNOVATIONS, INNOVATIONS
+    square, count = PRIOR_INNOVATIONS, PRIOR_INNOVATIONS
     for previous, view in pairwise(views):
         if view.registration is not None and view.registration.converged:
             move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
             prior = motion_prior(move, config.planning)
-            told = _innovation(prior, view.registration)
-            square, count = square + float(told @ told), count + len(told)
+            innovation = _normalise_innovation(prior, view.registration)
+            square += float(innovation @ innovation)
+            count += len(innovation)
     return math.sqrt(square / count)
 
 
-def _innovation(prior: PosePrior, result: RegistrationResult) -> FloatArray:
-    """Return the normalised innovations (k,) in the directions that registration tells of."""
+def _normalise_innovation(prior: PosePrior, result: RegistrationResult) -> FloatArray:
+    """Return the normalised innovations (k,) in the directions that registration determines."""
     rows = np.ix_(PLANAR, PLANAR)
     back = np.linalg.inv(shift_to_target(result.T_target_source))
     C = (back @ result.covariance @ back.T)[rows]
     whitener = np.linalg.inv(np.linalg.cholesky(prior.covariance[rows]))
     gained, directions = np.linalg.eigh(np.eye(3) - whitener @ C @ whitener.T)
     d = directions.T @ whitener @ prior.deviation(result.T_target_source)[list(PLANAR)]
-    told = gained > TOLD
-    return np.asarray(d[told] / np.sqrt(gained[told]))
+    determined = gained > MIN_VARIANCE_REDUCTION
+    return np.asarray(d[determined] / np.sqrt(gained[determined]))
 
 
 def surfels_of(view: View, config: Config) -> SurfelGrid:
     """Return the surfels of a view's readings in ``registration.scope``."""
-    image, scope = view.observation.image, _in_scope(view, config.registration.scope)
+    image, scope = view.observation.image, _select_scope(view, config.registration.scope)
     kept = image.derived.get(SURFELS)
     if kept is not None and kept[0] is scope:
         grid = SurfelGrid(image, *kept[1:])
@@ -120,9 +127,9 @@ def surfels_of(view: View, config: Config) -> SurfelGrid:
 def kept_surfels(view: View, config: Config) -> SurfelGrid:
     """Return ``surfels_of`` a view and keep them, for the planner and the next registration.
 
-    They take 13 MB: the next view's take their place, see ``_place_by_grid``.
+    They take 13 MB: the next view's take their place, see ``_match_by_grid``.
     """
-    grid, scope = surfels_of(view, config), _in_scope(view, config.registration.scope)
+    grid, scope = surfels_of(view, config), _select_scope(view, config.registration.scope)
     # Not the grid itself: it holds the image, and a circle is freed late.
     view.observation.image.derived[SURFELS] = (
         scope, grid.noise, grid.rows, grid.yaws, grid.index, grid.valid,
@@ -134,34 +141,49 @@ def kept_surfels(view: View, config: Config) -> SurfelGrid:
 def motion_prior(move: Pose2, config: PlanningConfig, scale: float = 1.0) -> PosePrior:
     """Return the prior of a move by turn, drive and turn, about the viewpoint it leads to.
 
-    With D the way and t1, t2 the turns before and after it: along the way lambda D; the heading is
-    off by gamma t1 at its start and drifts by delta D until its end, so that across the way it is
-    off by lambda D, D gamma t1 and delta D^2 / 2; the final heading errs by gamma (t1 + t2) and
-    delta D. All of them independent of each other, and ``scale`` times as large.
+    Let D be the length of the drive and t1, t2 the turns before and after it. The standard
+    deviations are
+
+    * lambda D along the drive;
+    * lambda D, D gamma t1 and delta D^2 / 2 across it, as the heading is off by gamma t1 at its
+      start and drifts by delta D until its end;
+    * gamma (t1 + t2) and delta D of the final heading,
+
+    all independent of each other and multiplied by ``scale``.
+
+    Args:
+        move: The move ``T_previous_next``.
+        config: Its ``lambda_``, ``gamma`` and ``drift`` (delta).
+        scale: Factor on all errors, see ``estimate_odometry_scale``.
     """
+    # Split the move and its errors
     D = math.hypot(move.x, move.y)
     bearing = math.atan2(move.y, move.x) if D > 0.01 else 0.0
     before, after = config.gamma * abs(bearing), config.gamma * abs(wrap(move.yaw - bearing))
     drift, slip = config.drift * D, config.lambda_ * D
+
+    # Sum up variances along the drive
     C = np.zeros((3, 3))
-    C[0, 0] = slip**2 + STANDING_XY**2
-    C[1, 1] = slip**2 + (D * before) ** 2 + (drift * D / 2) ** 2 + STANDING_XY**2
-    C[2, 2] = (before + after) ** 2 + drift**2 + STANDING_YAW**2
+    C[0, 0] = slip**2 + MIN_SIGMA_XY**2
+    C[1, 1] = slip**2 + (D * before) ** 2 + (drift * D / 2) ** 2 + MIN_SIGMA_XY**2
+    C[2, 2] = (before + after) ** 2 + drift**2 + MIN_SIGMA_YAW**2
     C[1, 2] = C[2, 1] = D * before * before + drift * drift * D / 2
+
+    # Turn them into the frame
     along = Pose2(0.0, 0.0, bearing).matrix()[:3, :3]
     return PosePrior.of_robot(move, scale**2 * along @ C @ along.T)
 
 
-def _by_odometry(prior: PosePrior) -> RegistrationResult:
-    """Return the result for views that do not overlap: the odometry and what it is worth."""
+def _fall_back_to_odometry(prior: PosePrior) -> RegistrationResult:
+    """Return the result for views that do not overlap: odometry with its covariance."""
     information = read_only(np.linalg.inv(prior.covariance))
     return RegistrationResult.unregistered(prior.T, prior.covariance, information)
 
 
-def _place_by_icp(view: View, previous: View, config: Config) -> View:
-    """Register by the paper's ICP, if it vouches for a better pose than odometry.
+def _match_by_icp(view: View, previous: View, config: Config) -> View:
+    """Register by the paper's ICP; keep odometry where it fails or has slid along the surface.
 
-    A correction of the target by more than correspondences reach is no correction: ICP has slid.
+    ICP has slid when it moves the target by more than the largest correspondence distance.
     """
     result = _register_by_icp(view, previous, config)
     T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
@@ -175,12 +197,15 @@ def _place_by_icp(view: View, previous: View, config: Config) -> View:
 
 def _register_by_icp(view: View, previous: View, config: Config) -> RegistrationResult:
     """Register ``view`` on ``previous`` where, by odometry, they are expected to overlap."""
+    # Select the lines expected to overlap
     init = previous.T_world_scan.inverse() @ view.T_world_scan
-    target, source = (_in_scope(v, config.registration.scope) for v in (previous, view))
+    target, source = (_select_scope(v, config.registration.scope) for v in (previous, view))
     source = icp.select_overlapping_lines(target, source, init)
     if len(target) == 0 or len(source) == 0:
         return icp.register(target.points, source.points, init_T_target_source=init)
-    ends = config.registration.scope == "target" and ends_in_view(
+
+    # Register with the border known
+    ends = config.registration.scope == "target" and is_end_in_view(
         previous.image, previous.sweep, previous.target, config.target
     )
     return icp.register(
@@ -192,5 +217,6 @@ def _register_by_icp(view: View, previous: View, config: Config) -> Registration
     )
 
 
-def _in_scope(view: View, scope: str) -> Scan3D:
+def _select_scope(view: View, scope: str) -> Scan3D:
+    """Return the points of ``view`` that ``registration.scope`` selects."""
     return view.target if scope == "target" else view.sweep

@@ -1,4 +1,4 @@
-"""The surfels of many views: all at once where memory allows, else made anew when needed."""
+"""A store of the surfels of many views: all in memory, or the latest few if memory is short."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.session import View
 
-AT_ONCE = 2
-"""Views that are compared at a time; the surfels of one take 13 MB."""
+MAX_GRIDS_IN_MEMORY = 2
+"""Surfel grids kept when optimising for memory, enough to compare two views; each takes 13 MB."""
 
 
-class Prepared:
-    """The surfels of each view by its index; None for a view that shows no surface."""
+class SurfelStore:
+    """The surfel grid of each view by its index; None for a view without a surface."""
 
     def __init__(self, views: Sequence[View], config: Config) -> None:
         self._views, self._config = views, config
-        self._most = AT_ONCE if config.optimize_for == "memory" else len(views)
+        self._most = MAX_GRIDS_IN_MEMORY if config.optimize_for == "memory" else len(views)
         self._kept: OrderedDict[int, SurfelGrid | None] = OrderedDict()
 
     def __len__(self) -> int:
@@ -30,15 +30,15 @@ class Prepared:
         return (self[k] for k in range(len(self)))
 
     def __getitem__(self, k: int) -> SurfelGrid | None:
-        """Return the surfels of view ``k``; those asked for latest are kept."""
+        """Return the surfel grid of view ``k``, extracted anew unless it is kept."""
         if k not in self._kept:
             while len(self._kept) >= self._most:
                 self._kept.popitem(last=False)
-            self._kept[k] = self._made(k)
+            self._kept[k] = self._extract(k)
         self._kept.move_to_end(k)
         return self._kept[k]
 
-    def _made(self, k: int) -> SurfelGrid | None:
+    def _extract(self, k: int) -> SurfelGrid | None:
         try:
             return surfels_of(self._views[k], self._config)
         except RegistrationError:

@@ -1,1 +1,1 @@
-"""The model of the target: fused cloud, mesh, and its evaluation against the truth."""
+"""The model of the target: fused cloud, mesh, and evaluation against the truth."""

@@ -1,7 +1,7 @@
-"""The model against the truth, where there is one: coverage, accuracy and registration errors.
+"""Evaluation of a model against the truth: coverage, accuracy and registration errors.
 
 Definitions follow Tanks and Temples (precision, recall, F-score), DTU (accuracy, completeness) and
-the Surface Edge Explorer (coverage); the model is laid on the truth by its first pose alone.
+the Surface Edge Explorer (coverage). The model is aligned to the truth by its first pose only.
 """
 
 from __future__ import annotations
@@ -15,47 +15,49 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ScanError
-from scan3d_twin.core.model.fused_cloud import Model, build_model, voxel_thin
+from scan3d_twin.core.model.fused_cloud import Model, build_model, thin_by_voxel
 from scan3d_twin.core.model.mesh import Mesh
-from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, rms
 
 COVERAGE_DISTANCE = 0.020
-"""A surface point is covered when a model point is this near [m]: twice the range accuracy."""
-F_DISTANCES = (0.010, 0.020, 0.030)
+"""Distance of a model point within which a surface point is covered [m]; twice the range
+accuracy."""
+F_SCORE_DISTANCES = (0.010, 0.020, 0.030)
 """Distances of the F-scores [m]."""
-SPACING = 0.005
-"""Distance of the truth's samples [m]: a quarter of ``COVERAGE_DISTANCE`` ..."""
-MOST_SAMPLES = 200_000
-"""... or as much more as keeps them to this number on a large target."""
+TRUTH_SPACING = 0.005
+"""Spacing of the samples of the true surface [m]: a quarter of ``COVERAGE_DISTANCE``."""
+MAX_TRUTH_SAMPLES = 200_000
+"""Largest number of these samples: on a large target the spacing is larger."""
 HINT_DISTANCE = 0.3
-"""What a look around saw of the target lies this near to it [m]: lines 2 deg apart and odometry."""
+"""Distance from the target within which the panorama's points of it are [m]: lines 2 deg apart and
+odometry."""
 MIN_COSINE = 0.15
-"""Flatter than this (81 deg from the normal) a surface counts as not visible."""
+"""Cosine of the incidence below which (81 deg) a surface is not visible."""
 POSE_STEP = 0.30
-"""Grid of the poses from which surface can be covered [m]."""
+"""Spacing of the grid of poses from which surface can be covered [m]."""
 EYE_HEIGHT = 0.30
-"""Height of the lidar [m]; its 5 cm ahead of the axle are neglected here."""
-LOOK_HEIGHTS = (0.05, 0.15, 0.25, 0.33)
-"""Heights at which a pose must be free of things [m]."""
+"""Height of the lidar [m]; that it is 5 cm ahead of the axle is neglected here."""
+CLEAR_HEIGHTS = (0.05, 0.15, 0.25, 0.33)
+"""Heights at which a feasible pose must be free of obstacles [m]."""
 MESH_SAMPLES = 50_000
-"""Points that stand for a mesh: over 2 m2 one every 6 mm, as dense as the truth's samples."""
+"""Number of points that represent a mesh: on 2 m2 one every 6 mm, as dense as the truth's."""
 HIT_TOLERANCE = 0.005
-"""A ray that ends this near to a surface point has hit it [m]."""
+"""Distance from a surface point within which a ray has hit it [m]."""
 
 
 class Truth(Protocol):
-    """What the twin knows and no planner may: frame ``map`` is the simulator's world."""
+    """The truth, known to the twin and to no planner; frame ``map`` is the simulator's world."""
 
     @property
     def spawn(self) -> Pose2:
-        """Where the robot was opened, in ``map``."""
+        """Pose in ``map`` at which the robot was opened."""
         ...
 
     @property
     def front(self) -> Pose2 | None:
-        """A pose on the target's front in ``map``, x along the outward normal; None if none."""
+        """A pose on the target's front in ``map``, x along the outward normal, or None."""
         ...
 
     def pose_at(self, stamp: float) -> Pose2:
@@ -67,7 +69,7 @@ class Truth(Protocol):
         ...
 
     def first_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
-        """Return the distance (n,) [m] to the first thing along each ray; inf for a miss."""
+        """Return the distance (n,) [m] to the first surface along each ray; inf for a miss."""
         ...
 
 
@@ -91,13 +93,13 @@ class Distances:
 
 @dataclass(frozen=True, slots=True)
 class PairError:
-    """How well a view was registered.
+    """Registration error of a view.
 
     Attributes:
         view: Index of the view.
-        error: RMS over its target points of ``T_prev_new`` against the true one [m].
-        pose_error: The same in the world after final alignment [m].
-        odometry_error: ``error`` before registration [m].
+        error: RMS displacement of its target points by ``T_prev_new`` from the true one [m].
+        pose_error: RMS displacement of its target points in the world, after final alignment [m].
+        odometry_error: ``error`` of the odometry, before registration [m].
     """
 
     view: int
@@ -108,16 +110,16 @@ class PairError:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """A run against the truth.
+    """The measures of a run against the truth.
 
     Attributes:
         coverage: Share of the coverable surface within ``COVERAGE_DISTANCE`` of the model.
         coverage_by_view: The same after the first view, the first two, and so on.
         accuracy: Distance from the model to the true surface.
         completeness: Distance from the coverable surface to the model.
-        f_score: By distance [m].
-        coverable_share: Share of the target's surface that can be seen from a feasible pose.
-        pairs: One per registered view.
+        f_score: F-score by distance [m].
+        coverable_share: Share of the target's surface that is visible from a feasible pose.
+        pairs: Registration errors, one per registered view.
     """
 
     coverage: float
@@ -131,13 +133,13 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Surface:
-    """A surface by samples, each of which stands for a small flat patch.
+    """A surface by samples, each of which represents a small flat patch.
 
     Attributes:
         points: The samples (n, 3) [m].
-        normals: Theirs (n, 3).
-        spacing: Their distance [m].
-        tree: Over ``points``.
+        normals: Their unit normals (n, 3).
+        spacing: Their spacing [m].
+        tree: Search tree over ``points``.
     """
 
     points: FloatArray
@@ -147,7 +149,7 @@ class Surface:
 
     @staticmethod
     def of(points: FloatArray, normals: FloatArray, spacing: float) -> Surface:
-        """Return the surface of those samples."""
+        """Return the surface of these samples."""
         return Surface(points, normals, spacing, cKDTree(points))
 
     def distance(self, points: FloatArray) -> FloatArray:
@@ -155,16 +157,16 @@ class Surface:
 
         The patches are flat, so that the sampling adds no distance of its own.
         """
-        _, index = nearest(self.tree, points)
+        _, index = find_nearest(self.tree, points)
         return self._off(points, index)
 
     def within(self, points: FloatArray, distance: float) -> BoolArray:
-        """Tell which ``points`` (m, 3) are no farther away than ``distance`` [m].
+        """Return which ``points`` (m, 3) are no farther away than ``distance`` [m].
 
-        Nobody looks for samples so far off that their patches cannot reach; that is quicker.
+        Samples whose patches cannot be within reach are not searched for, which is quicker.
         """
         reach = (distance + self.spacing / np.sqrt(2)) * (1 + 1e-9)
-        found, index = nearest(self.tree, points, reach)
+        found, index = find_nearest(self.tree, points, reach)
         near = np.isfinite(found)
         near[near] = self._off(points[near], index[near]) <= distance
         return near
@@ -180,13 +182,13 @@ class Surface:
 
 @dataclass(frozen=True)
 class Reference:
-    """The truth of one session, worked out once for all that is measured against it.
+    """The truth of one session, computed once for all measures.
 
     Attributes:
-        truth: What it is from.
+        truth: Its source.
         poses: True ``T_map_scan`` of each view.
-        T_map_world: Lays the model on the truth by its first pose alone.
-        surface: The target's, in ``map``.
+        T_map_world: Alignment of the model to the truth, by its first pose only.
+        surface: The target's surface in ``map``.
     """
 
     truth: Truth
@@ -197,13 +199,13 @@ class Reference:
     @staticmethod
     def of(session: Session, truth: Truth) -> Reference:
         """Return the reference for ``session``, which has views."""
-        poses = tuple(true_pose(view, truth) for view in session.views)
+        poses = tuple(find_true_pose(view, truth) for view in session.views)
         T_map_world = poses[0] @ session.views[0].T_world_scan.inverse()
-        return Reference(truth, poses, T_map_world, _sampled(truth))
+        return Reference(truth, poses, T_map_world, _sample_truth(truth))
 
 
 def evaluate(session: Session, truth: Truth) -> Evaluation:
-    """Compare ``session`` with the truth.
+    """Return the measures of ``session`` against the truth.
 
     Raises:
         ScanError: No view shows anything of the target.
@@ -216,40 +218,48 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
 
 
 def evaluate_model(session: Session, model: Model, reference: Reference) -> Evaluation:
-    """Compare ``session`` and its ``model``, not fused, with what ``reference`` holds of the truth.
+    """Return the measures of ``session`` and its ``model``, not fused, against ``reference``.
 
     Raises:
         ScanError: No view shows anything of the target.
     """
     if not any(len(view.target) for view in session.views):
         raise ScanError("no view shows anything of the target: there is no model to evaluate")
+
+    # Choose the surface that counts
     surface, points = reference.surface, reference.T_map_world.apply(model.points)
-    coverable = coverable_surface(surface.points, surface.normals, reference.truth, session.config)
+    coverable = find_coverable_surface(
+        surface.points, surface.normals, reference.truth, session.config
+    )
     wanted = surface.points[coverable]
-    to_model, _ = nearest(cKDTree(points), wanted)
-    covered = _coverage_by_view(points, model.view, len(session.views), wanted)
+
+    # Measure model, surface and poses
+    to_model, _ = find_nearest(cKDTree(points), wanted)
+    covered = _measure_coverage_by_view(points, model.view, len(session.views), wanted)
     return Evaluation(
         coverage=covered[-1],
         coverage_by_view=covered,
         accuracy=Distances.of(surface.distance(points)),
         completeness=Distances.of(to_model),
         f_score={
-            d: _f_score(surface.distance(voxel_thin(points, d / 2)), to_model, d)
-            for d in F_DISTANCES
+            d: _compute_f_score(surface.distance(thin_by_voxel(points, d / 2)), to_model, d)
+            for d in F_SCORE_DISTANCES
         },
         coverable_share=float(np.mean(coverable)),
-        pairs=tuple(_pair_error(k, session, reference) for k in range(1, len(session.views))),
+        pairs=tuple(
+            _measure_pair_error(k, session, reference) for k in range(1, len(session.views))
+        ),
     )
 
 
-def shows_target(session: Session, truth: Truth) -> bool:
-    """Tell whether ``session`` is of the target that ``truth`` knows, and not of another thing."""
+def is_of_target(session: Session, truth: Truth) -> bool:
+    """Return whether ``session`` is of the target of ``truth``, and not of another thing."""
     surface, _ = truth.surface(HINT_DISTANCE)
-    hint = map_of_world(session, truth).apply(session.hint)
-    return bool(np.median(nearest(cKDTree(surface[:, :2]), hint)[0]) <= HINT_DISTANCE)
+    hint = lay_on_truth(session, truth).apply(session.hint)
+    return bool(np.median(find_nearest(cKDTree(surface[:, :2]), hint)[0]) <= HINT_DISTANCE)
 
 
-def mesh_accuracy(mesh: Mesh, reference: Reference, rng: np.random.Generator) -> Distances:
+def measure_mesh_accuracy(mesh: Mesh, reference: Reference, rng: np.random.Generator) -> Distances:
     """Return the distances of ``MESH_SAMPLES`` points spread over ``mesh`` to the true surface.
 
     Raises:
@@ -261,30 +271,30 @@ def mesh_accuracy(mesh: Mesh, reference: Reference, rng: np.random.Generator) ->
     return Distances.of(reference.surface.distance(reference.T_map_world.apply(points)))
 
 
-def map_of_world(session: Session, truth: Truth) -> Pose2:
-    """Return ``T_map_world``: the model is laid on the truth by its first pose alone."""
-    return true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
+def lay_on_truth(session: Session, truth: Truth) -> Pose2:
+    """Return ``T_map_world``, the alignment of the model to the truth by its first pose only."""
+    return find_true_pose(session.views[0], truth) @ session.views[0].T_world_scan.inverse()
 
 
-def _coverage_by_view(
+def _measure_coverage_by_view(
     points: FloatArray, view: IntArray, n_views: int, surface: FloatArray
 ) -> tuple[float, ...]:
     """Return the share of ``surface`` (n, 3) covered by the first view, the first two and so on.
 
-    Only what the views before left open is looked at, and only nearby: the rest of a surface is
-    far from a view of a part of it, and far neighbours are slow to find.
+    Each view is searched only for samples that are not covered yet, and only within a small
+    distance, as distant neighbours are slow to find.
     """
     covered, shares = np.zeros(len(surface), dtype=bool), []
     for k in range(n_views):
         left = np.flatnonzero(~covered)
-        distance, _ = nearest(cKDTree(points[view == k]), surface[left], 2 * COVERAGE_DISTANCE)
+        distance, _ = find_nearest(cKDTree(points[view == k]), surface[left], 2 * COVERAGE_DISTANCE)
         covered[left] = distance <= COVERAGE_DISTANCE
         shares.append(float(np.mean(covered)))
     return tuple(shares)
 
 
-def true_pose(view: View, truth: Truth) -> Pose2:
-    """Return the true ``T_map_scan`` of a view, at the moment its middle line was measured."""
+def find_true_pose(view: View, truth: Truth) -> Pose2:
+    """Return the true ``T_map_scan`` of a view at the time of its middle line."""
     image = view.observation.image
     beam = image.spec.n_beams // 2
     line = int(np.argmin(np.abs(image.yaws[:, beam])))
@@ -292,13 +302,13 @@ def true_pose(view: View, truth: Truth) -> Pose2:
     return truth.pose_at(stamp) @ Pose2(0.0, 0.0, -float(image.yaws[line, beam]))
 
 
-def displacement(points: FloatArray, a: Pose2, b: Pose2) -> float:
+def measure_displacement(points: FloatArray, a: Pose2, b: Pose2) -> float:
     """Return the RMS distance [m] of ``points`` (n, 3) mapped by ``a`` and by ``b``."""
     return rms(a.apply(points) - b.apply(points))
 
 
-def _pair_error(k: int, session: Session, reference: Reference) -> PairError:
-    """Return the errors of view ``k``; over all its points when it shows nothing of the target."""
+def _measure_pair_error(k: int, session: Session, reference: Reference) -> PairError:
+    """Return the errors of view ``k``, over all its points where it shows nothing of the target."""
     previous, view = session.views[k - 1], session.views[k]
     points = view.target.points if len(view.target) else view.sweep.points
     true = reference.poses[k - 1].inverse() @ reference.poses[k]
@@ -306,61 +316,61 @@ def _pair_error(k: int, session: Session, reference: Reference) -> PairError:
     odometry = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     return PairError(
         view=k,
-        error=displacement(points, registered, true),
-        pose_error=displacement(
+        error=measure_displacement(points, registered, true),
+        pose_error=measure_displacement(
             points, reference.T_map_world @ view.T_world_scan, reference.poses[k]
         ),
-        odometry_error=displacement(points, odometry, true),
+        odometry_error=measure_displacement(points, odometry, true),
     )
 
 
-def _sampled(truth: Truth) -> Surface:
-    """Return the true surface."""
-    points, normals = truth.surface(SPACING)
-    if len(points) <= MOST_SAMPLES:
-        return Surface.of(points, normals, SPACING)
-    spacing = SPACING * float(np.sqrt(len(points) / MOST_SAMPLES))
+def _sample_truth(truth: Truth) -> Surface:
+    """Return the true surface of the target by at most ``MAX_TRUTH_SAMPLES`` samples."""
+    points, normals = truth.surface(TRUTH_SPACING)
+    if len(points) <= MAX_TRUTH_SAMPLES:
+        return Surface.of(points, normals, TRUTH_SPACING)
+    spacing = TRUTH_SPACING * float(np.sqrt(len(points) / MAX_TRUTH_SAMPLES))
     return Surface.of(*truth.surface(spacing), spacing)
 
 
-def surface_distance(
+def measure_surface_distance(
     points: FloatArray, surface: FloatArray, normals: FloatArray, spacing: float
 ) -> FloatArray:
     """Return the distance (n,) [m] of ``points`` (n, 3) to a surface sampled every ``spacing`` [m].
 
-    For a single question; see ``Surface``.
+    ``Surface`` answers repeated queries faster.
     """
     return Surface.of(surface, normals, spacing).distance(points)
 
 
-def _f_score(to_truth: FloatArray, to_model: FloatArray, distance: float) -> float:
-    """Return 2PR/(P+R) at ``distance`` [m]; the model was thinned so that all parts weigh alike."""
+def _compute_f_score(to_truth: FloatArray, to_model: FloatArray, distance: float) -> float:
+    """Return 2PR/(P+R) at ``distance`` [m]; the model is thinned so that all parts weigh alike."""
     precision, recall = float(np.mean(to_truth <= distance)), float(np.mean(to_model <= distance))
     return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
 
-def coverable_surface(
+def find_coverable_surface(
     surface: FloatArray, normals: FloatArray, truth: Truth, config: Config
 ) -> BoolArray:
-    """Tell which surface samples (n,) can be seen, noise-free, from at least one feasible pose.
+    """Return which surface samples (n,) are visible, without noise, from a feasible pose.
 
-    Seen means: within ``config.target`` range and window, not flatter than ``MIN_COSINE``, nothing
-    in between. Feasible means: the robot fits and can get there from the spawn; for the tour
-    ``front`` also: on the front side.
+    Visible means within the range and window of ``config.target``, not flatter than ``MIN_COSINE``
+    and not hidden. Feasible means that the robot fits there and can reach it from the spawn; for
+    the tour ``front`` it must also be on the front side.
     """
-    places = feasible_places(surface, truth, config)
+    places = find_feasible_places(surface, truth, config)
     eyes = np.column_stack([places, np.full(len(places), EYE_HEIGHT)])
-    unseen = np.flatnonzero(_faced(surface, normals, eyes))
+    unseen = np.flatnonzero(_find_faced(surface, normals, eyes))
     seen = np.zeros(len(surface), dtype=bool)
     for eye in eyes:
-        now = unseen[visible(eye, surface[unseen], normals[unseen], truth, config)]
+        now = unseen[find_visible(eye, surface[unseen], normals[unseen], truth, config)]
         seen[now] = True
         unseen = unseen[~seen[unseen]]
     return seen
 
 
-def _faced(surface: FloatArray, normals: FloatArray, eyes: FloatArray) -> BoolArray:
-    """Tell which samples (n,) face at least one of ``eyes`` (m, 3), whatever is in between."""
+def _find_faced(surface: FloatArray, normals: FloatArray, eyes: FloatArray) -> BoolArray:
+    """Return which samples (n,) face at least one of ``eyes`` (m, 3), even if hidden from it."""
     if len(eyes) == 0:
         return np.zeros(len(surface), dtype=bool)
     corners = eyes[ConvexHull(eyes[:, :2]).vertices] if len(eyes) > 3 else eyes
@@ -368,16 +378,19 @@ def _faced(surface: FloatArray, normals: FloatArray, eyes: FloatArray) -> BoolAr
     return np.asarray(farthest > np.einsum("ij,ij->i", normals, surface))
 
 
-def visible(
+def find_visible(
     eye: FloatArray, surface: FloatArray, normals: FloatArray, truth: Truth, config: Config
 ) -> BoolArray:
-    """Tell which samples (n,) the lidar sees from ``eye`` (3,)."""
+    """Return which samples (n,) the lidar sees from ``eye`` (3,)."""
+    # Check range, window and incidence
     rays = surface - eye
     distance = np.linalg.norm(rays, axis=1)
     slope = np.tan(config.target.window / 2)
     seen = distance <= config.target.max_range
     seen &= np.abs(rays[:, 2]) <= slope * np.hypot(rays[:, 0], rays[:, 1])
     seen &= -np.einsum("ij,ij->i", rays, normals) > MIN_COSINE * distance
+
+    # Cast rays at the rest
     index = np.flatnonzero(seen)
     if len(index):
         directions = rays[index] / distance[index, None]
@@ -386,8 +399,9 @@ def visible(
     return np.asarray(seen)
 
 
-def feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatArray:
-    """Return the grid places (n, 2) [m] where the robot fits, connected with its spawn."""
+def find_feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatArray:
+    """Return the places of a grid (n, 2) [m] where the robot fits and which it can reach."""
+    # Lay a grid around the target
     low = surface[:, :2].min(axis=0) - config.target.max_range
     high = surface[:, :2].max(axis=0) + config.target.max_range
     start = np.array([truth.spawn.x, truth.spawn.y])
@@ -395,6 +409,8 @@ def feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatA
     last = np.ceil((high - start) / POSE_STEP).astype(np.int64)
     i, j = np.meshgrid(np.arange(first[0], last[0]), np.arange(first[1], last[1]), indexing="ij")
     places = start + np.stack([i, j], axis=-1) * POSE_STEP
+
+    # Keep what is connected with the spawn
     free = _is_free(places.reshape(-1, 2), truth, config).reshape(i.shape)
     labels, _ = ndimage.label(free)
     reachable = labels == labels[-first[0], -first[1]]
@@ -404,15 +420,18 @@ def feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatA
 
 
 def _is_free(places: FloatArray, truth: Truth, config: Config) -> BoolArray:
-    """Tell where (n,) nothing comes nearer than the robot's radius and the floor is below."""
+    """Return at which places (n,) nothing is within the robot's radius and the floor is below."""
+    # Cast rays all round
     angles = np.linspace(-np.pi, np.pi, 36, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
     free = np.ones(len(places), dtype=bool)
-    for height in LOOK_HEIGHTS:
+    for height in CLEAR_HEIGHTS:
         centres = np.column_stack([places, np.full(len(places), height)])
         origins, directions = np.repeat(centres, len(ring), axis=0), np.tile(ring, (len(places), 1))
         hits = truth.first_hits(origins, directions).reshape(len(places), len(ring))
         free &= hits.min(axis=1) > config.motion.robot_radius
+
+    # Cast rays down
     down = np.broadcast_to((0.0, 0.0, -1.0), (len(places), 3))
     floor = truth.first_hits(np.column_stack([places, np.full(len(places), 0.3)]), down)
     return np.asarray(free & (np.abs(floor - 0.3) < config.target.floor_height))

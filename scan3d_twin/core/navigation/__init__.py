@@ -1,1 +1,1 @@
-"""How the robot gets about: costmap and paths, motion control, odometry and wheel kinematics."""
+"""Navigation: costmap and paths, motion control, odometry and wheel kinematics."""

@@ -1,7 +1,8 @@
-"""Where the robot can go: a costmap from its own scans, feasibility of poses and shortest paths.
+"""Costmap of the floor from the robot's own scans: inflation, reachable poses, shortest paths.
 
 A cell is free only when the floor was seen up to it and nothing stands between; unknown space is
-lethal. The robot is a disc, so that a search in the plane is complete.
+lethal. The robot is a disc: obstacles are inflated by its radius and clearance, and a search for
+paths in the plane is complete.
 """
 
 from __future__ import annotations
@@ -14,7 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.grids import erode, find_connected, find_shortest_paths
+from scan3d_twin.core.grids import (
+    erode,
+    find_connected,
+    find_shortest_paths,
+)
 from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration.native import ByteArray, engine
 from scan3d_twin.core.types import (
@@ -29,91 +34,96 @@ from scan3d_twin.core.types import (
 RESOLUTION = 0.05
 """Side of a cell [m]; about a third of the robot's radius."""
 FLOOR_STEP = 0.45
-"""Floor hits along a line that are farther apart than this leave a hole [m]; at 4 m and 0.30 m
-height two beams of 0.35 deg hit the floor 0.33 m apart."""
+"""Distance of two floor hits along a line above which the floor between them is unknown [m]; at 4 m
+from a lidar 0.30 m high, beams 0.35 deg apart hit the floor 0.33 m apart."""
 HEIGHT_MARGIN = 0.05
-"""Things less than this above the robot's top are still obstacles [m]."""
+"""Height above the robot's top up to which things are obstacles [m]."""
 
 FLOOR, SOLID = 1, 2
 """What a reading that looks ahead can be of."""
 
 UNKNOWN, FREE, OBSTACLE, TOUCHED = 0, 1, 2, 3
-"""What a cell can be; what was touched stays so, for the lidar does not see it."""
+"""Values of a cell. Touched cells keep their value, as the lidar does not see what is there."""
 
 
 @dataclass(frozen=True)
 class Costmap:
-    """What is known of the floor, in frame ``odom``.
+    """A grid of what is known of the floor, in frame ``odom``.
 
     Attributes:
         origin: Corner of cell (0, 0) (2,) [m].
         cells: ``UNKNOWN``, ``FREE``, ``OBSTACLE`` or ``TOUCHED`` (nx, ny).
-        radius: Distance the robot's centre keeps from all that is not free [m].
-        start: Where the robot stands; it fits there, whatever the cells say.
+        inflation_radius: Distance that the robot's centre keeps from all that is not free [m].
+        start: Where the robot stands (2,); it fits there, whatever the cells around it are.
     """
 
     origin: FloatArray
     cells: IntArray
-    radius: float
+    inflation_radius: float
     start: FloatArray
 
     @cached_property
     def passable(self) -> BoolArray:
-        """Cells in which the robot's centre may be (nx, ny)."""
+        """Cells in which the robot's centre may be (nx, ny): the free ones after inflation."""
         free = self.cells == FREE
-        free |= self._disc(self.start, self.radius + RESOLUTION)
-        return erode(free, self.radius, RESOLUTION) | self._disc(self.start, RESOLUTION)
+        free |= self._disc(self.start, self.inflation_radius + RESOLUTION)
+        return erode(free, self.inflation_radius, RESOLUTION) | self._disc(self.start, RESOLUTION)
 
     @cached_property
     def reachable(self) -> BoolArray:
-        """Cells to which the robot's centre can get (nx, ny)."""
+        """Cells that the robot's centre can reach (nx, ny)."""
         return find_connected(self.passable, self._cell_of(*self.start))
 
     @cached_property
     def _search(self) -> tuple[FloatArray, IntArray]:
-        """Way from the start to every cell [m] and the cell before it (nx * ny,)."""
+        """Length of the path from the start to every cell [m], the cell before it (nx * ny,)."""
         return find_shortest_paths(self.reachable, self._cell_of(*self.start), RESOLUTION)
 
-    def ways(self, places: FloatArray) -> FloatArray:
-        """Return the length of the way (n,) [m] from the start to ``places`` (n, 2); inf for none.
+    def path_lengths(self, places: FloatArray) -> FloatArray:
+        """Return the length of the path (n,) [m] to each of ``places`` (n, 2); inf for none.
 
-        All from the one search, so that a planner can weigh any number of viewpoints.
+        One search serves all places, so that a planner can compare any number of viewpoints.
         """
         cells = np.floor((places - self.origin) / RESOLUTION).astype(np.int64)
         inside = np.all((cells >= 0) & (cells < self.cells.shape), axis=1)
-        ways = np.full(len(places), np.inf)
+        lengths = np.full(len(places), np.inf)
         index = np.ravel_multi_index(tuple(cells[inside].T), self.cells.shape)
-        ways[inside] = self._search[0][index]
-        return ways
+        lengths[inside] = self._search[0][index]
+        return lengths
 
-    def feasible(self, x: float, y: float) -> bool:
-        """Tell whether the robot can get to (x, y) [m] and stand there."""
+    def is_feasible(self, x: float, y: float) -> bool:
+        """Return whether the robot can reach (x, y) [m] and stand there."""
         i, j = self._cell_of(x, y)
         nx, ny = self.cells.shape
         return 0 <= i < nx and 0 <= j < ny and bool(self.reachable[i, j])
 
-    def path(self, x: float, y: float) -> FloatArray | None:
-        """Return the waypoints (n, 2) of a short way from the start to (x, y) [m], or None.
+    def find_path(self, x: float, y: float) -> FloatArray | None:
+        """Return the waypoints (n, 2) of a short path to (x, y) [m]; None if there is no path.
 
-        There are none within the cell in which the robot stands.
+        Within the cell in which the robot stands, the path has no waypoints.
         """
-        if not self.feasible(x, y):
+        # Settle the simple cases
+        if not self.is_feasible(x, y):
             return None
         if self._cell_of(x, y) == self._cell_of(*self.start):
             return np.zeros((0, 2))
         if self._clear(self.start, np.array([x, y])):
             return np.array([[x, y]])
+
+        # Follow the search back
         _, before = self._search
         cells = [int(np.ravel_multi_index(self._cell_of(x, y), self.cells.shape))]
         while before[cells[-1]] >= 0:
             cells.append(int(before[cells[-1]]))
+
+        # Shorten the path
         steps = np.stack(np.unravel_index(cells[::-1], self.cells.shape), axis=1)
         way = self.origin + (steps + 0.5) * RESOLUTION
         way[0], way[-1] = self.start, (x, y)
         return self._shortcut(way)[1:]
 
     def _shortcut(self, way: FloatArray) -> FloatArray:
-        """Keep only the waypoints that are needed to stay on passable cells."""
+        """Return only those waypoints that are needed to stay on passable cells."""
         kept, here = [0], 0
         while here < len(way) - 1:
             there = len(way) - 1
@@ -124,7 +134,7 @@ class Costmap:
         return way[kept]
 
     def _clear(self, a: FloatArray, b: FloatArray) -> bool:
-        """Tell whether the straight way from ``a`` to ``b`` stays on passable cells."""
+        """Return whether the straight line from ``a`` to ``b`` stays on passable cells."""
         n = max(2, int(np.linalg.norm(b - a) / (RESOLUTION / 2)))
         points = a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
         cells = np.floor((points - self.origin) / RESOLUTION).astype(np.int64)
@@ -136,7 +146,7 @@ class Costmap:
 
     @cached_property
     def _corner(self) -> tuple[float, float]:
-        """The origin as plain numbers: viewpoints are weighed by the hundred."""
+        """The origin as plain numbers, faster for the many single viewpoints of a planner."""
         x, y = self.origin.tolist()
         return x, y
 
@@ -145,10 +155,13 @@ class Costmap:
 
     def _disc(self, centre: FloatArray, radius: float) -> BoolArray:
         """Return the cells whose middle is within ``radius`` [m] of ``centre``."""
+        # Restrict it to a window
         shape, reach = np.array(self.cells.shape), radius + RESOLUTION
         first = np.clip(self._cell(centre - reach), 0, shape)
         end = np.clip(self._cell(centre + reach) + 1, first, shape)
         i, j = (np.arange(a, b) for a, b in zip(first, end, strict=True))
+
+        # Measure distances within the window
         x = self.origin[0] + (i[:, None] + 0.5) * RESOLUTION - centre[0]
         y = self.origin[1] + (j + 0.5) * RESOLUTION - centre[1]
         disc = np.zeros(self.cells.shape, dtype=bool)
@@ -162,35 +175,41 @@ def build_costmap(
     start: Pose2,
     touched: Sequence[tuple[float, float]] = (),
 ) -> Costmap:
-    """Return the costmap in ``odom`` from ``observations``, newer ones over older ones.
+    """Return the costmap in ``odom`` from ``observations``; newer ones override older ones.
 
     Args:
-        observations: Looks around and sweeps in the order in which they were taken; at least one.
+        observations: Panoramas and sweeps in the order in which they were taken; at least one.
         config: Ranges, heights and the robot's size.
         start: Where the robot stands in ``odom``.
-        touched: More places (x, y) [m] of obstacles, beside those that the observations name.
+        touched: Places (x, y) [m] of obstacles, beside those that the observations name.
     """
+    # Cover all that was in range
     reach = config.target.max_range + RESOLUTION
     places = np.array([[o.T_odom_scan.x, o.T_odom_scan.y] for o in observations])
     origin = np.asarray(np.floor((places.min(axis=0) - reach) / RESOLUTION) * RESOLUTION)
     size = np.ceil((places.max(axis=0) + reach - origin) / RESOLUTION).astype(np.int64)
     cells = np.full(tuple(size), UNKNOWN, dtype=np.int64)
+
+    # Mark what was seen and touched
     for observation in observations:
-        _mark(cells, origin, observation, config)
-    _put(cells, origin, np.array(touched).reshape(-1, 2), TOUCHED)
+        _mark_observation(cells, origin, observation, config)
+    _mark_cells(cells, origin, np.array(touched).reshape(-1, 2), TOUCHED)
     radius = config.motion.robot_radius + config.motion.clearance
     return Costmap(origin, cells, radius, np.array([start.x, start.y]))
 
 
-def extended(costmap: Costmap, observation: Observation, config: Config, start: Pose2) -> Costmap:
-    """Return ``costmap`` after one more ``observation``: what ``build_costmap`` gives of all.
+def extend_costmap(
+    costmap: Costmap, observation: Observation, config: Config, start: Pose2
+) -> Costmap:
+    """Return ``costmap`` after one more ``observation``, equal to ``build_costmap`` of all.
 
     Args:
-        costmap: Of the observations before.
-        observation: The newest.
+        costmap: The costmap of the earlier observations.
+        observation: The newest observation.
         config: As for ``build_costmap``.
         start: Where the robot stands in ``odom``.
     """
+    # Grow the grid by what is in range
     reach, place = config.target.max_range + RESOLUTION, observation.T_odom_scan
     here = np.array([place.x, place.y]) - costmap.origin
     shape = np.array(costmap.cells.shape)
@@ -200,23 +219,29 @@ def extended(costmap: Costmap, observation: Observation, config: Config, start: 
     origin = np.asarray(
         (np.rint(costmap.origin / RESOLUTION) - before) * RESOLUTION, dtype=np.float64
     )
-    _mark(cells, origin, observation, config)
-    return Costmap(origin, cells, costmap.radius, np.array([start.x, start.y]))
+
+    # Mark what was seen
+    _mark_observation(cells, origin, observation, config)
+    return Costmap(origin, cells, costmap.inflation_radius, np.array([start.x, start.y]))
 
 
-def _mark(cells: IntArray, origin: FloatArray, observation: Observation, config: Config) -> None:
-    """Write what one observation saw into ``cells``."""
+def _mark_observation(
+    cells: IntArray, origin: FloatArray, observation: Observation, config: Config
+) -> None:
+    """Write what one observation shows into ``cells``."""
     image, pose = observation.image, observation.T_odom_scan
     points, reach, yaws = _floor(image, config)
-    window = _window(pose, yaws, reach, origin, cells.shape)
+    window = _find_window(pose, yaws, reach, origin, cells.shape)
     part = cells[window]
-    part[_swept(*_centres(pose.inverse(), origin, window), yaws, reach) & (part != TOUCHED)] = FREE
-    _put(cells, origin, pose.apply(points), OBSTACLE)
-    _put(cells, origin, np.array(observation.touched).reshape(-1, 2), TOUCHED)
+    part[
+        _is_swept(*_cell_centres(pose.inverse(), origin, window), yaws, reach) & (part != TOUCHED)
+    ] = FREE
+    _mark_cells(cells, origin, pose.apply(points), OBSTACLE)
+    _mark_cells(cells, origin, np.array(observation.touched).reshape(-1, 2), TOUCHED)
 
 
-def _put(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> None:
-    """Write ``what`` at ``points`` (n, 2) [m] into ``cells``, but not over what was touched."""
+def _mark_cells(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> None:
+    """Write ``what`` at ``points`` (n, 2) [m] into ``cells``, but not over touched ones."""
     if len(points) == 0:
         return
     columns = np.ascontiguousarray(points.T)
@@ -226,18 +251,21 @@ def _put(cells: IntArray, origin: FloatArray, points: FloatArray, what: int) -> 
     cells[i, j] = np.where(cells[i, j] == TOUCHED, TOUCHED, what)
 
 
-def _window(
+def _find_window(
     pose: Pose2, yaws: FloatArray, reach: FloatArray, origin: FloatArray, shape: tuple[int, ...]
 ) -> tuple[slice, slice]:
-    """Return the cells of a ``shape`` (nx, ny) that lines from ``pose`` can have swept.
+    """Return the window of a grid ``shape`` (nx, ny) that lines from ``pose`` can have swept.
 
-    What lies between two lines, up to the reach of both, lies in the hull of their ends but for the
-    bulge of an arc over its chord.
+    The area between two lines, up to the reach of both, is within the hull of their ends, apart
+    from the bulge of an arc over its chord.
     """
+    # Bound the ends and the bulge
     ends = reach[:, None] * np.stack([np.cos(yaws), np.sin(yaws)], axis=1)
     corners = pose.apply(np.concatenate([np.zeros((1, 2)), ends]))
     widest = min(float(np.max(-np.diff(yaws), initial=0.0)), math.pi)
     margin = float(reach.max(initial=0.0)) * (1 - math.cos(widest / 2)) + RESOLUTION
+
+    # Convert to cells
     low = np.floor((corners.min(axis=0) - margin - origin) / RESOLUTION).astype(np.int64)
     high = np.ceil((corners.max(axis=0) + margin - origin) / RESOLUTION).astype(np.int64)
     first, end = np.clip(low, 0, shape), np.clip(high, 0, shape)
@@ -275,14 +303,14 @@ def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, F
 def _free_reach(
     lines: IntArray, distance: FloatArray, kinds: ByteArray, n_lines: int, config: Config
 ) -> FloatArray:
-    """Return how far each line (n_lines,) sees an unbroken floor with nothing on it [m].
+    """Return the distance to which each line (n_lines,) sees a floor without gaps or things [m].
 
     Args:
-        lines: Of some readings (n,), ascending.
-        distance: Theirs in the top view (n,) [m].
-        kinds: ``FLOOR``, ``SOLID`` or 0 for what says nothing of the way ahead (n,).
+        lines: Line of each reading (n,), ascending.
+        distance: Distance of each reading in the top view (n,) [m].
+        kinds: ``FLOOR``, ``SOLID`` or, for readings that show neither, 0 (n,).
         n_lines: Number of lines.
-        config: Says from where on the floor has to be seen.
+        config: Its robot radius is where the floor must begin.
     """
     reach = np.empty(n_lines)
     done = engine.measure_free_reach(
@@ -294,11 +322,13 @@ def _free_reach(
     return reach
 
 
-def _swept(x: FloatArray, y: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
-    """Tell which places ``x``, ``y`` (nx, ny) lie between two lines and within their reach."""
+def _is_swept(x: FloatArray, y: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
+    """Return which places ``x``, ``y`` (nx, ny) are between two lines and within their reach."""
     bearing, distance = np.arctan2(y, x), np.hypot(x, y)
     middle = (yaws[0] + yaws[-1]) / 2
     bearing = middle + (bearing - middle + np.pi) % (2 * np.pi) - np.pi
+
+    # Find the lines beside each
     left = np.searchsorted(-yaws, -bearing, side="right") - 1
     between = (left >= 0) & (left < len(yaws) - 1)
     left = np.clip(left, 0, max(0, len(yaws) - 2))
@@ -306,7 +336,7 @@ def _swept(x: FloatArray, y: FloatArray, yaws: FloatArray, reach: FloatArray) ->
     return np.asarray(between & (distance <= both))
 
 
-def _centres(
+def _cell_centres(
     T_scan_odom: Pose2, origin: FloatArray, window: tuple[slice, slice]
 ) -> tuple[FloatArray, FloatArray]:
     """Return x and y in ``scan`` of the middles of the cells of a window (nx, ny) [m]."""

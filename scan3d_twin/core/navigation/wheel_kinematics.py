@@ -1,7 +1,7 @@
-"""What the two wheels of a base do for a command, and what whole numbers tell of it afterwards.
+"""Kinematics of the two wheels: speeds for a command, ramps, and readings in whole numbers.
 
-The twin and the driver of the real base share it: a speed that one of them rounds, ramps or
-corrects otherwise than the other would be a difference between them that no robot has.
+The twin and the driver of the real base share these functions, so that both round, ramp and correct
+speeds in the same way.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import math
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.hal import BaseSpec
 
-ACCELERATION = 1.8
-"""Of a wheel's rim [m/s^2]; create_robot URDF."""
+WHEEL_ACCELERATION = 1.8
+"""Acceleration of a wheel's rim [m/s^2]; create_robot URDF."""
 SPEED_STEP = 0.001
 """Resolution of a wheel's speed [m/s]; opcode 145 takes whole mm/s."""
 
 
-def wheel_speeds(spec: BaseSpec, linear: float, angular: float) -> tuple[float, float]:
-    """Return the (left, right) wheel speeds [m/s] that are sent for a command.
+def split_velocity(spec: BaseSpec, linear: float, angular: float) -> tuple[float, float]:
+    """Return the (left, right) wheel speeds [m/s] that are sent for a command, in whole mm/s.
 
-    Too fast a command is slowed down so that the path's curvature is kept; whole mm/s.
+    A command that is too fast is slowed down so that the curvature of the path is kept.
 
     Raises:
         ConfigError: The command is not finite.
@@ -36,31 +36,38 @@ def wheel_speeds(spec: BaseSpec, linear: float, angular: float) -> tuple[float, 
     )
 
 
-def ramped(speed: float, told: float, time: float) -> tuple[float, float]:
-    """Return how far [m] a wheel gets in ``time`` [s], and how fast [m/s] it is then.
+def ramp_speed(speed: float, target: float, time: float) -> tuple[float, float]:
+    """Return the distance [m] that a wheel moves in ``time`` [s], and its speed then [m/s].
 
     Args:
-        speed: Before [m/s].
-        told: What it is on its way to [m/s].
-        time: [s].
+        speed: Speed at the start [m/s].
+        target: Commanded speed, which it approaches at ``WHEEL_ACCELERATION`` [m/s].
+        time: Duration [s].
     """
-    ramp = min(time, abs(told - speed) / ACCELERATION)
-    after = told if ramp < time else speed + math.copysign(ACCELERATION * ramp, told - speed)
-    return (speed + after) / 2 * ramp + told * (time - ramp), after
+    ramp = min(time, abs(target - speed) / WHEEL_ACCELERATION)
+    step = math.copysign(WHEEL_ACCELERATION * ramp, target - speed)
+    after = target if ramp < time else speed + step
+    return (speed + after) / 2 * ramp + target * (time - ramp), after
 
 
-def correction(way: float, turn: float, whole_mm: int, whole_deg: int) -> tuple[float, float]:
-    """Return what a Create 1's reading adds to the way [m] and turn [rad] it was commanded.
+def correct_reading(way: float, turn: float, whole_mm: int, whole_deg: int) -> tuple[float, float]:
+    """Return the corrections of a commanded distance [m] and turn [rad] by a Create 1's reading.
 
-    Packets 19 and 20 drop the fraction, so a reading says between which two numbers the truth lies;
-    the commanded ones are moved no farther than to the nearer of them.
+    Packets 19 and 20 drop the fraction, so that a reading is an interval of one unit. A commanded
+    value outside of it is moved to the nearer end.
+
+    Args:
+        way: Commanded distance [m].
+        turn: Commanded turn [rad].
+        whole_mm: Distance of packet 19 [mm].
+        whole_deg: Angle of packet 20 [deg].
     """
-    added_way = 1e-3 * _nearest(1e3 * way, whole_mm) - way
-    added_turn = math.radians(_nearest(math.degrees(turn), whole_deg)) - turn
+    added_way = 1e-3 * _clamp_to_whole(1e3 * way, whole_mm) - way
+    added_turn = math.radians(_clamp_to_whole(math.degrees(turn), whole_deg)) - turn
     return added_way, added_turn
 
 
-def _nearest(value: float, whole: int) -> float:
+def _clamp_to_whole(value: float, whole: int) -> float:
     """Return the number next to ``value`` whose whole part is ``whole``."""
     low = whole - 1 if whole <= 0 else whole
     high = whole + 1 if whole >= 0 else whole

@@ -1,8 +1,8 @@
-"""Viewpoint planners: one file each, behind the one ``Planner`` protocol.
+"""Viewpoint planning: the ``Planner`` protocol, the planners by name, and what they share.
 
-Other packages add planners by the entry point group ``scan3d_twin.planners``: a name, and something
-that is called without arguments and returns a ``Planner``. What has a true attribute
-``needs_truth`` is called with the truth instead, and is refused where nobody knows it.
+Other packages add planners through the entry point group ``scan3d_twin.planners``: a name and a
+class or factory that is called without arguments and returns a ``Planner``. One with a true
+attribute ``needs_truth`` is called with the truth instead, and refused where there is none.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Planner(Protocol):
     """
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
-        """Return the next viewpoint, or a plan without one when the scan is finished.
+        """Return the plan for the next viewpoint, or one without a viewpoint to end the run.
 
         Pure: the same session and generator state give the same plan. The session has at least one
         view.
@@ -51,8 +51,9 @@ class Entry:
     """One planner that can be chosen by name.
 
     Attributes:
-        build: Makes it; called with the truth if it ``needs_truth``, else with nothing.
-        summary: One line.
+        build: Its class or factory; called with the truth if ``needs_truth``, else without
+            arguments.
+        summary: One line about it.
         needs_truth: Whether it plans on the truth, which only the twin knows.
     """
 
@@ -62,12 +63,12 @@ class Entry:
 
     @staticmethod
     def of(build: Callable[..., Planner]) -> Entry:
-        """Return the entry of a class or factory, described by its docstring's first line."""
+        """Return the entry of a class or factory, with the first line of its docstring."""
         summary = (build.__doc__ or "").strip().split("\n")[0]
         return Entry(build, summary, bool(getattr(build, "needs_truth", False)))
 
 
-_OWN = {
+_BUILT_IN = {
     "curvature": "curvature:CurvaturePlanner",
     "fisher": "fisher:FisherPlanner",
     "fixed": "fixed:FixedPlanner",
@@ -83,33 +84,37 @@ _OWN = {
     "see": "see:SeePlanner",
     "siicp": "siicp:SiicpPlanner",
 }
-"""Our own planners by name, loaded when they are wanted: module in ``planners``, and what in it."""
+"""Built-in planners by name, loaded on demand: module in ``planners`` and class or factory."""
 
 
-def planner_names() -> tuple[str, ...]:
+def list_planners() -> tuple[str, ...]:
     """Return the names that ``make_planner`` knows.
 
-    >>> {"fisher", "siicp", "oracle"} <= set(s3d.planner_names())
+    >>> {"fisher", "siicp", "oracle"} <= set(s3d.list_planners())
     True
     """
-    return tuple(sorted({*_OWN, *_others()}))
+    return tuple(sorted({*_BUILT_IN, *_find_external()}))
 
 
-def planner_summary(name: str) -> str:
-    """Return one line on the planner called ``name``; errors as ``make_planner``."""
-    return _entry(name).summary
+def summarise_planner(name: str) -> str:
+    """Return one line about the planner ``name``; errors as for ``make_planner``."""
+    return _load_entry(name).summary
 
 
 def check_planner(name: str, *, truth_known: bool) -> None:
-    """Refuse a planner that does not exist, or that needs a truth which nobody knows.
+    """Check that a planner exists and can plan.
+
+    Args:
+        name: Name of the planner.
+        truth_known: Whether there is a truth that it could plan on.
 
     Raises:
-        UnknownNameError: There is none of this name.
-        ConfigError: It needs the truth, or cannot be loaded.
+        UnknownNameError: There is no planner of this name.
+        ConfigError: It needs the truth and there is none, or it cannot be loaded.
     """
-    if truth_known and name in _OWN:
+    if truth_known and name in _BUILT_IN:
         return
-    if _entry(name).needs_truth and not truth_known:
+    if _load_entry(name).needs_truth and not truth_known:
         raise ConfigError(
             f"planner {name} plans on the truth, which only the twin knows; "
             "use it with twin sim, or choose another one"
@@ -117,14 +122,14 @@ def check_planner(name: str, *, truth_known: bool) -> None:
 
 
 def make_planner(name: str, truth: Truth | None = None) -> Planner:
-    """Return the planner called ``name``.
+    """Return the planner ``name``.
 
     Args:
-        name: One of ``planner_names()``, or ``module:attribute`` of a class or factory of your own.
-        truth: What the twin knows; for those planners alone that are bounds for the others.
+        name: One of ``list_planners()``, or ``module:attribute`` of a class or factory of your own.
+        truth: The truth, for planners that are bounds on the others, such as ``oracle``.
 
     Raises:
-        UnknownNameError: There is none of this name.
+        UnknownNameError: There is no planner of this name.
         ConfigError: It needs the truth and there is none, or it cannot be loaded.
 
     >>> plan = s3d.make_planner("siicp").plan(session, np.random.default_rng(0))
@@ -132,16 +137,17 @@ def make_planner(name: str, truth: Truth | None = None) -> Planner:
     True
     """
     check_planner(name, truth_known=truth is not None)
-    entry = _entry(name)
+    entry = _load_entry(name)
     return entry.build(truth) if entry.needs_truth else entry.build()
 
 
-def _entry(name: str) -> Entry:
-    if name in _OWN:
-        return Entry.of(resolve_name(f"{__name__}.planners.{_OWN[name]}"))
-    others = _others()
+def _load_entry(name: str) -> Entry:
+    """Return the entry of the planner ``name``; errors as for ``make_planner``."""
+    if name in _BUILT_IN:
+        return Entry.of(resolve_name(f"{__name__}.planners.{_BUILT_IN[name]}"))
+    others = _find_external()
     if name not in others and ":" not in name:
-        raise UnknownNameError("planner", name, planner_names())
+        raise UnknownNameError("planner", name, list_planners())
     place = others[name].value if name in others else name
     try:
         return Entry.of(resolve_name(place))
@@ -149,7 +155,7 @@ def _entry(name: str) -> Entry:
         raise ConfigError(f"planner {name} ({place}) cannot be loaded: {error}") from None
 
 
-def _others() -> dict[str, Any]:
-    """Return the entry points of other packages by name; they do not replace our own."""
+def _find_external() -> dict[str, Any]:
+    """Return the entry points of other packages by name; they cannot replace built-in ones."""
     found = entry_points(group=ENTRY_POINTS)
-    return {point.name: point for point in found if point.name not in _OWN}
+    return {point.name: point for point in found if point.name not in _BUILT_IN}

@@ -1,71 +1,71 @@
-"""What every planner asks first: is the tour finished, and where would one stand for an overlap?"""
+"""The planning context: what planners derive from the latest view, such as termination."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
-from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.planning.surface_prediction import Prediction, predict
+from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.planning.surface_prediction import Prediction, predict_surface
 from scan3d_twin.core.scanning.smoothing import smooth
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2, RangeImage, Scan3D, wrap
+from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2, RangeImage, Scan3D
 from scan3d_twin.core.viewpoints import (
-    BEND,
-    FRONT_SIDE,
-    HERE,
+    MAX_FRONT_ANGLE,
+    NEARLY_ROUND,
+    SILHOUETTE_TURN,
+    TOWARDS_ROBOT,
     Contour,
-    angle_between,
-    bends_after,
-    contour_of,
-    corner_angle,
-    ends_in_view,
-    foreseen_segment,
-    limit,
-    line_means,
-    next_segment,
-    place,
-    sweep_width,
-    well_seen,
+    average_lines,
+    choose_viewpoint,
+    count_well_seen,
+    estimate_corner_angle,
+    extract_contour,
+    find_next_segment,
+    find_predicted_segment,
+    has_corner_after,
+    is_end_in_view,
+    limit_direction,
+    measure_angle,
+    measure_sweep_width,
+    sum_turns,
 )
 
 MIN_LINES = 5
-"""A target seen in fewer lines gives no contour to go along."""
-NEARLY_ROUND = math.radians(240.0)
-"""Turn since the first view after which the contour may close; three sides of a box are 270 deg."""
-BESIDE_TOLERANCE = math.radians(20.0)
-"""A view this near to ``FRONT_SIDE`` ends a tour of the front: one more would show little new."""
-CLOSED = 0.10
-"""The contour is closed when its end comes this near to where it began [m]: a few times the drift
-of a dozen registered views."""
+"""Smallest number of lines on the target that make a contour."""
+FRONT_ANGLE_TOLERANCE = math.radians(20.0)
+"""Distance from ``MAX_FRONT_ANGLE`` within which a view ends a tour of the front [rad]: one more
+would show little new."""
+CLOSING_DISTANCE = 0.10
+"""Distance of the contour's end from its beginning within which it is closed [m]: a few times the
+drift of a dozen registered views."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where to stand for one overlap.
+    """The viewpoint for one overlap.
 
     Attributes:
         viewpoint: ``T_scan_next`` in frame ``scan`` of the latest view; None if none is feasible.
-        wanted: Whether it is the viewpoint the geometry asks for, not a substitute for it.
+        is_wanted: Whether it is the viewpoint of Fig. 8, not an alternative to it.
     """
 
     viewpoint: Pose2 | None
-    wanted: bool
+    is_wanted: bool
 
 
 @dataclass(frozen=True)
 class PlanningContext:
-    """The latest view and what follows from it."""
+    """The latest view of a session and what planners derive from it, computed on demand."""
 
     session: Session
     known_costmap: Costmap | None = None
-    """The costmap of ``session`` where the caller has built it already."""
+    """The costmap of ``session`` if the caller has it already."""
 
     @property
     def view(self) -> View:
@@ -74,13 +74,13 @@ class PlanningContext:
 
     @cached_property
     def P(self) -> Scan3D:
-        """The paper's P: the target in the latest view, up to where it is seen too flat."""
-        lines = well_seen(self._whole)
+        """The paper's P: the target in the latest view, as far as its incidence is not too flat."""
+        lines = count_well_seen(self._whole)
         return self._seen if lines == len(self._whole.points) else self._seen.first_lines(lines)
 
     @cached_property
     def _seen(self) -> Scan3D:
-        """The target in the latest view, without what the sweep's margins show of it."""
+        """The target in the latest view without the sweep's margins."""
         target, sweep = self.view.target, self.session.config.sweep
         if sweep.margin == 0.0:
             return target
@@ -89,23 +89,23 @@ class PlanningContext:
 
     @cached_property
     def _whole(self) -> Contour:
-        """The contour of all that is seen of the target in the latest view."""
-        return contour_of(self._seen)
+        """The contour of the target in the latest view without the sweep's margins."""
+        return extract_contour(self._seen)
 
     @cached_property
     def contour(self) -> Contour:
         """The contour of P."""
-        return self._whole if self.P is self._seen else contour_of(self.P)
+        return self._whole if self.P is self._seen else extract_contour(self.P)
 
     @cached_property
-    def ends(self) -> bool:
+    def has_end_in_view(self) -> bool:
         """Whether the target ends with P, or turns around a corner there, on the travel side."""
         view = self.view
         if self._goes_on:
             return False
         if len(self._whole.points) - self.n_lines >= MIN_LINES:
-            return bends_after(self._whole, self.n_lines)
-        return ends_in_view(view.image, view.sweep, view.target, self.session.config.target)
+            return has_corner_after(self._whole, self.n_lines)
+        return is_end_in_view(view.image, view.sweep, view.target, self.session.config.target)
 
     @cached_property
     def _goes_on(self) -> bool:
@@ -113,32 +113,32 @@ class PlanningContext:
         beyond = len(self.view.target.occupied_lines) - len(self._seen.occupied_lines)
         if self.session.config.tour != "front" or beyond < MIN_LINES:
             return False
-        contour = contour_of(self.view.target)
+        contour = extract_contour(self.view.target)
         last = int(self._seen.occupied_lines[-1])
         first = int(np.searchsorted(self.view.target.occupied_lines, last))
         if len(contour.points) - first < MIN_LINES:
             return False
-        return abs(angle_between(self._front, contour.normal(first))) < FRONT_SIDE
+        return abs(measure_angle(self._front, contour.normal(first))) < MAX_FRONT_ANGLE
 
     @cached_property
-    def foreseen(self) -> Prediction | None:
-        """The surface predicted beyond P, if that is wanted and the hold-out was good."""
+    def predicted_surface(self) -> Prediction | None:
+        """The surface predicted beyond P, if that is wanted and its hold-out error is small."""
         config = self.session.config.planning
         if config.foresight == "none":
             return None
-        prediction = predict(line_means(self.P))
+        prediction = predict_surface(average_lines(self.P))
         if prediction is None or prediction.sigma > config.foresight_sigma:
             return None
         return prediction
 
     @cached_property
     def smoothed(self) -> RangeImage:
-        """The latest range image without most of its noise."""
+        """The latest range image, smoothed."""
         return smooth(self.view.image)
 
     @cached_property
     def costmap(self) -> Costmap:
-        """Where the robot can go from here."""
+        """The costmap with the robot at the latest view."""
         if self.known_costmap is not None:
             return self.known_costmap
         session = self.session
@@ -146,123 +146,132 @@ class PlanningContext:
         return build_costmap(session.observations(), session.config, start)
 
     @property
-    def looked(self) -> bool:
-        """Whether the robot has looked around since the latest view."""
+    def has_panorama(self) -> bool:
+        """Whether a panorama was taken since the latest view."""
         return any(taken == len(self.session.views) for taken, _ in self.session.panoramas)
 
     @cached_property
     def n_lines(self) -> int:
-        """The paper's n: lines of P."""
+        """The paper's n: the number of lines of P."""
         return len(self.P.occupied_lines)
 
     def n_Q(self, overlap: float) -> int:
-        """Return the number of overlapping lines for ``overlap``, eta * n."""
+        """Return the number of overlapping lines for an overlap eta: eta * n."""
         return max(2, round(overlap * self.n_lines))
 
-    def place(self, overlap: float) -> Placement:
-        """Return where to stand to see ``overlap`` of the current lines again."""
+    def find_placement(self, overlap: float) -> Placement:
+        """Return the viewpoint that sees ``overlap`` of the current lines again (Fig. 8)."""
+        # Find the next segment
         config = self.session.config
         beyond = self._front if config.tour == "front" else None
-        n_Q, S1 = self.n_Q(overlap), sweep_width(config)
-        if self.foreseen is not None and not self.ends:
-            segment = foreseen_segment(self.contour, n_Q, S1, self.foreseen.points)
+        n_Q, S1 = self.n_Q(overlap), measure_sweep_width(config)
+        if self.predicted_surface is not None and not self.has_end_in_view:
+            segment = find_predicted_segment(self.contour, n_Q, S1, self.predicted_surface.points)
         else:
-            segment = next_segment(self.contour, n_Q, S1, beyond, ends=self.ends, bend=self._bend)
+            segment = find_next_segment(
+                self.contour, n_Q, S1, beyond, ends=self.has_end_in_view, bend=self._bend
+            )
         if config.tour == "front":
-            segment = replace(segment, normal=limit(segment.normal, self._front, FRONT_SIDE))
-        viewpoint, wanted = place(segment, config, self.feasible)
+            segment = replace(
+                segment, normal=limit_direction(segment.normal, self._front, MAX_FRONT_ANGLE)
+            )
+
+        # Choose a feasible viewpoint for it
+        viewpoint, wanted = choose_viewpoint(segment, config, self.is_feasible)
         return Placement(viewpoint, wanted)
 
-    def feasible(self, viewpoint: Pose2) -> bool:
-        """Tell whether the robot can get to ``viewpoint``, given in ``scan``, and stand there."""
+    def is_feasible(self, viewpoint: Pose2) -> bool:
+        """Return whether the robot can reach ``viewpoint``, given in ``scan``, and stand there."""
         there = self.view.observation.T_odom_scan @ viewpoint
-        return self.costmap.feasible(there.x, there.y)
+        return self.costmap.is_feasible(there.x, there.y)
 
-    def finished(self) -> str | None:
+    def termination_reason(self) -> str | None:
         """Return why the tour is finished, or None while there is more to scan."""
-        if not self._in_sight:
+        if not self._is_in_sight:
             return "target lost: the latest view shows nothing of it"
-        if self._used_up:
+        if self._is_used_up:
             return f"max_views: {len(self.session.views)} views taken"
-        if not self.contour_done:
+        if not self.is_contour_done:
             return None
         return "front complete" if self.session.config.tour == "front" else "contour complete"
 
     @property
-    def going(self) -> bool:
+    def is_ongoing(self) -> bool:
         """Whether the latest view shows the target and another one may follow."""
-        return self._in_sight and not self._used_up
+        return self._is_in_sight and not self._is_used_up
 
     @property
-    def _in_sight(self) -> bool:
+    def _is_in_sight(self) -> bool:
         return len(self._seen.occupied_lines) >= MIN_LINES
 
     @property
-    def _used_up(self) -> bool:
+    def _is_used_up(self) -> bool:
         return len(self.session.views) >= self.session.config.max_views
 
     @cached_property
-    def contour_done(self) -> bool:
+    def is_contour_done(self) -> bool:
         """Whether the contour was followed to its end, by the latest view or an earlier one."""
-        if self._in_sight and self._ends_contour():
+        if self._is_in_sight and self._has_ended_contour():
             return True
         earlier = self.session.views[:-1]
-        return bool(earlier) and PlanningContext(replace(self.session, views=earlier)).contour_done
+        return (
+            bool(earlier) and PlanningContext(replace(self.session, views=earlier)).is_contour_done
+        )
 
-    def _ends_contour(self) -> bool:
+    def _has_ended_contour(self) -> bool:
+        """Return whether the latest view ends the contour."""
         if self.session.config.tour == "front":
-            return self._beside_front() and self.ends
-        return self._closed()
+            return self._is_beside_front() and self.has_end_in_view
+        return self._is_closed()
 
     @cached_property
     def _bend(self) -> float:
-        """Angle by which the contour is expected to bend where it ends in view [rad]."""
+        """Angle by which the surface is expected to bend where it ends in view [rad]."""
         wanted = self.session.config.planning.corner_model
-        return corner_angle(self.contour) if wanted == "contour" else BEND
+        return estimate_corner_angle(self.contour) if wanted == "contour" else SILHOUETTE_TURN
 
     @cached_property
     def _front(self) -> FloatArray:
         """Outward unit normal (2,) in ``scan`` of the target's front as the robot first saw it."""
         return self.view.T_world_scan.inverse().rotate(self.session.front)
 
-    def _beside_front(self) -> bool:
-        """Tell whether the latest view already looked at the front from its far side."""
-        return angle_between(self._front, HERE) >= FRONT_SIDE - BESIDE_TOLERANCE
+    def _is_beside_front(self) -> bool:
+        """Return whether the latest view already looked at the front from its far side."""
+        return measure_angle(self._front, TOWARDS_ROBOT) >= MAX_FRONT_ANGLE - FRONT_ANGLE_TOLERANCE
 
-    def _closed(self) -> bool:
-        """Tell whether a tour all round has come back to where the first view began."""
+    def _is_closed(self) -> bool:
+        """Return whether a tour all round has come back to where the first view began."""
         views = self.session.views
-        yaws = [view.T_world_scan.yaw for view in views]
-        turned = sum(wrap(b - a) for a, b in pairwise(yaws))
+        turned = sum_turns(view.T_world_scan for view in views)
         if turned < NEARLY_ROUND:
             return False
         if turned >= math.tau:
             return True
-        first = views[0].T_world_scan.apply(contour_of(views[0].target).points)
+        first = views[0].T_world_scan.apply(extract_contour(views[0].target).points)
         end = self.view.T_world_scan.apply(self.contour.points[-1])
-        return bool(nearest(cKDTree(first), end)[0] <= CLOSED)
+        return bool(find_nearest(cKDTree(first), end)[0] <= CLOSING_DISTANCE)
 
 
-def finish(reason: str) -> Plan:
-    """Return the plan that ends a run."""
+def stop_plan(reason: str) -> Plan:
+    """Return the plan that ends a run for ``reason``."""
     return Plan(None, 0.0, math.nan, False, (), reason)
 
 
-def blocked(context: PlanningContext) -> Plan:
-    """Return the plan for when no viewpoint can be reached: look around first, then give up."""
-    if context.looked:
-        return finish("no viewpoint left: none that shows the next segment can be reached")
+def blocked_plan(context: PlanningContext) -> Plan:
+    """Return the plan for when no viewpoint is feasible: a panorama first, then the end."""
+    if context.has_panorama:
+        return stop_plan("no viewpoint left: none that shows the next segment can be reached")
     reason = "no viewpoint is known to be free: look around"
     return Plan(None, 0.0, math.nan, False, (), reason, needs_panorama=True)
 
 
-def readings_of(scan: Scan3D, image: RangeImage) -> BoolArray:
-    """Return which readings (n_lines, n_beams) of ``image`` the points of ``scan`` are."""
+def mask_readings(scan: Scan3D, image: RangeImage) -> BoolArray:
+    """Return a mask (n_lines, n_beams) of the readings of ``image`` that are points of ``scan``."""
     mask = np.zeros(image.ranges.shape, dtype=bool)
     mask[scan.lines, scan.beams] = True
     return mask
 
 
-def in_world(context: PlanningContext, viewpoint: Pose2) -> Pose2:
+def to_world(context: PlanningContext, viewpoint: Pose2) -> Pose2:
     """Return ``T_world_next`` of a viewpoint given in ``scan``."""
     return context.view.T_world_scan @ viewpoint

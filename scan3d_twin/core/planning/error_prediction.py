@@ -1,14 +1,14 @@
-"""Closed-form prediction: the covariance that the next registration will have.
+"""Closed-form error prediction: the covariance of the next registration, without running it.
 
-For a candidate O2 the surfels of the latest view that O2 would see again take part with the
-information of one pair each, times the density of the readings to come:
+For a candidate O2, each surfel of the latest view that O2 would see again contributes the
+information of one point-to-plane pair, times the density of the readings from O2:
 
     H = sum density J J^T / (s_1^2 + s_2^2),    C = (H_kept + H_edges + L0)^-1,
-    E^2 = mean over the points of tr(G C G^T),  G = (I, -[a]x),
+    E^2 = mean over the points of tr(G C G^T),  G = (I, -[a]x).
 
-with everything as in the real registration: the common bias and the yaw scale, the test for
-spurious information, edges, and the motion's prior L0 about O2. E times the calibration is what is
-compared with epsilon. No draws, no ICP; what it cannot see are wrong basins.
+The common bias and the yaw scale, the test for spurious information, edges, and the motion prior L0
+about O2 enter as in the real registration. E times the calibration is compared with epsilon. There
+is no sampling and no ICP, so that wrong basins are not predicted.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
-from scan3d_twin.core.planning.context import PlanningContext, readings_of
-from scan3d_twin.core.planning.visibility import NextSweep, Visible, ranges_here, visible_from
+from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior, surfels_of
+from scan3d_twin.core.planning.context import PlanningContext, mask_readings
+from scan3d_twin.core.planning.visibility import NextSweep, Visible, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.algebra import find_determined, marginalise
 from scan3d_twin.core.registration.edges import linearise_edges
@@ -40,27 +40,27 @@ from scan3d_twin.core.types import (
     Pose2,
 )
 
-WANTED = 4000
-"""Surfels that take part; each stands for as many readings as were left out."""
-MARGIN = 1.5
-"""A direction must be determined by so much more than registration asks for: another scan may show
-less of it."""
-MOST_NORMAL_VARIANCE = 0.003
-"""Surfels with worse normals (3 deg) do not count [rad2]: they stand on the smallest windows, over
-corners, and those look different from elsewhere."""
-MIN_SEEN = 10
-"""Fewer surfels in common are no overlap."""
+WANTED_SURFELS = 4000
+"""Wanted number of surfels; each represents the readings that were left out around it."""
+INFORMATION_MARGIN = 1.5
+"""Factor by which the information of a direction must exceed what registration requires, as the
+next scan may show less of it."""
+MAX_NORMAL_VARIANCE = 0.003
+"""Variance of a normal above which (3 deg) a surfel does not count [rad2]: it is from a small
+window over a corner, which looks different from another viewpoint."""
+MIN_SHARED_SURFELS = 10
+"""Number of shared surfels of the target below which there is no overlap."""
 
 
 @dataclass(frozen=True)
 class ErrorPrediction:
-    """Predicts registrations on the latest view.
+    """Predictor of the errors of registrations on the latest view.
 
     Attributes:
-        grid: Its surfels, in the scope of registration.
+        grid: Surfels of the latest view, in the scope of registration.
         on_target: Its readings of the target (n_lines, n_beams).
-        config: The run's.
-        scale: Of the motion's error, as the odometry of this run tells.
+        config: The run's configuration.
+        scale: Factor on the motion error, estimated from the odometry of this run.
     """
 
     grid: SurfelGrid
@@ -70,31 +70,43 @@ class ErrorPrediction:
 
     @staticmethod
     def of(context: PlanningContext) -> ErrorPrediction:
-        """Return the forecast of registrations on the latest view of a session."""
+        """Return the predictor for the latest view of a session.
+
+        Raises:
+            RegistrationError: The view shows too little surface.
+        """
         view, config = context.view, context.session.config
-        scale = odometry_scale(context.session.views, config)
-        on_target = readings_of(view.target, view.image)
+        scale = estimate_odometry_scale(context.session.views, config)
+        on_target = mask_readings(view.target, view.image)
         return ErrorPrediction(surfels_of(view, config), on_target, config, scale)
 
     def error(self, viewpoint: Pose2) -> float:
         """Return the predicted error [m] of the next view's target, times the calibration.
 
-        The next view is taken to show as much of the target as this one, and as far away.
+        The next view is assumed to show as much of the target as this one, at the same distance.
 
         Args:
             viewpoint: O2 in frame ``scan`` of the latest view.
+
+        Returns:
+            Infinity without overlap.
         """
+        # Select the surfels seen again
         config = self.config
         rows, t = self._rows, self.grid.image.T_base_lidar
-        seen = visible_from(rows, self._ranges, viewpoint, self._sweep, config.target.max_range)
-        if np.count_nonzero(self._sampled_target[seen.index]) < MIN_SEEN:
+        seen = find_visible(rows, self._ranges, viewpoint, self._sweep, config.target.max_range)
+        if np.count_nonzero(self._sampled_target[seen.index]) < MIN_SHARED_SURFELS:
             return math.inf
+
+        # Weigh them by noise and density
         again = self._sample.columns.take(seen.index, axis=1)
         a = again[:3] - np.array([[viewpoint.x], [viewpoint.y], [0.0]])
-        ratio = _cosine_ratio(again[3:6], a, again[:3], t[2, 3])
+        ratio = _compare_cosines(again[3:6], a, again[:3], t[2, 3])
         variance = again[VARIANCE] * (1.0 + ratio)
         w = self._area * seen.density / (variance * self.grid.inflation)
-        w[again[NORMAL_VARIANCE] > MOST_NORMAL_VARIANCE] = 0.0
+        w[again[NORMAL_VARIANCE] > MAX_NORMAL_VARIANCE] = 0.0
+
+        # Predict covariance and displacement
         equations = self._equations(seen, again, a, w)
         covariance = self._covariance(equations, viewpoint)
         return config.planning.calibration * predict_rmse_of_moments(
@@ -108,7 +120,7 @@ class ErrorPrediction:
 
     @cached_property
     def _sample(self) -> Sample:
-        return self.grid.sample(max(2, round(math.sqrt(self.grid.count / WANTED))))
+        return self.grid.sample(max(2, round(math.sqrt(self.grid.count / WANTED_SURFELS))))
 
     @property
     def _stride(self) -> int:
@@ -124,7 +136,7 @@ class ErrorPrediction:
 
     @cached_property
     def _ranges(self) -> FloatArray:
-        return ranges_here(self._rows, self.grid)
+        return measure_ranges(self._rows, self.grid)
 
     @cached_property
     def _sampled_target(self) -> BoolArray:
@@ -141,23 +153,26 @@ class ErrorPrediction:
     def _equations(
         self, seen: Visible, again: FloatArray, a: FloatArray, w: FloatArray
     ) -> Equations:
-        """Return the normal equations that perfect pairs would give; their gradient is 0.
+        """Return the normal equations of perfect pairs, whose gradient is 0.
 
-        Noise of the normals of one scan adds F = sum w nu (B B^T - J J^T), the mean normals of a
-        pair of scans half of it: what pairs will show is H - F + F / 2.
+        Noise of the normals of one scan adds the spurious information F = sum w nu (B B^T - J J^T),
+        the mean normals of a pair of scans half of it: pairs will have H - F + F / 2.
 
         Args:
-            seen: What O2 sees again.
-            again: Its surfels (8, k).
+            seen: The surfels that O2 sees again.
+            again: Their columns (8, k).
             a: Their lever arms (3, k) [m].
             w: Their weights (k,).
         """
+        # Sum up information, yaw scale included
         n, here = again[3:6], self._sample.yaws[seen.index]
         J = compute_jacobian(a, n)
         swing = J[5]
         g = seen.yaws * swing - here * (n[1] * again[0] - n[0] * again[1])
         J = np.concatenate([J, g[None]])
         information = (J * w) @ J.T
+
+        # Remove spurious information and jitter
         nu = again[NORMAL_VARIANCE] + self.grid.noise.tilt_variance
         spurious = spurious_information(w * nu, a, J[:6]) / 2
         information[:6, :6] -= spurious
@@ -167,7 +182,7 @@ class ErrorPrediction:
     def _lost(
         self, yaws: FloatArray, w: FloatArray, swing: FloatArray, J: FloatArray
     ) -> FloatArray:
-        """Return what the yaw jitter of both scans' lines leaves unknown (7, 7)."""
+        """Return the information (7, 7) that is lost by the yaw jitter of both scans' lines."""
         sigma = math.sqrt(2.0) * self.grid.noise.yaw_sigma
         if sigma == 0.0:
             return np.zeros((7, 7))
@@ -180,13 +195,18 @@ class ErrorPrediction:
 
     def _covariance(self, equations: Equations, viewpoint: Pose2) -> FloatArray:
         """Return the covariance (6, 6) about O2 of a planar registration."""
+        # Marginalise the yaw scale
         noise = self.grid.noise
         prior = 1.0 / noise.yaw_scale_sigma**2 if noise.yaw_scale_sigma > 0 else math.inf
         H = marginalise(equations.information - equations.lost, prior)
+
+        # Keep honestly determined directions
         block = np.ix_(PLANAR, PLANAR)
         reach = float(np.sqrt(np.mean(self._ranges**2)))
         raw, spurious = equations.information[:6, :6][block], equations.spurious[block]
-        honest = find_determined(raw, MARGIN * spurious, reach)[1]
+        honest = find_determined(raw, INFORMATION_MARGIN * spurious, reach)[1]
+
+        # Add edges and the prior
         total = honest @ H[block] @ honest.T + self._edges(viewpoint)[block]
         total += motion_prior(viewpoint, self.config.planning, self.scale).information(PLANAR)
         covariance = np.zeros((6, 6))
@@ -194,7 +214,7 @@ class ErrorPrediction:
         return covariance
 
     def _edges(self, viewpoint: Pose2) -> FloatArray:
-        """Return the information (6, 6) about O2 of those edges that O2 sees again."""
+        """Return the information (6, 6) about O2 of the edges that O2 sees again."""
         edges, back = self.grid.edges, viewpoint.inverse()
         if len(edges) == 0:
             return np.zeros((6, 6))
@@ -205,16 +225,16 @@ class ErrorPrediction:
         return linearise_edges(again, moved, viewpoint.matrix(), 1.0, 1e3)[0]
 
     def _still_edges(self, viewpoint: Pose2) -> BoolArray:
-        """Tell which edges are edges from O2 too: those behind which it sees no other face.
+        """Return which edges are edges from O2, too: those behind which it sees no other face.
 
-        What is behind an edge is taken to stand at right angles to the surface that ends there.
+        The face behind an edge is assumed to be at a right angle to the surface that ends there.
         """
         towards = np.array([viewpoint.x, viewpoint.y]) - self.grid.edges.places
         return np.asarray(np.sum(self._outwards * towards, axis=1) <= 0.0)
 
     @cached_property
     def _outwards(self) -> FloatArray:
-        """Directions (n, 2) along the surface beyond each edge, by the surfel nearest to it."""
+        """Directions (n, 2) along the surface out across each edge, by the nearest surfel."""
         edges, rows = self.grid.edges, self._rows
         apart = rows[:, None, :2] - edges.places
         normals = rows[np.argmin(np.sum(apart * apart, axis=2), axis=0), 3:5]
@@ -224,14 +244,14 @@ class ErrorPrediction:
         )
 
 
-def _cosine_ratio(n: FloatArray, a: FloatArray, here: FloatArray, height: float) -> FloatArray:
-    """Return the squared ratio (k,) of the incidence cosines from O2 and from here.
+def _compare_cosines(n: FloatArray, a: FloatArray, here: FloatArray, height: float) -> FloatArray:
+    """Return the squared ratio (k,) of the incidence cosines from O2 and from the latest view.
 
     Args:
         n: Normals (3, k).
-        a: Points from O2 (3, k) [m].
-        here: The same from here.
-        height: Of the lidar [m].
+        a: Points relative to O2 (3, k) [m].
+        here: Points relative to the latest view (3, k) [m].
+        height: Height of the lidar [m].
     """
 
     def square(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:

@@ -1,13 +1,13 @@
-"""What the target still hides: faces behind its edges that no view has shown.
+"""Hidden surface: expected faces behind the target's edges that no view has shown yet.
 
-The contour spans every niche and gap (``viewpoints``), so that a finished contour may hide surface
-in them. Where a view saw the target end in a slice (``profiles``), a face is expected to go back
-from there at a right angle to the surface that ends, as the forecast of registrations has it too.
-What is left of such faces where surface was seen, where beams passed, or where a viewpoint that was
-taken should have shown it, is hidden.
+The contour spans niches and gaps (``viewpoints``), so that surface may be hidden in them when the
+contour is complete. Where a view saw the target end in a horizontal slice (``profiles``), a face is
+expected to go back from there at a right angle to the surface that ends, as in the error
+prediction. Parts of such faces are settled where surface was seen, where beams passed, or where a
+view should have shown them; the rest is hidden.
 
-Noise must not decide on it, so that two runs under like conditions take like views: a slice counts
-by the median of its readings, and each edge once, however many views saw it.
+Two runs under similar conditions should take similar views, in spite of noise: a slice counts by
+the median of its readings, and each edge counts once, even if several views saw it.
 """
 
 from __future__ import annotations
@@ -21,35 +21,36 @@ import numpy as np
 from scipy import ndimage
 
 from scan3d_twin.core.planning.profiles import Edge, Profile
-from scan3d_twin.core.planning.voxels import passed
+from scan3d_twin.core.planning.voxels import is_passed
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 
-CELL = 0.015
-"""Side of a cell of a slice [m]: what two lines are apart in an oblique surface at 1 m."""
-HEIGHTS = (0.15, 0.30, 0.45)
-"""Of the slices [m]: below, at and above the lidar, as in ``frontier2d``; an assumption."""
-THICKNESS = 0.15
-"""Of a slice [m]: how far one is from the next."""
-DEPTH = 0.45
-"""A face is expected to go back so far [m]: a quarter of what a sweep sees at the standoff."""
-SEEN = 0.03
-"""Surface or a beam this near settles what is there [m]: a few sigma of the noise."""
-APART, SKEW = 0.10, math.radians(45.0)
-"""Edges of two views that are this near, and whose surfaces end in the same direction, are one [m],
-[rad]: what registration and a few lines put between them, and less than the least jump."""
-FLATTEST = math.radians(75.0)
-"""A face seen flatter shows too little of itself; as ``target.GRAZING``."""
+SLICE_CELL = 0.015
+"""Side of a cell of a slice [m]: the spacing of lines on an oblique surface at 1 m."""
+SLICE_HEIGHTS = (0.15, 0.30, 0.45)
+"""Heights of the slices [m]: below, at and above the lidar, as in ``frontier2d``; an assumption."""
+SLICE_THICKNESS = 0.15
+"""Thickness of a slice [m]: the distance from one to the next."""
+FACE_DEPTH = 0.45
+"""Expected depth of a face behind an edge [m]: a quarter of a sweep's width at the standoff."""
+SETTLED_DISTANCE = 0.03
+"""Distance of seen surface, or of a beam, within which a face is settled [m]: a few sigma of the
+noise."""
+SAME_EDGE_DISTANCE, SAME_EDGE_ANGLE = 0.10, math.radians(45.0)
+"""Distance [m] and difference of direction [rad] within which edges of two views are the same: the
+errors of registration and of a few lines, and less than the smallest jump."""
+MAX_INCIDENCE = math.radians(75.0)
+"""Incidence above which a face is not shown [rad]; as ``target_extraction.MAX_WALL_INCIDENCE``."""
 
 
 @dataclass(frozen=True)
 class Faces:
-    """Pieces of expected surface in ``world``, ``CELL`` wide and ``THICKNESS`` high.
+    """Pieces of expected surface in ``world``, ``SLICE_CELL`` wide and ``SLICE_THICKNESS`` high.
 
     Attributes:
-        points: (n, 2) [m].
+        points: Top view (n, 2) [m].
         normals: Outward unit normals (n, 2).
-        slices: Index into ``HEIGHTS`` (n,).
+        slices: Index into ``SLICE_HEIGHTS`` (n,).
     """
 
     points: FloatArray
@@ -67,19 +68,21 @@ class Faces:
         columns = [[getattr(part, each.name) for part in parts] for each in fields(Faces)]
         return Faces(*(np.concatenate(column) for column in columns))
 
-    def passed_in(self, view: View) -> BoolArray:
-        """Tell through which pieces (n,) a beam of ``view`` went, by ``SEEN`` across the face.
+    def are_passed_in(self, view: View) -> BoolArray:
+        """Return through which pieces (n,) a beam of ``view`` passed, by ``SETTLED_DISTANCE``.
 
-        A flat beam tells nothing: it misses a face for long that lies a little farther back.
+        Beams at a flat angle do not count: they miss a face that is slightly farther back.
         """
-        points = np.column_stack([self.points, np.array(HEIGHTS)[self.slices]])
+        points = np.column_stack([self.points, np.array(SLICE_HEIGHTS)[self.slices]])
         local = view.T_world_scan.inverse().apply(points)
         cosines = np.abs(self.cosines(view.T_world_scan))
-        steep = cosines >= math.cos(FLATTEST)
-        return steep & passed(local, view.observation.image, SEEN / np.maximum(cosines, 1e-3))
+        steep = cosines >= math.cos(MAX_INCIDENCE)
+        return steep & is_passed(
+            local, view.observation.image, SETTLED_DISTANCE / np.maximum(cosines, 1e-3)
+        )
 
     def cosines(self, pose: Pose2) -> FloatArray:
-        """Return the cosines of the incidence at which ``pose`` sees them (n,); negative behind."""
+        """Return the cosine of the incidence from ``pose`` (n,); negative from behind."""
         ways = np.array([pose.x, pose.y]) - self.points
         distance = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
         return np.asarray(np.sum(ways * self.normals, axis=1) / distance)
@@ -91,11 +94,11 @@ class Faces:
 
 @dataclass(frozen=True)
 class Slices:
-    """Cells in which surface of the target was seen, in ``world``.
+    """Horizontal slices through the target, as grids of cells in ``world``.
 
     Attributes:
         origin: Corner of cell (0, 0) (2,) [m].
-        surface: Small holes closed (n_slices, nx, ny).
+        surface: Cells in which surface was seen, with small holes closed (n_slices, nx, ny).
     """
 
     origin: FloatArray
@@ -103,14 +106,19 @@ class Slices:
 
     @staticmethod
     def of(session: Session, profiles: Sequence[Sequence[Profile]]) -> Slices:
-        """Return the slices through the target of ``session``: the ``profiles`` of each view."""
+        """Return the slices through the target of ``session`` by the ``profiles`` of each view."""
+        # Cover the target and its depth
         points = np.concatenate([v.T_world_scan.apply(v.target.points) for v in session.views])
-        low, high = points[:, :2].min(axis=0) - DEPTH, points[:, :2].max(axis=0) + DEPTH
-        surface = np.zeros((len(HEIGHTS), *np.ceil((high - low) / CELL).astype(int)), dtype=bool)
+        low, high = points[:, :2].min(axis=0) - FACE_DEPTH, points[:, :2].max(axis=0) + FACE_DEPTH
+        surface = np.zeros(
+            (len(SLICE_HEIGHTS), *np.ceil((high - low) / SLICE_CELL).astype(int)), dtype=bool
+        )
+
+        # Mark the profiles of all views
         for view, of_view in zip(session.views, profiles, strict=True):
             for index, each in enumerate(of_view):
                 places = view.T_world_scan.apply(each.places[each.on_target])
-                cells = np.floor((places - low) / CELL).astype(np.int64)
+                cells = np.floor((places - low) / SLICE_CELL).astype(np.int64)
                 surface[index, cells[:, 0], cells[:, 1]] = True
         surface = ndimage.binary_closing(surface, np.ones((1, 3, 3), dtype=bool))
         return Slices(low, surface)
@@ -118,27 +126,30 @@ class Slices:
     @cached_property
     def distance(self) -> FloatArray:
         """Distance of each cell from surface in its slice (n_slices, nx, ny) [m]."""
-        sampling = (1e3, CELL, CELL)
+        sampling = (1e3, SLICE_CELL, SLICE_CELL)
         return np.asarray(ndimage.distance_transform_edt(~self.surface, sampling=sampling))
 
     def at(
         self, values: BoolArray | FloatArray, points: FloatArray, slices: IntArray
     ) -> FloatArray:
         """Return the ``values`` (n_slices, nx, ny) at ``points`` (..., 2)."""
-        cells = np.floor((points - self.origin) / CELL).astype(np.int64)
+        cells = np.floor((points - self.origin) / SLICE_CELL).astype(np.int64)
         cells = np.clip(cells, 0, np.array(self.surface.shape[1:]) - 1)
         return np.asarray(values[slices, cells[..., 0], cells[..., 1]], dtype=np.float64)
 
-    def hides(self, faces: Faces, place: FloatArray) -> BoolArray:
-        """Tell of which ``faces`` (n,) surface hides the sight from ``place`` (2,).
+    def find_hidden(self, faces: Faces, place: FloatArray) -> BoolArray:
+        """Return which ``faces`` (n,) are hidden from ``place`` (2,) by surface.
 
-        From a cell before them, so that they do not hide themselves.
+        Rays start one cell in front of the faces, so that they do not hide themselves.
         """
-        starts = faces.points + CELL * faces.normals
+        # Step along the rays
+        starts = faces.points + SLICE_CELL * faces.normals
         ways = place - starts
         lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
-        steps = np.arange(CELL, float(np.max(lengths, initial=0.0)), CELL)
+        steps = np.arange(SLICE_CELL, float(np.max(lengths, initial=0.0)), SLICE_CELL)
         points = starts[:, None] + steps[:, None] * (ways / lengths[:, None])[:, None]
+
+        # Look up surface on them
         inside = np.all((points >= self.origin) & (points < self._end), axis=-1)
         met = self.at(self.surface, points, faces.slices[:, None]) > 0
         met &= inside & (steps < lengths[:, None])
@@ -146,34 +157,41 @@ class Slices:
 
     @property
     def _end(self) -> FloatArray:
-        return self.origin + CELL * np.array(self.surface.shape[1:])
+        return self.origin + SLICE_CELL * np.array(self.surface.shape[1:])
 
 
 @dataclass(frozen=True)
-class Hidden:
-    """The faces of the target of ``session`` that it still hides."""
+class HiddenSurface:
+    """The expected faces of the target of ``session`` that are still hidden."""
 
     session: Session
 
     @cached_property
     def slices(self) -> Slices:
-        """The slices through the target as far as it was seen."""
+        """The slices through the target."""
         return Slices.of(self.session, self._profiles)
 
     @cached_property
     def _profiles(self) -> list[list[Profile]]:
-        """Of each view, one for each slice."""
-        return [Profile.through(view, HEIGHTS, THICKNESS) for view in self.session.views]
+        """The profiles of each view, one for each slice."""
+        return [
+            Profile.through(view, SLICE_HEIGHTS, SLICE_THICKNESS) for view in self.session.views
+        ]
 
     @cached_property
     def faces(self) -> Faces:
-        """Those that no view so far has settled."""
+        """The expected faces that no view has settled."""
+        # Expect faces behind all edges
         views, slices = self.session.views, self.slices
-        indices = range(len(HEIGHTS))
-        faces = Faces.joined([each for k in indices for each in behind(self._edges(k), k)])
-        faces = faces.select(slices.at(slices.distance, faces.points, faces.slices) > SEEN)
+        indices = range(len(SLICE_HEIGHTS))
+        faces = Faces.joined([each for k in indices for each in expect_faces(self._edges(k), k)])
+
+        # Drop those that are settled
+        faces = faces.select(
+            slices.at(slices.distance, faces.points, faces.slices) > SETTLED_DISTANCE
+        )
         for view in views:
-            faces = faces.select(~faces.passed_in(view))
+            faces = faces.select(~faces.are_passed_in(view))
         for view in views:
             faces = faces.select(~self._shown(faces, view.T_world_scan))
         return faces
@@ -183,52 +201,59 @@ class Hidden:
         edges = []
         for view, profiles in zip(self.session.views, self._profiles, strict=True):
             edges += [each.seen_from(view.T_world_scan) for each in profiles[index].edges()]
-        return distinct(edges)
+        return merge_edges(edges)
 
-    def areas(self, poses: Iterable[Pose2]) -> FloatArray:
-        """Return how much of the hidden faces each of ``poses`` in ``world`` shows (n,) [m2].
+    def measure_areas(self, poses: Iterable[Pose2]) -> FloatArray:
+        """Return the foreshortened area of the hidden faces that each of ``poses`` shows (n,) [m2].
 
-        As it is seen, foreshortened: so many readings there are, and what shows at a flat angle
-        only, which a centimetre here or there decides on, counts for little.
+        The number of readings is proportional to the foreshortened area. Faces at a flat angle,
+        whose visibility depends on a centimetre, count little.
+
+        Args:
+            poses: Viewpoints in ``world``.
         """
         shown = [(self.faces.select(self._shown(self.faces, pose)), pose) for pose in poses]
-        return CELL * THICKNESS * np.array([faces.cosines(pose).sum() for faces, pose in shown])
+        cosines = np.array([faces.cosines(pose).sum() for faces, pose in shown])
+        return SLICE_CELL * SLICE_THICKNESS * cosines
 
     def _shown(self, faces: Faces, pose: Pose2) -> BoolArray:
-        """Tell which ``faces`` (n,) a sweep at ``pose`` shows."""
+        """Return which ``faces`` (n,) a sweep at ``pose`` shows."""
+        # Check width, incidence and distance
         config = self.session.config
         ways = np.array([pose.x, pose.y]) - faces.points
         distance = np.linalg.norm(ways, axis=1)
         local = pose.inverse().apply(faces.points)
         shown = np.abs(np.arctan2(local[:, 1], local[:, 0])) <= config.sweep.width / 2
-        shown &= faces.cosines(pose) >= math.cos(FLATTEST)
+        shown &= faces.cosines(pose) >= math.cos(MAX_INCIDENCE)
         shown &= distance <= 2 * config.planning.standoff
-        hidden = self.slices.hides(faces.select(shown), np.array([pose.x, pose.y]))
+
+        # Drop those behind other surface
+        hidden = self.slices.find_hidden(faces.select(shown), np.array([pose.x, pose.y]))
         shown[shown] = ~hidden
         return np.asarray(shown)
 
 
-def behind(edges: Iterable[Edge], index: int) -> Iterator[Faces]:
-    """Yield the face behind each of the ``edges`` in ``world`` of slice ``index``.
+def expect_faces(edges: Iterable[Edge], index: int) -> Iterator[Faces]:
+    """Yield the face expected behind each of the ``edges`` in ``world`` of slice ``index``.
 
     It goes back at a right angle to the surface that ends there.
     """
-    depth = np.arange(CELL, DEPTH, CELL)[:, None]
+    depth = np.arange(SLICE_CELL, FACE_DEPTH, SLICE_CELL)[:, None]
     for edge in edges:
         points = edge.place - depth * edge.normal
         normals = np.tile(edge.onwards, (len(points), 1))
         yield Faces(points, normals, np.full(len(points), index))
 
 
-def distinct(edges: Iterable[Edge]) -> list[Edge]:
-    """Return each edge once, where it was seen best."""
+def merge_edges(edges: Iterable[Edge]) -> list[Edge]:
+    """Return each edge once, as it was seen best."""
     kept: list[Edge] = []
     for edge in sorted(edges, key=lambda each: each.spacing):
-        if not any(_same(edge, other) for other in kept):
+        if not any(_is_same_edge(edge, other) for other in kept):
             kept.append(edge)
     return kept
 
 
-def _same(a: Edge, b: Edge) -> bool:
+def _is_same_edge(a: Edge, b: Edge) -> bool:
     apart = float(np.linalg.norm(a.place - b.place))
-    return apart <= APART and float(a.onwards @ b.onwards) >= math.cos(SKEW)
+    return apart <= SAME_EDGE_DISTANCE and float(a.onwards @ b.onwards) >= math.cos(SAME_EDGE_ANGLE)

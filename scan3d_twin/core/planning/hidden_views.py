@@ -1,8 +1,8 @@
-"""Views after the contour is done, for what it spans: niches, and gaps between a target's parts.
+"""Termination, and views of hidden surface in niches and gaps once the contour is complete.
 
-First the views that the outline asks for, then those for what these could not see, as P. S. Blaer
-and P. K. Allen do it (View planning and automated data acquisition for three-dimensional modeling
-of complex sites, J. Field Robotics 26, 2009).
+The views along the outline come first, then those of what they could not see, as by P. S. Blaer and
+P. K. Allen (View planning and automated data acquisition for three-dimensional modeling of complex
+sites, J. Field Robotics 26, 2009).
 """
 
 from __future__ import annotations
@@ -10,43 +10,47 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.planning.context import PlanningContext, finish
+from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
-from scan3d_twin.core.planning.hidden_surface import Hidden
+from scan3d_twin.core.planning.hidden_surface import HiddenSurface
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.types import Plan
 
-MOST_TRIED = 20
-"""Viewpoints whose error is predicted; the rest show less."""
+MAX_TRIED = 20
+"""Largest number of viewpoints whose error is predicted; the others show less surface."""
 
 
 def termination_plan(context: PlanningContext) -> Plan | None:
-    """Return the plan for when there is no next step along the contour; None while there is one.
+    """Return the plan after the last step along the contour; None while there is a next step.
 
-    It ends the run, or goes where most of what the target hides may show, if ``planning.closing``
-    wants that and the predicted error meets epsilon.
+    It ends the run, unless ``planning.closing`` asks for views of hidden surface: then it goes
+    where the most of it is expected to show with a predicted error that meets epsilon.
     """
-    reason = context.finished()
+    reason = context.termination_reason()
     if reason is None:
         return None
     wanted = context.session.config.planning.closing == "hidden"
-    if not (wanted and context.going and context.contour_done):
-        return finish(reason)
-    return _closing_view(context) or finish(reason)
+    if not (wanted and context.is_ongoing and context.is_contour_done):
+        return stop_plan(reason)
+    return _plan_hidden_view(context) or stop_plan(reason)
 
 
-def _closing_view(context: PlanningContext) -> Plan | None:
+def _plan_hidden_view(context: PlanningContext) -> Plan | None:
+    """Return the plan for the view of the most hidden surface; None if none is worth a view."""
+    # Rank viewpoints by hidden surface
     session, config = context.session, context.session.config.planning
     candidates = PoseCandidates(context)
-    areas = Hidden(session).areas(candidates.poses)
+    areas = HiddenSurface(session).measure_areas(candidates.poses)
+
+    # Take the first that meets epsilon
     try:
-        forecast = ErrorPrediction.of(context)
+        prediction = ErrorPrediction.of(context)
     except RegistrationError:
         return None
     here = context.view.T_world_scan.inverse()
     order = np.argsort(-areas, kind="stable")
-    for i in order[areas[order] >= config.least_hidden][:MOST_TRIED]:
+    for i in order[areas[order] >= config.least_hidden][:MAX_TRIED]:
         pose = candidates.poses[i]
-        if forecast.error(here @ pose) <= config.epsilon:
+        if prediction.error(here @ pose) <= config.epsilon:
             return candidates.go(pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
     return None

@@ -1,9 +1,10 @@
-"""When enough draws are enough: a sequential stop for a test by order statistics.
+"""Early stopping of sampling: a sequential test of how many of M draws fail.
 
-Of M draws at most ``allowed`` may fail. After k of them, f of which failed, the share of failures
-has the posterior Beta(1/2 + f, 1/2 + k - f) (Jeffreys' prior), and the number of failures to come
-is beta-binomial. The test ends when it is as likely as ``certainty`` that the remaining draws would
-not change its outcome: a predictive probability design (Lee and Liu, Clinical Trials 5, 2008).
+The test passes if at most ``allowed`` of the M draws fail. After k draws, f of which failed, the
+share of failures has the posterior Beta(1/2 + f, 1/2 + k - f) (Jeffreys' prior), and the number of
+failures to come is beta-binomial. Sampling stops when the remaining draws would not change the
+outcome with a probability of ``certainty``: a predictive probability design (Lee and Liu, Clinical
+Trials 5, 2008).
 """
 
 from __future__ import annotations
@@ -14,35 +15,35 @@ import numpy as np
 from scipy.special import betaln
 
 
-def allowed_failures(draws: int, quantile: float) -> int:
-    """Return how many of ``draws`` may fail while their ``quantile``, rounded up, does not."""
+def count_allowed_failures(draws: int, quantile: float) -> int:
+    """Return how many of ``draws`` may fail while their ``quantile``, rounded up, passes."""
     return draws - 1 - math.ceil(quantile * (draws - 1) - 1e-9)
 
 
-def decided(failures: int, drawn: int, draws: int, quantile: float, certainty: float) -> bool:
-    """Tell whether a test of ``draws`` draws is as good as decided after ``drawn`` of them.
+def is_decided(failures: int, drawn: int, draws: int, quantile: float, certainty: float) -> bool:
+    """Return whether sampling can stop after ``drawn`` of ``draws`` draws.
 
     Args:
-        failures: How many of those drawn failed.
-        drawn: Draws so far.
-        draws: Draws at most.
+        failures: Number of draws that failed.
+        drawn: Number of draws made.
+        draws: Number of draws of the whole test.
         quantile: Share of the draws that must not fail.
-        certainty: Wanted probability that more draws would not change the outcome; 1 ends the test
-            only when they cannot.
+        certainty: Probability that more draws would not change the outcome at which sampling
+            stops; with 1 it stops only when they cannot change it.
     """
-    left, allowed = draws - drawn, allowed_failures(draws, quantile)
+    left, allowed = draws - drawn, count_allowed_failures(draws, quantile)
     if left == 0 or failures > allowed or failures + left <= allowed:
         return True
     if certainty >= 1.0:
         return False
-    good = _at_most(allowed - failures, left, 0.5 + failures, 0.5 + drawn - failures)
+    good = _probability_at_most(allowed - failures, left, 0.5 + failures, 0.5 + drawn - failures)
     return max(good, 1.0 - good) >= certainty
 
 
-def _at_most(most: int, n: int, a: float, b: float) -> float:
+def _probability_at_most(most: int, n: int, a: float, b: float) -> float:
     """Return the probability of at most ``most`` of ``n`` failures of a beta-binomial distribution.
 
-    Written out: ``scipy.stats`` would take more memory than a small computer has left.
+    Written out, as ``scipy.stats`` takes more memory than a small computer has.
     """
     k = np.arange(most + 1)
     ways = -np.log(n + 1.0) - betaln(n - k + 1.0, k + 1.0)

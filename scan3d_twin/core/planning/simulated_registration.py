@@ -1,9 +1,9 @@
-"""Simulated registration: SiICP with what would be seen and with the registration that will run.
+"""Simulated registration: SiICP on what would be visible, with the grid engine of real runs.
 
-Each draw displaces the robot about the candidate O2 as a turn, a drive and a turn do, scans the
-surfaces of the latest view from both viewpoints anew (``virtual_scan``) and registers the two scans
-with the grid engine, prior, starts and all. Its error is the displacement of the target's points in
-view. All candidates meet the same draws. Draws end when the outcome is as good as decided.
+Each draw displaces the robot from the candidate O2 by the errors of a turn, a drive and a turn,
+scans the surfaces of the latest view from both viewpoints anew (``virtual_scan``) and registers the
+two scans exactly as real ones. Its error is the displacement of the target's points. All candidates
+share the same draws, and sampling stops early when the outcome is certain (``sequential_test``).
 """
 
 from __future__ import annotations
@@ -18,35 +18,33 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
-from scan3d_twin.core.planning.context import PlanningContext, readings_of
-from scan3d_twin.core.planning.sequential_test import decided
+from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior, surfels_of
+from scan3d_twin.core.planning.context import PlanningContext, mask_readings
+from scan3d_twin.core.planning.sequential_test import is_decided
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2, read_only, rms
 
-MIN_SEEN = 10
-"""Fewer readings of the target in common are no overlap."""
-
-
-THINNING = 7
-"""Of the target's points over which an error is taken."""
-HERE, THERE, MOTION = 0, 1, 2
-"""Random streams of a draw: the noise of the scan from here, of that from O2, and the motion."""
+MIN_SHARED_READINGS = 10
+"""Number of shared readings of the target below which there is no overlap."""
+TARGET_STRIDE = 7
+"""Stride of the target's points over which an error is measured."""
+HERE_STREAM, THERE_STREAM, MOTION_STREAM = 0, 1, 2
+"""Random streams of a draw: the noise of the scan from here, of the scan from O2, the motion."""
 
 
 @dataclass(frozen=True)
-class Simulation:
-    """Simulates registrations on the latest view.
+class SimulatedRegistration:
+    """Simulator of registrations on the latest view.
 
     Attributes:
         grid: Surfels of the latest view, in the scope of registration.
         on_target: Its readings of the target (n_lines, n_beams).
-        config: The run's.
-        seed: Of the draws; the same for all candidates.
-        scale: Of the motion's error, as the odometry of this run tells.
+        config: The run's configuration.
+        seed: Seed of the draws, the same for all candidates.
+        scale: Factor on the motion error, estimated from the odometry of this run.
     """
 
     grid: SurfelGrid
@@ -56,58 +54,61 @@ class Simulation:
     scale: float = 1.0
 
     @staticmethod
-    def of(context: PlanningContext, seed: int) -> Simulation:
-        """Return the simulation of registrations on the latest view of a session.
+    def of(context: PlanningContext, seed: int) -> SimulatedRegistration:
+        """Return the simulator for the latest view of a session.
 
         Raises:
             RegistrationError: The view shows too little surface.
         """
         view, config = context.view, context.session.config
-        on_target = readings_of(view.target, view.image)
-        scale = odometry_scale(context.session.views, config)
-        return Simulation(surfels_of(view, config), on_target, config, seed, scale)
+        on_target = mask_readings(view.target, view.image)
+        scale = estimate_odometry_scale(context.session.views, config)
+        return SimulatedRegistration(surfels_of(view, config), on_target, config, seed, scale)
 
     def error(self, viewpoint: Pose2, draws: int) -> float:
         """Return the ``planning.quantile`` of the errors [m] of up to ``draws`` draws, rounded up.
 
         Args:
             viewpoint: O2 in the frame of the latest view.
-            draws: At most; fewer when ``planning.certainty`` is reached.
+            draws: Largest number of draws; fewer when ``planning.certainty`` is reached.
         """
         planning = self.config.planning
         errors: list[float] = []
         for error in self.errors(viewpoint, draws):
             errors.append(error)
             failed = sum(e > planning.epsilon for e in errors)
-            if decided(failed, len(errors), draws, planning.quantile, planning.certainty):
+            if is_decided(failed, len(errors), draws, planning.quantile, planning.certainty):
                 break
         return float(np.quantile(errors, planning.quantile, method="higher"))
 
     def errors(self, viewpoint: Pose2, draws: int) -> Iterator[float]:
-        """Yield the error [m] of each draw; infinite where too little of the target is in view."""
+        """Yield the error [m] of each draw; infinite if too little of the target is in view."""
         planes = self._surface.seen_from(viewpoint)
-        if np.count_nonzero(planes.on_target) < MIN_SEEN:
+        if np.count_nonzero(planes.on_target) < MIN_SHARED_READINGS:
             yield from repeat(math.inf, draws)
             return
         prior = motion_prior(viewpoint, self.config.planning, self.scale)
         index = self.grid.index[self.on_target]
-        points = self.grid.rows[index[index >= 0][::THINNING], X]
+        points = self.grid.rows[index[index >= 0][::TARGET_STRIDE], X]
         for k in range(draws):
             yield self._error(k, planes, points, prior)
 
     def _error(self, k: int, planes: Planes, points: FloatArray, prior: PosePrior) -> float:
         """Return the error [m] of draw ``k``, over ``points`` (n, 3) in the frame of O2.
 
-        The points are those of the latest view, as the next one will show about as much, as far
-        away. Scans that cannot be registered keep the odometry's pose.
+        The points are those of the latest view, as the next view shows about as much at a similar
+        distance. Scans that cannot be registered keep the pose by odometry.
         """
+        # Draw noise and motion
         here, noise = self._here(k)
         truth = prior.T
-        guess = displaced(prior, self._rng(k, MOTION).standard_normal(3))
+        guess = displace_prior(prior, self._rng(k, MOTION_STREAM).standard_normal(3))
+
+        # Register as in a run
         try:
             result = register(
                 here,
-                planes.read(noise, self._rng(k, THERE)),
+                planes.read(noise, self._rng(k, THERE_STREAM)),
                 prior=guess,
                 starts=self.config.registration.starts,
             )
@@ -116,10 +117,10 @@ class Simulation:
         return _displacement(points, result.T_target_source, truth)
 
     def _here(self, k: int) -> tuple[SurfelGrid, DrawnNoise]:
-        """Return the scan from here of draw ``k`` and the noise of both its scans."""
+        """Return the scan from here of draw ``k``, and the noise of both of its scans."""
         if k in self._scans:
             return self._scans[k]
-        rng, assumed = self._rng(k, HERE), self.grid.noise
+        rng, assumed = self._rng(k, HERE_STREAM), self.grid.noise
         noise = DrawnNoise(assumed, assumed.yaw_scale_sigma * rng.standard_normal())
         scan = self._surface.here.read(noise, rng), noise
         if self.config.optimize_for == "speed":
@@ -139,8 +140,8 @@ class Simulation:
         return Surface(self.grid, self.on_target, half, self.config.target.max_range)
 
 
-def displaced(prior: PosePrior, draw: FloatArray) -> PosePrior:
-    """Return ``prior`` about a mean that is off by ``draw`` (3,) standard normal numbers."""
+def displace_prior(prior: PosePrior, draw: FloatArray) -> PosePrior:
+    """Return ``prior`` with its mean displaced by standard normal numbers ``draw`` (3,)."""
     half = np.linalg.cholesky(prior.covariance[np.ix_(PLANAR, PLANAR)])
     x, y, yaw = half @ draw
     pose = Pose2.from_matrix(prior.T)

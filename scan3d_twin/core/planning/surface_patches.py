@@ -1,4 +1,4 @@
-"""The target's surface as patches, and which of them a sweep from somewhere would see."""
+"""The target's surface as small patches, and which of them a sweep from a viewpoint would see."""
 
 from __future__ import annotations
 
@@ -9,31 +9,32 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.model.fused_cloud import voxel_thin
+from scan3d_twin.core.model.fused_cloud import thin_by_voxel
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
 
-PATCH = 0.04
-"""Side of a patch [m]: at 1 m the size of a few readings, so that its normal is not all noise."""
-NEIGHBOURS = 12
-"""Patches that a normal is fitted to; on a surface they lie within two patches."""
+PATCH_SIZE = 0.04
+"""Side of a patch [m]: at 1 m a few readings, so that its normal is not dominated by noise."""
+NORMAL_NEIGHBOURS = 12
+"""Number of patches to which a normal is fitted; on a surface they are within two patches."""
 MIN_COSINE = 0.10
-"""Flatter than this (84 deg from the normal) a patch is not seen."""
-CELL = math.radians(3.0)
-"""Cell of the depth buffer [rad]: wider than a patch at 1 m, so that a surface has no holes."""
-THICKNESS, SLOPE = 0.08, 0.05
-"""Depth of a cell that is still one surface [m], and its growth per metre of range: a surface at 60
-deg incidence recedes by 0.09 m over a cell at 1 m."""
+"""Cosine of the incidence below which (84 deg) a patch is not seen."""
+DEPTH_CELL = math.radians(3.0)
+"""Side of a cell of the depth buffer [rad]: wider than a patch at 1 m, so that surfaces have no
+holes."""
+SURFACE_DEPTH, DEPTH_PER_METRE = 0.08, 0.05
+"""Depth of one surface within a cell [m], and its growth per metre of range: a surface at 60 deg
+incidence recedes by 0.09 m over a cell at 1 m."""
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Pieces of surface of about ``PATCH`` squared.
+    """Pieces of surface of about ``PATCH_SIZE`` squared.
 
     Attributes:
-        points: Their middles (n, 3) [m].
-        normals: Unit normals (n, 3), towards where they were seen from.
-        variation: Surface variation l3 / (l1 + l2 + l3) (n,), 0 for a plane (Pauly et al. 2002).
+        points: Their centres (n, 3) [m].
+        normals: Unit normals towards where they were seen from (n, 3).
+        variation: Surface variation l3 / (l1 + l2 + l3), 0 for a plane (Pauly et al. 2002) (n,).
     """
 
     points: FloatArray
@@ -52,30 +53,35 @@ class Patches:
         return Patches(T.apply(self.points), T.rotate(self.normals), self.variation)
 
 
-def patches_of(points: FloatArray, eye: FloatArray) -> Patches:
-    """Return the patches of ``points`` (n, 3) that were seen from ``eye`` (3,), one frame."""
-    thinned = voxel_thin(points, PATCH)
-    if len(thinned) < NEIGHBOURS:
+def extract_patches(points: FloatArray, eye: FloatArray) -> Patches:
+    """Return the patches of ``points`` (n, 3) that were seen from ``eye`` (3,), in one frame."""
+    # Thin the points out
+    thinned = thin_by_voxel(points, PATCH_SIZE)
+    if len(thinned) < NORMAL_NEIGHBOURS:
         return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    _, index = cKDTree(thinned).query(thinned, k=NEIGHBOURS)
+
+    # Fit planes to their neighbours
+    _, index = cKDTree(thinned).query(thinned, k=NORMAL_NEIGHBOURS)
     around = thinned[index] - thinned[index].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
     normals = vectors[..., 0]
+
+    # Turn the normals towards the eye
     away = np.einsum("ni,ni->n", normals, thinned - eye) > 0
     normals = np.where(away[:, None], -normals, normals)
     return Patches(thinned, normals, values[:, 0] / np.maximum(values.sum(axis=1), 1e-12))
 
 
-def view_patches(view: View) -> Patches:
+def extract_view_patches(view: View) -> Patches:
     """Return the patches of the target in ``view``, in ``scan``."""
-    return patches_of(view.target.points, np.array([0.0, 0.0, eye_height(view)]))
+    return extract_patches(view.target.points, np.array([0.0, 0.0, lidar_height(view)]))
 
 
-def seen_patches(session: Session) -> Patches:
-    """Return the patches of all views in ``world``, each place once."""
-    parts = [view_patches(view).moved(view.T_world_scan) for view in session.views]
+def merge_patches(session: Session) -> Patches:
+    """Return the patches of all views in ``world``, the first one in each cell."""
+    parts = [extract_view_patches(view).moved(view.T_world_scan) for view in session.views]
     points = np.concatenate([part.points for part in parts])
-    cells = np.floor(points / PATCH).astype(np.int64)
+    cells = np.floor(points / PATCH_SIZE).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     first.sort()
     return Patches(
@@ -85,20 +91,20 @@ def seen_patches(session: Session) -> Patches:
     )
 
 
-def eye_height(view: View) -> float:
+def lidar_height(view: View) -> float:
     """Return the height of the lidar [m]."""
     return float(view.image.T_base_lidar[2, 3])
 
 
 @dataclass(frozen=True)
 class Eye:
-    """What a sweep sees of its surroundings.
+    """The field of view of a sweep.
 
     Attributes:
-        height: Of the lidar [m]; that it stands 5 cm ahead of the axle is neglected here.
+        height: Height of the lidar [m]; that it is 5 cm ahead of the axle is neglected here.
         half_width: Half the horizontal angle [rad].
         half_window: Half the vertical angle [rad].
-        max_range: [m].
+        max_range: Longest range [m].
     """
 
     height: float
@@ -108,34 +114,38 @@ class Eye:
 
     @staticmethod
     def of(view: View, config: Config) -> Eye:
-        """Return the eye of a run's sweeps; margins serve registration and do not count."""
+        """Return the field of view of a run's sweeps without their margins."""
         width, target = config.sweep.width / 2, config.target
-        return Eye(eye_height(view), width, target.window / 2, target.max_range)
+        return Eye(lidar_height(view), width, target.window / 2, target.max_range)
 
     def sees(self, pose: Pose2, patches: Patches, occluders: FloatArray | None = None) -> BoolArray:
-        """Tell which ``patches`` (n,) a sweep at ``pose`` sees; all in one frame.
+        """Return which ``patches`` (n,) a sweep at ``pose`` sees; everything is in one frame.
 
         Args:
-            pose: Of the sweep.
-            patches: Which may hide each other.
+            pose: Pose of the sweep.
+            patches: The patches, which may hide each other.
             occluders: Other points (m, 3) that may hide them [m].
         """
         if len(patches) == 0:
             return np.zeros(0, dtype=bool)
+
+        # Measure direction and incidence
         yaw, elevation, distance, inside = self._look(pose, patches.points)
         eye = np.array([pose.x, pose.y, self.height])
         cosine = np.einsum("ni,ni->n", patches.normals, eye - patches.points) / distance
-        cells, ranges = [_cells(yaw, elevation)], [np.where(inside, distance, np.inf)]
+
+        # Compare with the depth buffer
+        cells, ranges = [_depth_cells(yaw, elevation)], [np.where(inside, distance, np.inf)]
         if occluders is not None and len(occluders):
             other_yaw, other_elevation, other, within = self._look(pose, occluders)
-            cells.append(_cells(other_yaw, other_elevation))
+            cells.append(_depth_cells(other_yaw, other_elevation))
             ranges.append(np.where(within, other, np.inf))
         nearest = _nearest(np.concatenate(cells), np.concatenate(ranges))[: len(patches)]
-        hidden = distance > nearest * (1 + SLOPE) + THICKNESS
+        hidden = distance > nearest * (1 + DEPTH_PER_METRE) + SURFACE_DEPTH
         return np.asarray(inside & (cosine > MIN_COSINE) & ~hidden)
 
     def cosines(self, pose: Pose2, patches: Patches) -> FloatArray:
-        """Return the cosine of the incidence (n,) under which ``pose`` looks at ``patches``."""
+        """Return the cosine of the incidence (n,) from ``pose`` on ``patches``."""
         rays = np.array([pose.x, pose.y, self.height]) - patches.points
         lengths = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
         return np.asarray(np.einsum("ni,ni->n", patches.normals, rays) / lengths)
@@ -152,21 +162,21 @@ class Eye:
         return yaw, elevation, distance, inside & (distance <= self.max_range)
 
 
-def _cells(yaw: FloatArray, elevation: FloatArray) -> FloatArray:
+def _depth_cells(yaw: FloatArray, elevation: FloatArray) -> FloatArray:
     """Return the cell of the depth buffer of each direction (n,)."""
-    columns = math.ceil(math.tau / CELL) + 1
-    across = np.floor((yaw + math.pi) / CELL)
-    return np.asarray(across + columns * np.floor((elevation + math.pi / 2) / CELL))
+    columns = math.ceil(math.tau / DEPTH_CELL) + 1
+    across = np.floor((yaw + math.pi) / DEPTH_CELL)
+    return np.asarray(across + columns * np.floor((elevation + math.pi / 2) / DEPTH_CELL))
 
 
 def _nearest(cells: FloatArray, ranges: FloatArray) -> FloatArray:
-    """Return for each point the smallest range (n,) in its cell."""
+    """Return the smallest range in the cell of each point (n,)."""
     _, index = np.unique(cells, return_inverse=True)
     nearest = np.full(int(index.max()) + 1, np.inf)
     np.minimum.at(nearest, index, ranges)
     return np.asarray(nearest[index])
 
 
-def overlap_of(latest: Patches, seen: BoolArray) -> float:
-    """Return the share of the ``latest`` view's patches that are seen again."""
+def measure_overlap(latest: Patches, seen: BoolArray) -> float:
+    """Return the share of the patches of the ``latest`` view that are ``seen`` (n,) again."""
     return float(np.mean(seen)) if len(latest) else 0.0

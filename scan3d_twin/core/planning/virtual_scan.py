@@ -1,12 +1,11 @@
 """Virtual scans: what a sweep would read of the surfaces that the latest view has seen.
 
-The surfaces are the planes behind the noise of that view, over windows wide enough that little of
-its noise is left: texture that two real scans do not share must not be found again. From a
-viewpoint O2 each reading of the sweep to come meets the nearest plane that faces it (splatting with
-a depth test); what hides behind them, or was never seen, stays unknown, and a ray is known to be
-empty only where the latest view saw through. Each draw reads these planes anew: with range noise,
-an error that neighbouring readings share, the lines' yaw jitter and the scale of all yaws, all as
-strong as registration takes them to be.
+The surfaces are planes fitted to that view over windows that are wide enough to average its noise
+out, as two real scans do not share their noise. From a viewpoint O2 each reading of the next sweep
+meets the nearest plane that faces it (splatting with a depth test). Surface that is hidden or was
+never seen stays unknown; a ray is empty only where the latest view saw through. Each draw reads
+these planes anew with range noise, a bias that neighbouring readings share, the yaw jitter of the
+lines and the scale of all yaws, all as strong as registration assumes them to be.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from scan3d_twin.core.planning.visibility import NextSweep, ranges_here, visible_from
+from scan3d_twin.core.planning.visibility import NextSweep, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
 from scan3d_twin.core.registration.surfels import (
@@ -44,22 +43,23 @@ WINDOWS = tuple(
     (math.radians(lines), math.radians(beams))
     for lines, beams in ((6, 6), (4, 4), (2, 2), (0, 6), (0, 4), (1, 1), (0, 2), (0, 0))
 )
-"""Half sizes of the windows behind a plane, along lines and beams [rad]: up to three times those of
-registration, whose normals are then 81 times as noisy in variance; upright ones for narrow faces.
-"""
-MOST_HALF = 20
-"""Readings in half a window at most."""
-NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
-ROUNDS = 2
-"""Rounds in which empty readings take over a neighbour's plane; a nearer viewpoint needs them."""
-FOOTPRINT = 1.5
-"""A plane reaches this many spacings of its readings from its point."""
-COARSE = 3
-"""Lines and beams between the rays that are followed for seen emptiness."""
-STEPS = 12
-"""Places along such a ray."""
+"""Half sizes of the windows to which planes are fitted, along lines and beams [rad]: up to three
+times those of registration, whose normals have 81 times the variance; upright windows are for
+narrow faces."""
+MAX_HALF_WINDOW = 20
+"""Largest number of readings in half a window."""
+NEIGHBOUR_OFFSETS = ((0, 1), (0, -1), (1, 0), (-1, 0))
+FILL_ROUNDS = 2
+"""Rounds in which readings without a plane take over that of a neighbour, as needed by nearer
+viewpoints."""
+FOOTPRINT_SPACINGS = 1.5
+"""Extent of a plane around its point, in spacings of its readings."""
+FREE_RAY_STRIDE = 3
+"""Stride in lines and beams of the rays that are tested for free space."""
+FREE_RAY_STEPS = 12
+"""Number of places tested along such a ray."""
 FREE_MARGIN = 0.05
-"""In front of a surface by this much is free [m]."""
+"""Distance in front of a surface from which on space is free [m]."""
 
 
 @dataclass(frozen=True)
@@ -75,26 +75,30 @@ class DrawnNoise:
     yaw_scale: float
 
     def yaws(self, yaws: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the true yaws (n_lines, n_beams) [rad] behind those that odometry tells."""
+        """Return drawn true yaws (n_lines, n_beams) [rad] for ``yaws`` by odometry."""
         jitter = self.assumed.yaw_sigma * rng.standard_normal((len(yaws), 1))
         return np.asarray(yaws * (1.0 + self.yaw_scale) + jitter)
 
     def ranges(self, image: RangeImage, rng: np.random.Generator) -> FloatArray:
-        """Return noisy readings (n_lines, n_beams) [m] of the ranges of ``image``."""
+        """Return the ranges of ``image`` with noise (n_lines, n_beams) [m]."""
         sigma = self.assumed.range_sigma + self.assumed.range_sigma_per_metre * image.ranges
         noisy = image.ranges + sigma * rng.standard_normal(image.ranges.shape)
-        return np.asarray(noisy + self.assumed.bias_sigma * _patches(image, rng))
+        return np.asarray(noisy + self.assumed.bias_sigma * _draw_bias_field(image, rng))
 
 
-def _patches(image: RangeImage, rng: np.random.Generator) -> FloatArray:
-    """Return a smooth field (n_lines, n_beams) of variance 1 on average, new every ``BIAS_PATCH``.
+def _draw_bias_field(image: RangeImage, rng: np.random.Generator) -> FloatArray:
+    """Return a smooth random field (n_lines, n_beams) of mean variance 1.
 
-    Linear interpolation between independent nodes has on average (2/3)^2 of their variance.
+    It interpolates between independent nodes at distances of ``BIAS_PATCH``, which leaves on
+    average (2/3)^2 of their variance.
     """
+    # Draw nodes over the sweep
     yaws, elevations = image.yaws[:, image.spec.n_beams // 2], image.spec.elevations
     line = np.abs(yaws - yaws[0]) / BIAS_PATCH
     beam = np.abs(elevations - elevations[0]) / BIAS_PATCH
     nodes = rng.standard_normal((int(line.max()) + 2, int(beam.max()) + 2))
+
+    # Interpolate along lines and beams
     i, j = line.astype(np.int64), beam.astype(np.int64)
     u, v = (line - i)[:, None], beam - j
     rows = nodes[i] * (1 - u) + nodes[i + 1] * u
@@ -106,13 +110,13 @@ class Planes:
     """The plane that each reading of a sweep meets.
 
     Attributes:
-        image: Its lines and beams; the ranges do not count.
-        met: Readings that meet a plane (n_lines, n_beams), k of them.
+        image: The sweep's lines and beams; the ranges do not matter.
+        met: Which readings meet a plane (n_lines, n_beams), k of them.
         normals: Unit normals of these planes, in the frame of the image (k, 3).
         offsets: Their distances from its origin along the normals (k,) [m].
         keep: Readings that registration may use (n_lines, n_beams).
         on_target: Readings of the target (n_lines, n_beams).
-        empty: Readings that are known to return nothing (n_lines, n_beams).
+        empty: Readings that are certain to return nothing (n_lines, n_beams).
     """
 
     image: RangeImage
@@ -129,8 +133,11 @@ class Planes:
         Raises:
             RegistrationError: Too little surface is in view.
         """
+        # Draw true yaws and ranges
         true = replace(self.image, yaws=read_only(noise.yaws(self.image.yaws, rng)))
         ranges = noise.ranges(replace(true, ranges=read_only(self.ranges(true))), rng)
+
+        # Extract surfels of the noisy sweep
         valid = self.met & (ranges > true.spec.min_range)
         seen = replace(
             self.image,
@@ -141,15 +148,15 @@ class Planes:
         return replace(grid, valid=valid | ~(self.met | self.empty))
 
     def ranges(self, image: RangeImage) -> FloatArray:
-        """Return where the rays of ``image`` meet the planes (n_lines, n_beams) [m], or NaN."""
+        """Return the ranges (n_lines, n_beams) [m] at which rays of ``image`` meet the planes."""
         ranges, n = np.full(self.met.shape, np.nan), self.normals
-        eyes, rays = _eyes_and_rays(image, self.met)
+        eyes, rays = _cast_rays(image, self.met)
         with np.errstate(invalid="ignore", divide="ignore"):
             ranges[self.met] = (self.offsets - np.sum(n * eyes, axis=1)) / np.sum(n * rays, axis=1)
         return ranges
 
     def where(self, kept: BoolArray) -> Planes:
-        """Return those of the planes that are ``kept`` (k,)."""
+        """Return the planes that are ``kept`` (k,)."""
         met = self.met.copy()
         met[self.met] = kept
         normals, offsets = self.normals[kept], self.offsets[kept]
@@ -157,8 +164,8 @@ class Planes:
         return Planes(self.image, met, normals, offsets, keep, on_target, self.empty)
 
 
-def _eyes_and_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return eyes and directions (k, 3) of the readings ``where`` (n_lines, n_beams) is True."""
+def _cast_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return origins and directions (k, 3) of the rays ``where`` (n_lines, n_beams) is True."""
     yaws, beam = image.yaws[where], np.nonzero(where)[1]
     c, s = np.cos(yaws), np.sin(yaws)
 
@@ -170,12 +177,12 @@ def _eyes_and_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, Flo
 
 @dataclass(frozen=True)
 class Surface:
-    """What the latest view shows of the world.
+    """The surfaces that the latest view shows.
 
     Attributes:
-        grid: Its surfels, in the scope of registration.
+        grid: Surfels of the latest view, in the scope of registration.
         on_target: Its readings of the target (n_lines, n_beams).
-        half: Half the width of the sweep to come [rad].
+        half: Half the width of the next sweep [rad].
         most: Longest range that is trusted [m].
     """
 
@@ -186,7 +193,7 @@ class Surface:
 
     @cached_property
     def here(self) -> Planes:
-        """What the latest view itself would read again."""
+        """The planes that a sweep from the latest viewpoint would read."""
         image, (rows, there) = self.grid.image, self._planes
         empty = (self.grid.ray_states == EMPTY_RAY).reshape(there.shape)
         offsets = np.sum(rows[:, N] * rows[:, X], axis=1)
@@ -195,32 +202,43 @@ class Surface:
         )
 
     def seen_from(self, viewpoint: Pose2) -> Planes:
-        """Return what the sweep at ``viewpoint``, in the frame of the latest view, would read."""
+        """Return the planes that a sweep at ``viewpoint`` would read.
+
+        Args:
+            viewpoint: O2 in frame ``scan`` of the latest view.
+        """
+        # Find the planes in view
         sweep, back = self._sweep, viewpoint.inverse()
         shape = sweep.image.ranges.shape
         rows, scope, on_target = self._rows
-        seen = visible_from(rows, self._ranges, viewpoint, sweep, self.most)
+        seen = find_visible(rows, self._ranges, viewpoint, sweep, self.most)
         points, normals = back.apply(rows[seen.index, X]), back.rotate(rows[seen.index, N])
+
+        # Give each reading the nearest one
         owner = np.full(sweep.image.ranges.size, -1)
         far_first = np.argsort(-seen.ranges)
         owner[sweep.cells(points)[0][far_first]] = far_first
-        owner = _spread(owner.reshape(shape), seen.ranges)
+        owner = _fill_holes(owner.reshape(shape), seen.ranges)
         met, keep = owner >= 0, np.zeros((2, *shape), dtype=bool)
+
+        # Describe the planes met
         own = owner[met]
         points, normals = points[own], normals[own]
         for flags, each in zip(keep, (scope, on_target), strict=True):
             flags[met] = each[seen.index[own]]
+
+        # Drop readings far from their plane
         offsets = np.sum(normals * points, axis=1)
         planes = Planes(sweep.image, met, normals, offsets, keep[0], keep[1], ~met)
-        planes = planes.where(_near(planes, points, seen.ranges[own], self.grid.line_spacing))
+        planes = planes.where(_find_near(planes, points, seen.ranges[own], self.grid.line_spacing))
         return replace(planes, empty=~planes.met & self._seen_through(viewpoint))
 
     @cached_property
     def _planes(self) -> tuple[FloatArray, BoolArray]:
-        """Planes behind the readings (n, 8), whatever their scope, and which readings have one."""
+        """Planes fitted to the readings of any scope (n, 8), and which readings have one."""
         image, noise = self.grid.image, self.grid.noise
         steps = np.array([self.grid.line_spacing, Beams.of(image).spacing])
-        halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MOST_HALF)
+        halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MAX_HALF_WINDOW)
         valid = self.grid.valid
         rows, _, index = fit_surfels(
             make_native_sweep(image), valid, valid, noise.sigmas, halves.astype(np.int64)
@@ -233,46 +251,51 @@ class Surface:
 
     @cached_property
     def _rows(self) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """Return the planes as rows (n, 8), and which are in scope and of the target (n,)."""
+        """The planes as rows (n, 8), and which of them are in scope and of the target (n,)."""
         rows, there = self._planes
         return rows, self._in_scope[there], self.on_target[there]
 
     @cached_property
     def _ranges(self) -> FloatArray:
-        return ranges_here(self._rows[0], self.grid)
+        return measure_ranges(self._rows[0], self.grid)
 
     @cached_property
     def _sweep(self) -> NextSweep:
         return NextSweep.like(self.grid, self.half)
 
     def _seen_through(self, viewpoint: Pose2) -> BoolArray:
-        """Tell which rays from ``viewpoint`` the latest view saw to be free all along."""
+        """Return which rays from ``viewpoint`` the latest view saw to be free all along."""
+        # Choose rays with a stride
         image, grid = self._sweep.image, self.grid
-        at = np.s_[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE]
+        at = np.s_[FREE_RAY_STRIDE // 2 :: FREE_RAY_STRIDE, FREE_RAY_STRIDE // 2 :: FREE_RAY_STRIDE]
         chosen = np.zeros(image.ranges.shape, dtype=bool)
         chosen[at] = True
-        eyes, rays = _eyes_and_rays(image, chosen)
+        eyes, rays = _cast_rays(image, chosen)
+
+        # Test places along them
         free = np.ones(image.ranges[at].shape, dtype=bool)
         known, row_of = grid.ray_states, grid.index.reshape(-1)
-        for way in np.linspace(0.5, self.most, STEPS):
+        for way in np.linspace(0.5, self.most, FREE_RAY_STEPS):
             places = viewpoint.apply(eyes + way * rays)
             index = grid.projection.lookup(places, known != UNKNOWN_RAY)
             rows = grid.rows[row_of[index]]
             before = np.sum(rows[:, N] * (places - rows[:, X]), axis=1) > FREE_MARGIN
             through = (known[index] == EMPTY_RAY) | ((known[index] == SURFACE_RAY) & before)
             free &= ((index >= 0) & through).reshape(free.shape)
-        whole = np.kron(free, np.ones((COARSE, COARSE), dtype=bool))
+
+        # Spread the result over all rays
+        whole = np.kron(free, np.ones((FREE_RAY_STRIDE, FREE_RAY_STRIDE), dtype=bool))
         shape = image.ranges.shape
         pad = [(0, max(0, n - m)) for n, m in zip(shape, whole.shape, strict=True)]
         return np.asarray(np.pad(whole, pad, mode="edge")[: shape[0], : shape[1]])
 
 
-def _spread(owner: IntArray, ranges: FloatArray) -> IntArray:
-    """Return ``owner`` (n_lines, n_beams) with holes given to the nearest owner beside them."""
-    for _ in range(ROUNDS):
+def _fill_holes(owner: IntArray, ranges: FloatArray) -> IntArray:
+    """Return ``owner`` (n_lines, n_beams) with holes filled by the nearest neighbouring owner."""
+    for _ in range(FILL_ROUNDS):
         padded = np.pad(owner, 1, constant_values=-1)
         best, near = owner, np.where(owner >= 0, 0.0, np.inf)
-        for i, j in NEIGHBOURS:
+        for i, j in NEIGHBOUR_OFFSETS:
             other = padded[1 + i : 1 + i + owner.shape[0], 1 + j : 1 + j + owner.shape[1]]
             distance = np.where(other >= 0, ranges[other], np.inf)
             best, near = np.where(distance < near, other, best), np.minimum(distance, near)
@@ -280,19 +303,21 @@ def _spread(owner: IntArray, ranges: FloatArray) -> IntArray:
     return owner
 
 
-def _near(planes: Planes, points: FloatArray, ranges: FloatArray, spacing: float) -> BoolArray:
-    """Tell which readings meet their plane near to where it was seen (k,).
+def _find_near(planes: Planes, points: FloatArray, ranges: FloatArray, spacing: float) -> BoolArray:
+    """Return which readings meet their plane near the point where it was seen (k,).
 
     Args:
-        planes: Of the sweep to come.
-        points: At which each of them was seen (k, 3) [m].
-        ranges: Of these points (k,) [m].
-        spacing: Of the lines [rad].
+        planes: The planes of the next sweep.
+        points: Points at which they were seen (k, 3) [m].
+        ranges: Ranges of these points (k,) [m].
+        spacing: Spacing of the lines [rad].
     """
-    eyes, rays = _eyes_and_rays(planes.image, planes.met)
+    eyes, rays = _cast_rays(planes.image, planes.met)
     met = planes.ranges(planes.image)[planes.met]
     off = eyes + met[:, None] * rays - points
     across = off - np.sum(off * rays, axis=1, keepdims=True) * rays
     with np.errstate(invalid="ignore"):
-        near = np.sqrt(np.sum(across**2, axis=1)) < FOOTPRINT * ROUNDS * spacing * ranges
+        near = (
+            np.sqrt(np.sum(across**2, axis=1)) < FOOTPRINT_SPACINGS * FILL_ROUNDS * spacing * ranges
+        )
         return np.asarray(near & (met > 0))

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import RegistrationConfig
-from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -104,7 +104,7 @@ def select_overlapping_lines(target: Scan3D, source: Scan3D, init_T_target_sourc
     if len(target) == 0 or len(source) == 0:
         return source.select(np.zeros(len(source), dtype=bool))
     moved = init_T_target_source.apply(source.points)
-    near = np.isfinite(nearest(cKDTree(target.points), moved, OVERLAP_DISTANCE)[0])
+    near = np.isfinite(find_nearest(cKDTree(target.points), moved, OVERLAP_DISTANCE)[0])
     total = np.bincount(source.lines, minlength=source.n_lines)
     hits = np.bincount(source.lines, weights=near, minlength=source.n_lines)
     return source.select((2 * hits >= total)[source.lines])
@@ -123,7 +123,7 @@ def _find_correspondences(
     tree: cKDTree, moved: FloatArray, border: BoolArray | None, config: RegistrationConfig
 ) -> tuple[BoolArray, IntArray, FloatArray]:
     """Return whether each point (m,) has a correspondence, its index and its distance [m]."""
-    distances, index = nearest(tree, moved, config.max_correspondence_distance)
+    distances, index = find_nearest(tree, moved, config.max_correspondence_distance)
     paired = np.isfinite(distances)
     if border is not None and config.border == "drop":
         paired[paired] = ~border[index[paired]]

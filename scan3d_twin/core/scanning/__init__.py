@@ -1,1 +1,1 @@
-"""From a turning robot to a clean image: sweep, de-skew, gap filling, target, extrinsics."""
+"""From a turning robot to the target's points: sweep, de-skew, gap filling, target, extrinsics."""

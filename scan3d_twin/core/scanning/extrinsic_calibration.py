@@ -1,21 +1,22 @@
-"""Where the lidar really sits, from scans alone: planes stay planes only if the mount is right.
+"""Extrinsic calibration of the lidar from scans alone: the right extrinsics keep planes flat.
 
-A lidar that is off to the side by y, leans by roll and looks down by pitch, whose heading is read
-with a relative error k and late by tau, sees the reading r of beam d, taken while the base had the
-heading psi and turned at w, at
+Let the lidar be off to the side by y, lean by roll and look down by pitch, and let the heading have
+a relative error k and a delay tau. The reading r of beam d, taken at heading psi and turn rate w,
+is then at
 
     P = Rz((1 + k) psi + w tau) (t + y e_y + (r + b) R Ry(pitch) Rx(roll) d).
 
-With the wrong values a wall bends: it turns about the axis by y / rho, so by more where it is
-near; by roll in proportion to the height; the floor becomes a cone by pitch; and by k the first and
-the last part of a full turn do not meet. What is wanted makes all planes of all sweeps flat,
+Wrong values bend a wall: y rotates it about the axis by y / rho, that is more where it is nearer;
+roll rotates it in proportion to the height; pitch makes a cone of the floor; k separates the two
+ends of a full turn. Calibration minimises the distances of all readings from their planes,
 
     min  sum_j sum_i w_i (n_j . P_i - d_j)^2   over  y, roll, pitch, k, tau, b  and all (n_j, d_j),
 
-by Gauss-Newton, the planes eliminated one by one (Schur complement). The range error b that all
-readings share is a nuisance; that of single materials is left out. The late heading tau shows only
-where sweeps to both sides were taken from one place: they share their planes. Standard errors come
-from leaving out one plane after the other (jackknife), as surfaces err as a whole.
+by Gauss-Newton with the planes eliminated one by one (Schur complement). The range error b that all
+readings share is a nuisance parameter; errors of single materials are not modelled. The delay tau
+is observable only if sweeps in both directions were taken from one place, as these share their
+planes. Standard errors are by the jackknife, leaving out one plane after the other, as the readings
+of a surface err together.
 """
 
 from __future__ import annotations
@@ -30,65 +31,71 @@ from scan3d_twin.core.config import Config, MountConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import extract_surfels
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X
-from scan3d_twin.core.scanning.extrinsics import composed, in_words, tilt, turn_rate
+from scan3d_twin.core.scanning.extrinsics import (
+    compose_mounts,
+    describe_mount,
+    measure_turn_rate,
+    tilt_matrix,
+)
 from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
 
-NAMES = ("lateral", "roll", "pitch", "yaw_scale", "time_offset")
-"""What is estimated, in the units of ``MountConfig``; the range error follows them."""
-PRIOR = np.array([0.05, 0.1, 0.1, 0.05, 0.2, 0.01])
-"""Standard deviations assumed beforehand: what a person mounts by eye, and the lidar's data sheet
-for the range error (+-10 mm)."""
-STEP = 1e-4
-"""For derivatives."""
-ROBUST = 2.0
-"""Kernel of Geman and McClure [sigma]."""
-MIN_SEAM = 8
-"""Lines at either end of a full turn that are compared, if no more of them overlap."""
-KNOWN = 0.3
-"""A value is known when its standard error is below this share of the prior's."""
+PARAMETERS = ("lateral", "roll", "pitch", "yaw_scale", "time_offset")
+"""The estimated fields of ``MountConfig``; in parameter vectors the range error follows them."""
+PRIOR_SIGMAS = np.array([0.05, 0.1, 0.1, 0.05, 0.2, 0.01])
+"""Prior standard deviations of the parameters: a mount aligned by eye, and for the range error the
+lidar's data sheet (+-10 mm)."""
+DERIVATIVE_STEP = 1e-4
+"""Step of numerical derivatives, in the units of the parameters."""
+KERNEL_WIDTH = 2.0
+"""Width of the Geman-McClure kernel [sigma]."""
+MIN_SEAM_LINES = 8
+"""Smallest number of lines at either end of a full turn that are compared."""
+MAX_KNOWN_SHARE = 0.3
+"""Standard error, as a share of the prior's, below which a parameter is known."""
 STRIDE = 3
-"""Every so manieth line and beam. Windows of surfels overlap a little then; every fifth, which
-would make them independent, finds the lateral offset to 10 % in 3 robots of 10, this one in 8."""
-NEAREST = 0.30
-"""Readings nearer to the lidar than this may be the robot itself [m]."""
-UNEVEN = 0.003
-"""How flat a plane is as the lidar sees it [m]: its range error varies along a surface; within the
-+-10 mm of the data sheet."""
-WINDOW = 20.0
-"""Readings that a surfel averages, at least."""
-SEEDS, MOST_PLANES = 150, 12
-"""Places at which a plane is looked for, and planes per place."""
-NEAR, ALIKE = 0.04, math.cos(math.radians(10.0))
-"""A plane's readings lie this near to it [m] with normals this much alike, at first ..."""
-NEARER = 0.02
-"""... and in the end [m]."""
-LEAST, EXTENT = 60, 0.4
-"""Readings of a plane, and its least extent [m]."""
-ROUNDS, ITERATIONS = 4, 4
-"""Searches for planes with ever better mounts, and steps with the same planes."""
-TOLERABLE = np.array([0.008, math.radians(0.7), math.radians(0.7), 0.03, 0.05])
-"""A mount that is off by less is no reason to warn: wheels of .6 % different radii already lean by
-0.07 deg, and a wheel base is known to 1 % ..."""
-SURE = 3.0
-"""... nor is one that is off by less than so many standard errors."""
-REPEATS = 0.002
-"""By how much the yaw scale of a sweep may differ from that of a look around, one standard
-deviation; three times the 0.0006 that benchmarks/mount.py finds in three_boxes."""
-SEAM = math.radians(20.0)
-"""Of either end of a full turn, compared to begin with [rad]."""
+"""Stride of the lines and beams used. The windows of surfels overlap slightly; a stride of 5, with
+independent windows, finds the lateral offset to 10 % in 3 robots of 10, this one in 8."""
+MIN_RANGE = 0.30
+"""Range below which readings may be the robot itself [m]."""
+PLANE_SIGMA = 0.003
+"""Deviation of a measured plane from flatness, one standard deviation [m]: the range error varies
+along a surface, within the +-10 mm of the data sheet."""
+READINGS_PER_SURFEL = 20.0
+"""Smallest number of readings that a surfel averages."""
+PLANE_SEEDS, MAX_PLANES = 150, 12
+"""Surfels tried as the start of a plane, and largest number of planes per place."""
+FIRST_PLANE_DISTANCE, MIN_NORMAL_COSINE = 0.04, math.cos(math.radians(10.0))
+"""Largest distance of a reading from its plane in the first fit [m], and smallest cosine of the
+angle between their normals."""
+FINAL_PLANE_DISTANCE = 0.02
+"""Largest distance of a reading from its plane in later fits [m]."""
+MIN_PLANE_READINGS, MIN_PLANE_EXTENT = 60, 0.4
+"""Smallest number of readings of a plane, and its smallest extent [m]."""
+PLANE_SEARCHES, STEPS_PER_SEARCH = 4, 4
+"""Searches for planes, each with better extrinsics, and Gauss-Newton steps after each search."""
+WARNING_LIMITS = np.array([0.008, math.radians(0.7), math.radians(0.7), 0.03, 0.05])
+"""Errors of the parameters below which there is no warning: wheels of 0.6 % different radii already
+lean by 0.07 deg, and the wheel base is known to 1 %."""
+WARNING_SIGMAS = 3.0
+"""Errors below which there is no warning, in standard errors."""
+YAW_SCALE_REPEATABILITY = 0.002
+"""Standard deviation of the yaw scale of a sweep from that of the panorama; three times the 0.0006
+that benchmarks/mount.py finds in three_boxes."""
+SEAM_ANGLE = math.radians(20.0)
+"""Largest mismatch of the two ends of a full turn that is corrected [rad]."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Where the lidar sits and how sure that is.
+    """The calibrated extrinsics and their uncertainty.
 
     Attributes:
-        mount: Relative to what the scans were taken with; 0 where it is not known.
-        sigmas: Their standard errors, in the order of ``NAMES`` (5,).
-        known: Whether the scans say anything of each (5,).
+        mount: Correction of the mount that the scans were taken with; 0 where it is not known.
+        sigmas: Standard errors in the order of ``PARAMETERS`` (5,).
+        known: Whether the scans determine each parameter (5,).
         planes: Number of planes used.
         readings: Number of surfels on them.
-        flatness: RMS distance of these from their planes [m].
+        flatness: RMS distance of these surfels from their planes [m].
     """
 
     mount: MountConfig
@@ -104,14 +111,14 @@ class Samples:
     """Surfels of all sweeps, each as one reading.
 
     Attributes:
-        T_base_lidar: The mount they were taken with (4, 4).
+        T_base_lidar: The mount that the sweeps were taken with (4, 4).
         beams: Directions in ``lidar`` (m, 3).
-        ranges: (m,) [m].
+        ranges: Ranges (m,) [m].
         yaws: Headings (m,) [rad].
-        rates: How fast the base turned (m,) [rad/s].
+        rates: Turn rates of the base (m,) [rad/s].
         weights: Inverse variances of the distance from a plane (m,) [1/m2].
-        normals: In ``scan`` (m, 3).
-        places: Number of the place each was taken from (m,).
+        normals: Unit normals in ``scan`` (m, 3).
+        places: Number of the place that each was taken from (m,).
     """
 
     T_base_lidar: FloatArray
@@ -124,46 +131,51 @@ class Samples:
     places: IntArray
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Return the points (m, 3) under the mount ``values`` (6,); the module's equation."""
+        """Return the points (m, 3) for the parameters ``values`` (6,), by the module's equation."""
         y, roll, pitch, _, _, b = values
-        R, t = self.T_base_lidar[:3, :3] @ tilt(roll, pitch), self.T_base_lidar[:3, 3]
+        R, t = self.T_base_lidar[:3, :3] @ tilt_matrix(roll, pitch), self.T_base_lidar[:3, 3]
         at = t + (self.ranges + b)[:, None] * (self.beams @ R.T)
         at[:, 1] += y
-        return _turned(at, self.headings(values))
+        return _rotate(at, self.headings(values))
 
     def headings(self, values: FloatArray) -> FloatArray:
-        """Return the true headings (m,) [rad]."""
+        """Return the headings (m,) corrected by the parameters ``values`` (6,) [rad]."""
         return np.asarray((1.0 + values[3]) * self.yaws + values[4] * self.rates)
 
     def normals_at(self, values: FloatArray) -> FloatArray:
-        """Return the normals (m, 3), turned along with their readings."""
-        return _turned(self.normals, self.headings(values) - self.yaws)
+        """Return the normals (m, 3), rotated together with their readings."""
+        return _rotate(self.normals, self.headings(values) - self.yaws)
 
 
 def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
-    """Return where the lidar sits, from sweeps grouped by the place they were taken from.
+    """Return the extrinsics of the lidar from sweeps, grouped by the place they were taken from.
 
     Args:
-        places: Sweeps from one place must have one frame ``scan``; different places are unrelated.
+        places: The sweeps of each place, which share one frame ``scan``; places are unrelated.
 
     Raises:
         RegistrationError: The sweeps show no planes.
     """
-    samples = _gather(places)
+    # Start with the yaw scale
+    samples = _gather_samples(places)
     values = np.zeros(6)
-    values[3] = _seam(places)
-    for _ in range(ROUNDS):
+    values[3] = _estimate_yaw_scale(places)
+
+    # Alternate planes and Gauss-Newton steps
+    for _ in range(PLANE_SEARCHES):
         planes = find_planes(samples.points(values), samples.normals_at(values), samples.places)
         if not planes:
             raise RegistrationError(
                 "the scans show no wall or floor to calibrate by; scan a full turn in a room"
             )
-        for _ in range(ITERATIONS):
-            H, g, square = _equations(samples, planes, values)
-            right = g.sum(axis=0) + values / PRIOR**2
-            values = values - np.linalg.solve(H.sum(axis=0) + np.diag(PRIOR**-2.0), right)
-    sigmas = _standard_errors(H, g, values)[:5]
-    known = sigmas < KNOWN * PRIOR[:5]
+        for _ in range(STEPS_PER_SEARCH):
+            H, g, square = _build_equations(samples, planes, values)
+            right = g.sum(axis=0) + values / PRIOR_SIGMAS**2
+            values = values - np.linalg.solve(H.sum(axis=0) + np.diag(PRIOR_SIGMAS**-2.0), right)
+
+    # Keep what is determined
+    sigmas = _jackknife_errors(H, g, values)[:5]
+    known = sigmas < MAX_KNOWN_SHARE * PRIOR_SIGMAS[:5]
     count = sum(len(plane) for plane in planes)
     return Calibration(
         MountConfig(*np.where(known, values[:5], 0.0).tolist()),
@@ -176,120 +188,131 @@ def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
 
 
 def calibrate_on_panorama(image: RangeImage) -> Calibration | None:
-    """Return what a look around says of the mount it was taken with; None if nothing."""
+    """Return the extrinsics by one panorama; None where it shows no planes."""
     try:
         return calibrate([[image]])
     except RegistrationError:
         return None
 
 
-def suspicion(found: Calibration | None) -> str:
-    """Return what a look around says against the mount that it was taken with; empty if nothing.
+def describe_suspicion(found: Calibration | None) -> str:
+    """Return a warning if a panorama has ``found`` wrong extrinsics; else an empty string.
 
-    A run goes on all the same: the views only fit worse than they could.
+    A run can go on with them: its views only fit less well.
     """
     if found is None:
         return ""
     values = np.array(astuple(found.mount))
-    if not np.any(np.abs(values) > np.maximum(TOLERABLE, SURE * found.sigmas)):
+    if not np.any(np.abs(values) > np.maximum(WARNING_LIMITS, WARNING_SIGMAS * found.sigmas)):
         return ""
-    return f"the lidar seems mounted {in_words(found.mount)}: run `twin calibrate lidar`"
+    return f"the lidar seems mounted {describe_mount(found.mount)}: run `twin calibrate lidar`"
 
 
-def with_turning(config: Config, found: Calibration | None) -> Config:
-    """Return ``config`` with the yaw scale that the first look around has ``found``, if wanted.
+def apply_yaw_scale(config: Config, found: Calibration | None) -> Config:
+    """Return ``config`` with the yaw scale that the first panorama has ``found``, if wanted.
 
-    The two ends of its full turn meet only with the right scale, which is that of all turns of this
-    robot on this floor: sweeps to come are corrected by it and registered as that much surer.
+    The two ends of a full turn meet only with the right scale, which holds for all turns of this
+    robot on this floor: later sweeps are corrected by it, and their yaws are assumed to be that
+    much more accurate.
     """
-    scale = NAMES.index("yaw_scale")
+    scale = PARAMETERS.index("yaw_scale")
     if config.sweep.turning == "odometry" or found is None or not found.known[scale]:
         return config
-    mount = composed(config.mount, MountConfig(yaw_scale=found.mount.yaw_scale))
-    left = math.hypot(float(found.sigmas[scale]), REPEATS)
+    mount = compose_mounts(config.mount, MountConfig(yaw_scale=found.mount.yaw_scale))
+    left = math.hypot(float(found.sigmas[scale]), YAW_SCALE_REPEATABILITY)
     sigma = min(config.registration.yaw_scale_sigma, left)
     registration = replace(config.registration, yaw_scale_sigma=sigma)
     return replace(config, mount=mount, registration=registration)
 
 
-def _gather(places: Sequence[Sequence[RangeImage]]) -> Samples:
+def _gather_samples(places: Sequence[Sequence[RangeImage]]) -> Samples:
+    """Return the surfels of all sweeps; errors if there are none, or of different mounts."""
     images = [image for group in places for image in group]
     if not images:
         raise RegistrationError("there is no scan to calibrate by")
     T = images[0].T_base_lidar
     if any(not np.allclose(image.T_base_lidar, T, atol=1e-9) for image in images):
         raise ConfigError("the scans were taken with different mounts: calibrate them one by one")
-    parts = [_sample(image, place) for place, group in enumerate(places) for image in group]
+    parts = [_sample_sweep(image, place) for place, group in enumerate(places) for image in group]
     return Samples(T, *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _sample(image: RangeImage, place: int) -> tuple[FloatArray | IntArray, ...]:
-    """Return the fields of ``Samples`` for one sweep, the mean of each window as its reading."""
+def _sample_sweep(image: RangeImage, place: int) -> tuple[FloatArray | IntArray, ...]:
+    """Return the fields of ``Samples`` for one sweep, each surfel's mean as its reading."""
+    # Express the surfels as readings
     table = extract_surfels(image).at(np.s_[::STRIDE, ::STRIDE])
     yaws, e = image.yaws[::STRIDE, ::STRIDE], image.spec.elevations[::STRIDE]
     beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1)
-    lidar = _turned(np.broadcast_to(image.T_base_lidar[:3, 3], (*yaws.shape, 3)), yaws)
+    lidar = _rotate(np.broadcast_to(image.T_base_lidar[:3, 3], (*yaws.shape, 3)), yaws)
     ranges = np.linalg.norm(table[..., X] - lidar, axis=2)
-    line, beam = np.nonzero((table[..., VARIANCE] > 0) & (ranges > NEAREST))
+
+    # Select those beyond the robot
+    line, beam = np.nonzero((table[..., VARIANCE] > 0) & (ranges > MIN_RANGE))
     n = len(line)
     return (
         beams[beam],
         ranges[line, beam],
         yaws[line, beam],
-        np.full(n, turn_rate(image)),
-        1.0 / (table[line, beam, VARIANCE] / WINDOW + UNEVEN**2),
+        np.full(n, measure_turn_rate(image)),
+        1.0 / (table[line, beam, VARIANCE] / READINGS_PER_SURFEL + PLANE_SIGMA**2),
         table[line, beam, N],
         np.full(n, place),
     )
 
 
-def _turned(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
+def _rotate(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
+    """Return ``vectors`` (..., 3), rotated about z by ``yaws`` (...) [rad]."""
     c, s = np.cos(yaws), np.sin(yaws)
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
 
 
-def _seam(places: Sequence[Sequence[RangeImage]]) -> float:
-    """Return the yaw scale by which both ends of full turns meet; 0 where no turn is full."""
+def _estimate_yaw_scale(places: Sequence[Sequence[RangeImage]]) -> float:
+    """Return the yaw scale with which both ends of full turns meet; 0 if there is no full turn."""
     found = [
         turn / math.tau
         for images in places
         for image in images
-        if (turn := _gap(image)) is not None
+        if (turn := _measure_seam(image)) is not None
     ]
     return float(np.median(found)) if found else 0.0
 
 
-def _gap(image: RangeImage) -> float | None:
-    """Return by how much more than shown a full turn was [rad]; None if it was none.
+def _measure_seam(image: RangeImage) -> float | None:
+    """Return the angle by which a full turn exceeds its measured angle [rad]; None if not full.
 
-    Normals of a surface seen at both ends differ by that angle, wherever their points lie. Lines
-    are ordered by falling yaw, so the first ones see again what the last ones did.
+    The normals of a surface that is seen at both ends differ by that angle, wherever its points
+    are. Lines are ordered by falling yaw, so that the first ones see again what the last ones saw.
     """
+    # Require a full turn
     middle = image.yaws[:, image.spec.n_beams // 2]
     turn = float(middle[0] - middle[-1])
-    if turn < math.tau - SEAM / 4:
+    if turn < math.tau - SEAM_ANGLE / 4:
         return None
-    count = max(MIN_SEAM, int(np.count_nonzero(middle >= middle[-1] + math.tau)))
+
+    # Pair the surfels of both ends
+    count = max(MIN_SEAM_LINES, int(np.count_nonzero(middle >= middle[-1] + math.tau)))
     grid = extract_surfels(image)
     a, b = grid.at(np.s_[:count, :]), grid.at(np.s_[-count:, :])
     both = (a[..., VARIANCE] > 0) & (b[..., VARIANCE] > 0)
     n, m = a[both][:, N], b[both][:, N]
-    upright = (np.abs(n[:, 2]) < 0.5) & (np.sum(n * m, axis=1) > math.cos(SEAM))
-    if np.count_nonzero(upright) < LEAST:
+    upright = (np.abs(n[:, 2]) < 0.5) & (np.sum(n * m, axis=1) > math.cos(SEAM_ANGLE))
+    if np.count_nonzero(upright) < MIN_PLANE_READINGS:
         return None
+
+    # Measure the angle between normals
     n, m = n[upright], m[upright]
     across = n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0]
     return float(np.median(np.arctan2(across, np.sum(n[:, :2] * m[:, :2], axis=1))))
 
 
 def find_planes(points: FloatArray, normals: FloatArray, places: IntArray) -> list[IntArray]:
-    """Return the readings of each plane, largest first, place by place."""
+    """Return the indices of the readings on each plane, place by place, the largest plane first."""
     found = []
     for place in np.unique(places):
         free = np.flatnonzero(places == place)
-        for _ in range(MOST_PLANES):
-            plane = _largest(points, normals, free)
+        for _ in range(MAX_PLANES):
+            plane = _find_largest_plane(points, normals, free)
             if plane is None:
                 break
             found.append(plane)
@@ -297,65 +320,89 @@ def find_planes(points: FloatArray, normals: FloatArray, places: IntArray) -> li
     return found
 
 
-def _largest(points: FloatArray, normals: FloatArray, free: IntArray) -> IntArray | None:
-    """Return the readings among ``free`` on the plane that most of them share; None for none."""
-    if len(free) < LEAST:
+def _find_largest_plane(points: FloatArray, normals: FloatArray, free: IntArray) -> IntArray | None:
+    """Return the readings among ``free`` on the plane with the most of them; None if too few."""
+    if len(free) < MIN_PLANE_READINGS:
         return None
+
+    # Choose the seed with most readings
     P, n = points[free], normals[free]
-    seeds = np.linspace(0, len(free) - 1, SEEDS).astype(np.int64)
-    near = np.abs(n[seeds] @ P.T - np.sum(n[seeds] * P[seeds], axis=1)[:, None]) < NEAR
-    on = near & (n[seeds] @ n.T > ALIKE)
+    seeds = np.linspace(0, len(free) - 1, PLANE_SEEDS).astype(np.int64)
+    near = (
+        np.abs(n[seeds] @ P.T - np.sum(n[seeds] * P[seeds], axis=1)[:, None]) < FIRST_PLANE_DISTANCE
+    )
+    on = near & (n[seeds] @ n.T > MIN_NORMAL_COSINE)
     best = on[int(np.argmax(on.sum(axis=1)))]
-    for gate in (NEAR, NEARER, NEARER):
-        if np.count_nonzero(best) < LEAST:
+
+    # Fit a plane and gather again
+    for gate in (FIRST_PLANE_DISTANCE, FINAL_PLANE_DISTANCE, FINAL_PLANE_DISTANCE):
+        if np.count_nonzero(best) < MIN_PLANE_READINGS:
             return None
         centre = P[best].mean(axis=0)
         Q = P[best] - centre
         squares, axes = np.linalg.eigh(Q.T @ Q)
         normal = axes[:, 0] * np.sign(axes[:, 0] @ n[best].mean(axis=0))
-        best = (np.abs((P - centre) @ normal) < gate) & (n @ normal > ALIKE)
+        best = (np.abs((P - centre) @ normal) < gate) & (n @ normal > MIN_NORMAL_COSINE)
+
+    # Require readings and extent
     extent = math.sqrt(12.0 * squares[1] / np.count_nonzero(best))
-    return free[best] if np.count_nonzero(best) >= LEAST and extent > EXTENT else None
+    return (
+        free[best]
+        if np.count_nonzero(best) >= MIN_PLANE_READINGS and extent > MIN_PLANE_EXTENT
+        else None
+    )
 
 
-def _equations(
+def _build_equations(
     samples: Samples, planes: list[IntArray], values: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return each plane's part of the information (p, 6, 6) and gradient (p, 6), and the squares.
+    """Return the normal equations of each plane and the sum of squares.
 
-    With its own normal and distance eliminated: they are those of the plane fitted to it.
+    The normal and distance of each plane are those of the fitted plane; they are eliminated.
+
+    Returns:
+        Each plane's information matrix (p, 6, 6) and gradient (p, 6), and the sum of the squared
+        distances from the planes [m2].
     """
+    # Differentiate the points
     P = samples.points(values)
     moved = [
-        (samples.points(values + step) - samples.points(values - step)) / (2 * STEP)
-        for step in STEP * np.eye(6)
+        (samples.points(values + step) - samples.points(values - step)) / (2 * DERIVATIVE_STEP)
+        for step in DERIVATIVE_STEP * np.eye(6)
     ]
+
+    # Sum up plane by plane
     H, g, square = np.zeros((len(planes), 6, 6)), np.zeros((len(planes), 6)), 0.0
     for k, plane in enumerate(planes):
+        # Fit the plane
         w = samples.weights[plane]
         centre = w @ P[plane] / w.sum()
         Q = P[plane] - centre
         _, axes = np.linalg.eigh((Q * w[:, None]).T @ Q)
         e = Q @ axes[:, 0]
-        w = w * (ROBUST**2 / (ROBUST**2 + w * e * e)) ** 2
+        w = w * (KERNEL_WIDTH**2 / (KERNEL_WIDTH**2 + w * e * e)) ** 2
+
+        # Eliminate its normal and distance
         J = np.stack([column[plane] @ axes[:, 0] for column in moved], axis=1)
         own = np.column_stack([np.ones(len(plane)), Q @ axes[:, 1:]])
         W = own * w[:, None]
         A = np.linalg.inv(own.T @ W)
         J = J - own @ (A @ (W.T @ J))
         e = e - own @ (A @ (W.T @ e))
+
+        # Add the rest
         H[k], g[k] = (J * w[:, None]).T @ J, J.T @ (w * e)
         square += float(e @ e)
     return H, g, square
 
 
-def _standard_errors(H: FloatArray, g: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the jackknife's standard errors (6,): the scatter when each plane is left out once."""
-    prior = np.diag(PRIOR**-2.0)
+def _jackknife_errors(H: FloatArray, g: FloatArray, values: FloatArray) -> FloatArray:
+    """Return standard errors (6,) by the jackknife: the scatter when each plane is left out."""
+    prior = np.diag(PRIOR_SIGMAS**-2.0)
     count = len(H)
     if count < 2:
         return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(H.sum(axis=0) + prior))))
-    left, right = H.sum(axis=0) + prior, g.sum(axis=0) + values / PRIOR**2
+    left, right = H.sum(axis=0) + prior, g.sum(axis=0) + values / PRIOR_SIGMAS**2
     steps = np.array([-np.linalg.solve(left - H[k], right - g[k]) for k in range(count)])
     spread = np.sum((steps - steps.mean(axis=0)) ** 2, axis=0) * (count - 1) / count
     floor = np.diagonal(np.linalg.inv(left))

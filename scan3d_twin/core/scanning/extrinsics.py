@@ -1,4 +1,4 @@
-"""A sweep as a lidar saw it that does not sit where it should, or whose heading errs."""
+"""Extrinsics: corrections of sweeps for a lidar that is mounted or timed other than designed."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.types import FloatArray, Observation, RangeImage, read_only
 
 
-def mounted(T_base_lidar: FloatArray, mount: MountConfig) -> FloatArray:
-    """Return ``T_base_lidar`` (4, 4) shifted to the left and then leaning and looking down."""
+def apply_mount(T_base_lidar: FloatArray, mount: MountConfig) -> FloatArray:
+    """Return the extrinsics ``T_base_lidar`` (4, 4), corrected by offset and tilt of ``mount``."""
     T = T_base_lidar.copy()
     T[1, 3] += mount.lateral
-    T[:3, :3] = T[:3, :3] @ tilt(mount.roll, mount.pitch)
+    T[:3, :3] = T[:3, :3] @ tilt_matrix(mount.roll, mount.pitch)
     return T
 
 
-def tilt(roll: float, pitch: float) -> FloatArray:
-    """Return Ry(pitch) Rx(roll) (3, 3)."""
+def tilt_matrix(roll: float, pitch: float) -> FloatArray:
+    """Return the rotation matrix Ry(pitch) Rx(roll) (3, 3)."""
     (cr, cp), (sr, sp) = np.cos([roll, pitch]), np.sin([roll, pitch])
     return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
 
 
-def corrected(observation: Observation, mount: MountConfig) -> Observation:
-    """Return a sweep with the mount as calibrated; as it is where all of it is 0."""
+def correct_extrinsics(observation: Observation, mount: MountConfig) -> Observation:
+    """Return a sweep corrected by the calibrated ``mount``; as it is if all of it is 0."""
     if mount == MountConfig():
         return observation
     image = observation.image
-    yaws = (1.0 + mount.yaw_scale) * image.yaws + mount.time_offset * turn_rate(image)
-    T = mounted(image.T_base_lidar, mount)
+    yaws = (1.0 + mount.yaw_scale) * image.yaws + mount.time_offset * measure_turn_rate(image)
+    T = apply_mount(image.T_base_lidar, mount)
     image = replace(image, yaws=read_only(yaws), T_base_lidar=read_only(T))
     return replace(observation, image=image)
 
 
-def turn_rate(image: RangeImage) -> float:
-    """Return how fast the base turned while it swept, left positive [rad/s]."""
+def measure_turn_rate(image: RangeImage) -> float:
+    """Return the turn rate of the base during a sweep, left positive [rad/s]."""
     middle = image.yaws[:, image.spec.n_beams // 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         rates = np.diff(middle) / np.diff(image.stamps)
@@ -45,8 +45,8 @@ def turn_rate(image: RangeImage) -> float:
     return float(np.median(rates)) if len(rates) else 0.0
 
 
-def composed(first: MountConfig, then: MountConfig) -> MountConfig:
-    """Return the mount that corrects by ``first`` and then by ``then``, for small angles."""
+def compose_mounts(first: MountConfig, then: MountConfig) -> MountConfig:
+    """Return the correction by ``first`` and then by ``then`` as one, for small angles."""
     return MountConfig(
         lateral=first.lateral + then.lateral,
         roll=first.roll + then.roll,
@@ -56,8 +56,8 @@ def composed(first: MountConfig, then: MountConfig) -> MountConfig:
     )
 
 
-def in_words(mount: MountConfig) -> str:
-    """Return ``mount`` for people."""
+def describe_mount(mount: MountConfig) -> str:
+    """Return ``mount`` in words."""
     return (
         f"{1e3 * mount.lateral:+.1f} mm to the left, leaning {math.degrees(mount.roll):+.2f} deg, "
         f"looking down {math.degrees(mount.pitch):+.2f} deg, turning {mount.yaw_scale:+.2%}"

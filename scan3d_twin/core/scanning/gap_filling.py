@@ -1,4 +1,4 @@
-"""Gap filling (paper section 4.1): linear interpolation across readings that did not come back."""
+"""Gap filling (paper section 4.1): linear interpolation across missing readings."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Target extraction (paper section 4.2): the salient target without floor, background and strays.
 
-The paper applies "edge detection" to remove the background. Here a range image is cut at its depth
-edges, and the pieces are grouped by their distance in the top view. A thing that stands free shows
-farther background on both its sides; the background itself does not.
+The paper removes the background by "edge detection". Here a range image is cut at its depth edges,
+and the pieces are grouped by their distance in the top view. A free-standing thing has farther
+background on both its sides; the background itself does not.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.grids import dilate, label_components
-from scan3d_twin.core.neighbours import nearest
+from scan3d_twin.core.grids import dilate, label_cells
+from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import (
@@ -29,19 +29,20 @@ from scan3d_twin.core.types import (
     read_only,
 )
 
-CELL = 0.05
-"""Cell of the top view in which points are grouped [m]; a quarter of the default cluster_gap."""
+GROUPING_CELL = 0.05
+"""Side of a cell of the top view in which points are grouped [m]; a quarter of the default
+cluster_gap."""
 DEPTH_EDGE = 0.10
-"""Neighbouring readings that differ by more are on different surfaces [m]; a plane seen at 80 deg
-incidence from 1.5 m changes by 0.08 m within a line spacing of 0.5 deg."""
-GRAZING = math.radians(75.0)
-"""Up to this incidence a step in depth between two lines may still be one and the same wall."""
-COMPACT = 3.5
-"""A salient target is smaller than this [m]; larger things are taken if there is nothing else."""
+"""Difference of neighbouring readings above which they are on different surfaces [m]; a plane seen
+at 80 deg incidence from 1.5 m recedes by 0.08 m within a line spacing of 0.5 deg."""
+MAX_WALL_INCIDENCE = math.radians(75.0)
+"""Incidence up to which a step in depth between two lines may be on one wall [rad]."""
+MAX_COMPACT_SIZE = 3.5
+"""Size up to which a target is preferred [m]; larger things are chosen if there is nothing else."""
 
 
-def all_points(image: RangeImage, config: Config) -> Scan3D:
-    """Return every trusted point of the sweep except the floor and the robot itself."""
+def extract_points(image: RangeImage, config: Config) -> Scan3D:
+    """Return all points of ``image`` within range, except the floor and the robot itself."""
     with np.errstate(invalid="ignore"):
         keep = image.ranges <= config.target.max_range
         keep &= image.heights > config.target.floor_height
@@ -58,31 +59,41 @@ def extract_target(
 
     Args:
         image: The sweep's range image, gaps filled.
-        sweep: Its points as ``all_points`` returns them.
-        known: Top view (n, 2) of what is known of the target, in ``scan`` [m].
+        sweep: Its points as ``extract_points`` returns them.
+        known: Top view (n, 2) of the known points of the target, in ``scan`` [m].
         config: Window and thresholds.
 
     Returns:
-        The points in the window that lie in a top-view group touching ``known``; pieces of the
-        range image with fewer than ``config.min_points`` points are stray points and left out.
+        The points in the window whose top-view group touches ``known``, without stray points:
+        pieces of the range image with fewer than ``config.min_points`` points.
     """
-    windowed = sweep.select(in_window(image, sweep.beams, config))
-    windowed = windowed.select(_piece_sizes(image, windowed) >= config.min_points)
+    # Drop stray points
+    windowed = sweep.select(is_in_window(image, sweep.beams, config))
+    windowed = windowed.select(_measure_pieces(image, windowed) >= config.min_points)
     if len(windowed) == 0:
         return windowed
+
+    # Keep groups at the known target
     groups = _group_top_view(windowed.points[:, :2], config.cluster_gap)
-    touching = _touching(windowed.points[:, :2], groups, known, config.cluster_gap)
+    touching = _find_touching(windowed.points[:, :2], groups, known, config.cluster_gap)
     return windowed.select(touching[groups])
 
 
-def in_window(image: RangeImage, beams: IntArray, config: TargetConfig) -> BoolArray:
-    """Tell which ``beams`` lie in the vertical window that is modelled."""
+def is_in_window(image: RangeImage, beams: IntArray, config: TargetConfig) -> BoolArray:
+    """Return which ``beams`` (n,) are in the vertical window that is modelled (n,)."""
     return np.asarray(np.abs(image.spec.elevations[beams]) <= config.window / 2)
 
 
 @dataclass(frozen=True)
 class _Group:
-    """A candidate target of the look around: its top view and how much it stands out."""
+    """A thing in the panorama that may be the target.
+
+    Attributes:
+        points: Its top view in ``scan`` (n, 2) [m].
+        salience: How much it stands out, see ``_measure_salience`` [m2].
+        stands_free: Whether the background on both its sides is farther.
+        compact: Whether it is no larger than ``MAX_COMPACT_SIZE``.
+    """
 
     points: FloatArray
     salience: float
@@ -91,69 +102,82 @@ class _Group:
 
     @property
     def rank(self) -> int:
-        """2 for a compact thing that stands free, 1 for a large one, 0 for background."""
+        """2 for a compact, free-standing thing, 1 for a large one, 0 for background."""
         return self.stands_free * (1 + self.compact)
 
 
-def find_target(look: Observation, near: tuple[float, float] | None, config: Config) -> FloatArray:
-    """Return the top view (n, 2) in ``odom`` [m] of the salient target of a look around.
+def find_target(
+    panorama: Observation, near: tuple[float, float] | None, config: Config
+) -> FloatArray:
+    """Return the top view (n, 2) in ``odom`` [m] of the target in a panorama.
 
     Args:
-        look: A sweep of one full turn.
-        near: Place (x, y) in ``odom`` of the wanted target, or None to choose the most salient:
-            of the things that stand free of the background, preferably one smaller than
-            ``COMPACT``, the one with the largest face towards the robot, ahead rather than behind.
+        panorama: The panorama.
+        near: Place (x, y) in ``odom`` of the wanted target [m]. None chooses the most salient
+            thing: a free-standing one, preferably no larger than ``MAX_COMPACT_SIZE``, with the
+            largest face towards the robot, ahead rather than behind.
         config: Thresholds.
 
     Raises:
         SceneError: Nothing was seen, or nothing near ``near``.
     """
-    groups = _groups(look, config)
+    groups = _find_groups(panorama, config)
     if near is not None:
-        return _nearest(groups, look, near)
+        return _choose_nearest(groups, panorama, near)
     best = max(groups, key=lambda group: (group.rank, group.salience))
-    return look.T_odom_scan.apply(best.points)
+    return panorama.T_odom_scan.apply(best.points)
 
 
-def find_targets(look: Observation, count: int, config: Config) -> list[FloatArray]:
+def find_targets(panorama: Observation, count: int, config: Config) -> list[FloatArray]:
     """Return the top views (n, 2) in ``odom`` [m] of the most salient things, at most ``count``.
 
-    Only things that stand free are taken for targets, except for the first; see ``find_target``.
+    All but the first must be free-standing; see ``find_target``.
 
     Raises:
         SceneError: Nothing was seen.
     """
-    groups = sorted(_groups(look, config), key=lambda g: (g.rank, g.salience), reverse=True)
+    groups = sorted(
+        _find_groups(panorama, config), key=lambda g: (g.rank, g.salience), reverse=True
+    )
     free = [group for group in groups if group.rank > 0]
-    return [look.T_odom_scan.apply(group.points) for group in (free or groups[:1])[:count]]
+    return [panorama.T_odom_scan.apply(group.points) for group in (free or groups[:1])[:count]]
 
 
-def _groups(look: Observation, config: Config) -> list[_Group]:
-    """Return the things that a look around shows, at least one."""
-    sweep = all_points(look.image, config)
-    sweep = sweep.select(in_window(look.image, sweep.beams, config.target))
+def _find_groups(panorama: Observation, config: Config) -> list[_Group]:
+    """Return the things in a panorama, at least one."""
+    # Select the points in the window
+    sweep = extract_points(panorama.image, config)
+    sweep = sweep.select(is_in_window(panorama.image, sweep.beams, config.target))
     if len(sweep) < config.target.min_points:
         raise SceneError(
-            f"no target: the look around saw nothing within {config.target.max_range:g} m; "
+            f"no target: the panorama shows nothing within {config.target.max_range:g} m; "
             "start the robot nearer to the target"
         )
+
+    # Group them in the top view
     distance = float(np.median(np.linalg.norm(sweep.points[:, :2], axis=1)))
-    gap = config.target.cluster_gap + distance * _line_spacing(look.image)
+    gap = config.target.cluster_gap + distance * _measure_line_spacing(panorama.image)
     labels = _group_top_view(sweep.points[:, :2], gap)
     groups = [
-        _judge(look.image, sweep, labels == label)
+        _describe_group(panorama.image, sweep, labels == label)
         for label in np.unique(labels)
         if np.count_nonzero(labels == label) >= config.target.min_points
     ]
     if not groups:
-        raise SceneError("no target: the look around saw only stray points")
+        raise SceneError("no target: the panorama shows only stray points")
     return groups
 
 
-def _nearest(groups: list[_Group], look: Observation, near: tuple[float, float]) -> FloatArray:
-    """Return the group that comes nearest to ``near`` in ``odom``, if within half a metre."""
+def _choose_nearest(
+    groups: list[_Group], panorama: Observation, near: tuple[float, float]
+) -> FloatArray:
+    """Return the top view (n, 2) in ``odom`` of the group nearest to ``near``, within half a metre.
+
+    Raises:
+        SceneError: No group is so near.
+    """
     limit = 0.5
-    views = [look.T_odom_scan.apply(group.points) for group in groups]
+    views = [panorama.T_odom_scan.apply(group.points) for group in groups]
     distances = [float(np.min(np.linalg.norm(view - near, axis=1))) for view in views]
     if not distances or min(distances) > limit:
         raise SceneError(
@@ -163,47 +187,57 @@ def _nearest(groups: list[_Group], look: Observation, near: tuple[float, float])
     return views[int(np.argmin(distances))]
 
 
-def _judge(image: RangeImage, sweep: Scan3D, member: BoolArray) -> _Group:
-    """Tell how a group stands out: is what is seen on either side of it farther away?"""
-    foremost = _nearest_per_line(sweep.points, sweep.lines, image.n_lines)
-    own = _nearest_per_line(sweep.points[member], sweep.lines[member], image.n_lines)
+def _describe_group(image: RangeImage, sweep: Scan3D, member: BoolArray) -> _Group:
+    """Return the group of the points that are ``member`` (n,) of it, with its salience."""
+    # Find its ends among the lines
+    foremost = _find_nearest_per_line(sweep.points, sweep.lines, image.n_lines)
+    own = _find_nearest_per_line(sweep.points[member], sweep.lines[member], image.n_lines)
     lines = np.flatnonzero(np.isfinite(own))
     gaps = np.diff(np.append(lines, lines[0] + image.n_lines))
     widest = int(np.argmax(gaps))
+
+    # Compare with what is beyond
     stands_free = False
     if gaps[widest] > 1:
         right, left = lines[widest], lines[(widest + 1) % len(lines)]
         beyond = foremost[[(right + 1) % image.n_lines, left - 1]]
-        stands_free = bool(np.all(beyond > own[[right, left]] * (1 + _grazing_step(image))))
+        stands_free = bool(np.all(beyond > own[[right, left]] * (1 + _limit_wall_step(image))))
+
+    # Measure size and salience
     points = sweep.points[member, :2]
     extent = float(np.max(np.ptp(points, axis=0)))
-    return _Group(points, _salience(image, sweep.points[member]), stands_free, extent <= COMPACT)
+    return _Group(
+        points,
+        _measure_salience(image, sweep.points[member]),
+        stands_free,
+        extent <= MAX_COMPACT_SIZE,
+    )
 
 
-def _salience(image: RangeImage, points: FloatArray) -> float:
-    """Return the area [m2] that ``points`` (n, 3) show to the robot, weighted by where they are.
+def _measure_salience(image: RangeImage, points: FloatArray) -> float:
+    """Return the area [m2] that ``points`` (n, 3) show to the robot, weighted by their bearing.
 
-    The area and not the share of the view: a twig close by is no more salient than a box behind it.
-    The weight falls from 1 ahead to 0 behind, since people put a robot so that it faces its target.
+    The area counts, not the solid angle: a near twig is not more salient than a box behind it. The
+    weight falls from 1 ahead to 0 behind, as people place a robot so that it faces its target.
     """
     beams = float(np.median(np.abs(np.diff(image.spec.elevations))))
-    area = float(np.sum(points[:, :2] ** 2)) * _line_spacing(image) * beams
+    area = float(np.sum(points[:, :2] ** 2)) * _measure_line_spacing(image) * beams
     x, y = points[:, :2].mean(axis=0)
     ahead = (1.0 + float(x) / max(math.hypot(float(x), float(y)), 1e-9)) / 2
     return area * ahead
 
 
-def _grazing_step(image: RangeImage) -> float:
-    """Return by how much, relatively, a wall seen at ``GRAZING`` recedes from line to line."""
-    return math.tan(GRAZING) * _line_spacing(image)
+def _limit_wall_step(image: RangeImage) -> float:
+    """Return the relative step from line to line of a wall seen at ``MAX_WALL_INCIDENCE``."""
+    return math.tan(MAX_WALL_INCIDENCE) * _measure_line_spacing(image)
 
 
-def _line_spacing(image: RangeImage) -> float:
+def _measure_line_spacing(image: RangeImage) -> float:
     """Return the typical angle between two lines [rad]."""
     return float(np.median(-np.diff(image.yaws[:, image.spec.n_beams // 2])))
 
 
-def _nearest_per_line(points: FloatArray, lines: IntArray, n_lines: int) -> FloatArray:
+def _find_nearest_per_line(points: FloatArray, lines: IntArray, n_lines: int) -> FloatArray:
     """Return the smallest horizontal distance in each line (n_lines,) [m]; inf for no point."""
     distances = np.full(n_lines, math.inf)
     np.minimum.at(distances, lines, np.hypot(points[:, 0], points[:, 1]))
@@ -213,42 +247,51 @@ def _nearest_per_line(points: FloatArray, lines: IntArray, n_lines: int) -> Floa
 def _group_top_view(points: FloatArray, gap: float) -> IntArray:
     """Label ``points`` (n, 2) so that things closer than about ``gap`` [m] share a label (n,)."""
     columns = np.ascontiguousarray(points.T)
-    cells = np.floor((columns - columns.min(axis=1, keepdims=True)) / CELL).astype(np.int64)
-    margin = math.ceil(gap / CELL / 2)
+    cells = np.floor((columns - columns.min(axis=1, keepdims=True)) / GROUPING_CELL).astype(
+        np.int64
+    )
+    margin = math.ceil(gap / GROUPING_CELL / 2)
     i, j = cells + margin
     grid = np.zeros((i.max() + 1 + margin, j.max() + 1 + margin), dtype=bool)
     grid[i, j] = True
-    labels = label_components(dilate(grid, (gap / CELL - 1) / 2))
+    labels = label_cells(dilate(grid, (gap / GROUPING_CELL - 1) / 2))
     return np.asarray(labels[i, j], dtype=np.int64)
 
 
-def _touching(points: FloatArray, groups: IntArray, known: FloatArray, gap: float) -> BoolArray:
-    """Tell which groups (k,) of ``points`` (n, 2) come within ``gap`` [m] of ``known`` (m, 2).
+def _find_touching(
+    points: FloatArray, groups: IntArray, known: FloatArray, gap: float
+) -> BoolArray:
+    """Return which groups (k,) of ``points`` (n, 2) come within ``gap`` [m] of ``known`` (m, 2).
 
-    Two points whose cells are so near that no two of theirs can be farther apart are near; for most
-    groups that settles it. Distances are worked out for the others alone, where they can be small.
+    For most groups the cells of the points decide: two points are surely near if the farthest
+    points of their cells are. Distances are computed only for the groups that remain undecided.
     """
     columns, (x, y) = np.ascontiguousarray(points.T), np.ascontiguousarray(known.T)
-    low = columns.min(axis=1) - gap - 2 * CELL
-    size = np.floor((columns.max(axis=1) + gap + 2 * CELL - low) / CELL).astype(np.int64) + 1
-    i = np.floor((x - low[0]) / CELL).astype(np.int64)
-    j = np.floor((y - low[1]) / CELL).astype(np.int64)
+    low = columns.min(axis=1) - gap - 2 * GROUPING_CELL
+    size = (
+        np.floor((columns.max(axis=1) + gap + 2 * GROUPING_CELL - low) / GROUPING_CELL).astype(
+            np.int64
+        )
+        + 1
+    )
+    i = np.floor((x - low[0]) / GROUPING_CELL).astype(np.int64)
+    j = np.floor((y - low[1]) / GROUPING_CELL).astype(np.int64)
     inside = (i >= 0) & (i < size[0]) & (j >= 0) & (j < size[1])
     grid = np.zeros(size, dtype=bool)
     grid[i[inside], j[inside]] = True
-    row, column = np.floor((columns - low[:, None]) / CELL).astype(np.int64)
+    row, column = np.floor((columns - low[:, None]) / GROUPING_CELL).astype(np.int64)
     cell = row * size[1] + column
-    diagonal = math.sqrt(2.0) * CELL
-    near = dilate(grid, gap - 1.01 * diagonal, CELL).take(cell)
+    diagonal = math.sqrt(2.0) * GROUPING_CELL
+    near = dilate(grid, gap - 1.01 * diagonal, GROUPING_CELL).take(cell)
     touching = np.bincount(groups[near], minlength=int(groups.max()) + 1) > 0
-    possible = dilate(grid, gap + 1.01 * diagonal, CELL).take(cell) & ~touching[groups]
+    possible = dilate(grid, gap + 1.01 * diagonal, GROUPING_CELL).take(cell) & ~touching[groups]
     if possible.any():
-        distance, _ = nearest(cKDTree(known), points[possible])
+        distance, _ = find_nearest(cKDTree(known), points[possible])
         touching[groups[possible][distance <= gap]] = True
     return touching
 
 
-def _piece_sizes(image: RangeImage, scan: Scan3D) -> IntArray:
+def _measure_pieces(image: RangeImage, scan: Scan3D) -> IntArray:
     """Return for each point the size (n,) of its piece of the range image, cut at depth edges.
 
     ``native/grids.h`` finds them.

@@ -14,7 +14,7 @@ import numpy as np
 
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.navigation.odometry import DeadReckoning
-from scan3d_twin.core.navigation.wheel_kinematics import correction, ramped
+from scan3d_twin.core.navigation.wheel_kinematics import correct_reading, ramp_speed
 from scan3d_twin.core.types import Odometry, read_only
 from scan3d_twin.devices.create.link import Values
 from scan3d_twin.devices.create.packets import Packet
@@ -101,7 +101,7 @@ class CommandedWheels:
         passed = max(0.0, stamp - self._stamp)
         self._stamp = max(stamp, self._stamp)
         left, right = (
-            ramped(speed, told, passed)
+            ramp_speed(speed, told, passed)
             for speed, told in zip(self._speeds, self._told, strict=True)
         )
         self._speeds = (left[1], right[1])
@@ -239,7 +239,7 @@ class CommandedReckoning:
         """Move by what a reading adds to the commands; at rest that is who pushed the robot."""
         if not (self._way or self._turn or distance_mm or angle_deg):
             return
-        way, turn = correction(self._way, self._turn, distance_mm, angle_deg)
+        way, turn = correct_reading(self._way, self._turn, distance_mm, angle_deg)
         log.debug("corrected by %.1f mm and %.2f deg", 1e3 * way, math.degrees(turn))
         self._reckoning.advance(stamp, way, turn)
         self._variance += math.radians(1.0) ** 2 / 12

@@ -15,7 +15,7 @@ from typing import Protocol
 
 from scan3d_twin.core.errors import HazardError, LinkError
 from scan3d_twin.core.hal import Clock
-from scan3d_twin.core.navigation.wheel_kinematics import wheel_speeds
+from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Op
@@ -155,7 +155,7 @@ class CreateBase:
         Raises:
             HazardError: The base cannot drive: charger, battery, or it refuses Safe mode.
         """
-        left, right = (round(1000 * v) for v in wheel_speeds(self.spec, linear, angular))
+        left, right = (round(1000 * v) for v in split_velocity(self.spec, linear, angular))
         if right or left:
             self._prepare()
         self._drive(right, left)

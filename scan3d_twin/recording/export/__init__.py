@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.core.model.fused_cloud import Model, build_model, sight
+from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_cloud
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.export import e57, las, pcd, ply, text
@@ -58,7 +58,7 @@ def pieces(session: Session, *, per_view: bool, voxel: float) -> list[Piece]:
         raise ConfigError("--voxel fuses the views and --per-view keeps them apart; give one")
     result = []
     for index, view in enumerate(session.views):
-        model = sight(view, index).cleaned
+        model = build_view_cloud(view, index).cleaned
         result.append(
             Piece(f"view_{index:03d}", _in_scan(model, view.T_world_scan), view.T_world_scan)
         )

@@ -1,4 +1,4 @@
-"""ASTM E57 through pye57: every view a scan with its pose, in one file."""
+"""ASTM E57 through pye57: one file with a scan and a pose per view."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, FileError
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.piece import Piece
 
 
@@ -24,9 +24,9 @@ def write(parts: Sequence[Piece], path: Path) -> list[Path]:
     try:
         import pye57
     except ImportError as error:
-        raise ConfigError(
-            "E57 files need the extra export (on x86-64): pip install 'scan3d-twin[export]'"
-        ) from error
+        raise ConfigError("E57 files need pye57 (on x86-64): pip install pye57") from error
+
+    # Write a part file, then rename
     part_file = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -46,7 +46,7 @@ def write(parts: Sequence[Piece], path: Path) -> list[Path]:
 def _write_scan(file: Any, part: Piece) -> None:
     pose, model = part.T_world_piece, part.model
     data = {f"cartesian{name}": model.points[:, axis] for axis, name in enumerate("XYZ")}
-    colours = rgb(model.view)
+    colours = view_colours_rgb(model.view)
     for channel, name in enumerate(("Red", "Green", "Blue")):
         data[f"color{name}"] = np.ascontiguousarray(colours[:, channel])
     file.write_scan_raw(

@@ -7,11 +7,11 @@ import io
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.piece import Piece
 
-SCALE = 1e-4
-"""Least difference between two coordinates [m]: a fiftieth of the lidar's noise."""
+COORDINATE_STEP = 1e-4
+"""Resolution of the coordinates [m]: a fiftieth of the lidar's noise."""
 
 
 def encode_las(piece: Piece) -> bytes:
@@ -28,18 +28,24 @@ def _encode(piece: Piece, *, compressed: bool) -> bytes:
     try:
         import laspy
     except ImportError as error:
-        raise ConfigError(
-            "LAS and LAZ files need the extra export: pip install 'scan3d-twin[export]'"
-        ) from error
+        raise ConfigError("LAS and LAZ files need laspy: pip install 'laspy[lazrs]'") from error
+
+    # Write a reproducible header
     header = laspy.LasHeader(point_format=2, version="1.2")
-    header.scales = np.full(3, SCALE)
+    header.scales = np.full(3, COORDINATE_STEP)
     header.generating_software = "scan3d_twin"
     header.creation_date = None  # the same run gives the same bytes on any day
+
+    # Fill points, views and colours
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = piece.model.points.T
     cloud.point_source_id = piece.model.view.astype(np.uint16)
     # LAS colours have 16 bits; 257 maps 255 to 65535.
-    cloud.red, cloud.green, cloud.blue = (257 * rgb(piece.model.view).astype(np.uint16)).T
+    cloud.red, cloud.green, cloud.blue = (
+        257 * view_colours_rgb(piece.model.view).astype(np.uint16)
+    ).T
+
+    # Encode as LAS or LAZ
     buffer = io.BytesIO()
     cloud.write(buffer, do_compress=compressed)
     return buffer.getvalue()

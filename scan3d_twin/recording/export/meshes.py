@@ -11,35 +11,35 @@ from scipy.spatial import cKDTree
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.model.mesh import Mesh
-from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.run.folder import write_file
 
-MESHES = ("glb", "obj", "ply", "stl")
+MESH_FORMATS = ("glb", "obj", "ply", "stl")
 """The formats of meshes by name."""
-DEPTH = 8
+OCTREE_DEPTH = 8
 """Depth of the octree: 256 cells along 2 m are 8 mm, the spacing of the readings."""
-TRUSTED = 0.015
-"""Poisson closes every hole; surface farther than this from any point is invented [m]: readings
-are 9 mm apart at 1 m, so that no place among them is."""
+MAX_POISSON_DISTANCE = 0.015
+"""Poisson reconstruction closes every hole; surface farther than this from any point is cut away
+[m]. Readings are 9 mm apart at 1 m, so that scanned surface is nearer."""
 GREY = (150, 150, 150)
-"""Of a vertex that came from all views."""
+"""Colour of a vertex that belongs to no single view."""
 
 
 def write_mesh(mesh: Mesh, name: str, path: Path) -> None:
     """Write ``mesh`` in the format ``name`` to ``path``; its vertices have the views' colours.
 
-    In metres, z up; glTF (glb) has y up, as it must.
+    In metres, z up; in glTF (glb) y is up, by definition of the format.
 
     Raises:
         UnknownNameError: There is no such format.
         FileError: It cannot be written.
     """
-    if name not in MESHES:
-        raise UnknownNameError("format of meshes", name, MESHES)
+    if name not in MESH_FORMATS:
+        raise UnknownNameError("format of meshes", name, MESH_FORMATS)
     import trimesh
 
-    colours = np.where(mesh.view[:, None] >= 0, rgb(np.maximum(mesh.view, 0)), GREY)
+    colours = np.where(mesh.view[:, None] >= 0, view_colours_rgb(np.maximum(mesh.view, 0)), GREY)
     vertices = mesh.vertices
     if name == "glb":
         vertices = np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1)
@@ -50,10 +50,10 @@ def write_mesh(mesh: Mesh, name: str, path: Path) -> None:
     write_file(path, content)
 
 
-def poisson(model: Model) -> Mesh:
+def reconstruct_poisson(model: Model) -> Mesh:
     """Return the surface through ``model`` by Kazhdan and Hoppe's screened Poisson method (2013).
 
-    What it invents across holes is cut away again.
+    Surface that the method extrapolates across holes is cut away.
 
     Raises:
         ConfigError: Open3D is missing or cannot be loaded.
@@ -63,11 +63,11 @@ def poisson(model: Model) -> Mesh:
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(known.points))
     cloud.normals = o3d.utility.Vector3dVector(known.normals)
     closed, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-        cloud, depth=DEPTH, n_threads=1
+        cloud, depth=OCTREE_DEPTH, n_threads=1
     )
     vertices, faces = np.asarray(closed.vertices), np.asarray(closed.triangles, dtype=np.int64)
-    distance, _ = nearest(cKDTree(known.points), vertices)
-    faces = faces[(distance[faces] <= TRUSTED).all(axis=1)]
+    distance, _ = find_nearest(cKDTree(known.points), vertices)
+    faces = faces[(distance[faces] <= MAX_POISSON_DISTANCE).all(axis=1)]
     used, corners = np.unique(faces, return_inverse=True)
     return Mesh(vertices[used], corners.reshape(-1, 3), np.full(len(used), -1))
 
@@ -76,9 +76,7 @@ def _open3d() -> Any:
     try:
         import open3d
     except ImportError as error:
-        raise ConfigError(
-            "--method poisson needs Open3D: pip install 'scan3d-twin[open3d]'"
-        ) from error
+        raise ConfigError("--method poisson needs Open3D: pip install open3d") from error
     except OSError as error:
         raise ConfigError(
             f"Open3D cannot be loaded ({error}); apt install libegl1 libgl1 libgomp1 libusb-1.0-0"

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.piece import Piece
 
 _POINT = np.dtype(
@@ -17,14 +17,17 @@ _POINT = np.dtype(
 
 def encode(piece: Piece) -> bytes:
     """Return ``piece`` as a PCD file, its pose as the file's viewpoint."""
+    # Fill the points
     model, pose = piece.model, piece.T_world_piece
     points = np.empty(len(model), dtype=_POINT)
     for axis, name in enumerate("xyz"):
         points[name] = model.points[:, axis]
         points["normal_" + name] = model.normals[:, axis]
-    red, green, blue = rgb(model.view).astype(np.uint32).T
+    red, green, blue = view_colours_rgb(model.view).astype(np.uint32).T
     points["rgb"] = red << 16 | green << 8 | blue
     points["label"] = model.view
+
+    # Write the header
     turn = f"{math.cos(pose.yaw / 2):.9g} 0 0 {math.sin(pose.yaw / 2):.9g}"
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",

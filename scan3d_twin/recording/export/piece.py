@@ -1,4 +1,4 @@
-"""What the exporters write: a cloud in its own frame, and where that frame is."""
+"""The input of all exporters: a cloud in its own frame, and the pose of that frame."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from scan3d_twin.core.types import Pose2
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A cloud to be written.
+    """A cloud to be exported.
 
     Attributes:
-        name: Of its file, without suffix.
-        model: The points and normals in its own frame.
-        T_world_piece: Where that frame is.
+        name: Name of its file, without suffix.
+        model: Points and normals in the piece's own frame.
+        T_world_piece: Pose of that frame in ``world``.
     """
 
     name: str

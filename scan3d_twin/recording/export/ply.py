@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.piece import Piece
 
 _VERTEX = np.dtype(
@@ -17,6 +17,7 @@ _TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 def encode(piece: Piece) -> bytes:
     """Return ``piece`` as a PLY file."""
+    # Fill the vertices
     model = piece.model
     vertices = np.empty(len(model), dtype=_VERTEX)
     for axis, name in enumerate("xyz"):
@@ -24,7 +25,9 @@ def encode(piece: Piece) -> bytes:
         vertices["n" + name] = np.nan_to_num(model.normals[:, axis])
     vertices["view"] = model.view
     for channel, name in enumerate(("red", "green", "blue")):
-        vertices[name] = rgb(model.view)[:, channel]
+        vertices[name] = view_colours_rgb(model.view)[:, channel]
+
+    # Write the header
     names = _VERTEX.names or ()
     header = [
         "ply",

@@ -18,7 +18,7 @@ from rosbags.rosbag2.errors import WriterError
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.mcap import ros_messages as ros
-from scan3d_twin.recording.mcap.reader import Delivered, contents
+from scan3d_twin.recording.mcap.reader import RawMessage, read_contents
 
 _FOREVER = QosTime(2**31 - 1, 999_999_999)
 LATCHED = Qos(
@@ -32,13 +32,13 @@ LATCHED = Qos(
     _FOREVER,
     avoid_ros_namespace_conventions=False,
 )
-"""So that who listens late gets the fixed transforms too."""
+"""Quality of service of the static transforms: late subscribers receive them too."""
 
 
 def write(session_file: Path, path: Path) -> int:
-    """Write the messages of ``session_file`` as the rosbag2 folder ``path``; return how many.
+    """Write the messages of ``session_file`` as the rosbag2 folder ``path``; return their number.
 
-    They are copied as they are: scan lines, odometry, transforms, clouds, plans, registrations.
+    Scan lines, odometry, transforms, clouds, plans and registrations are copied unchanged.
 
     Raises:
         FileError: The folder exists, or cannot be written.
@@ -61,9 +61,11 @@ def write(session_file: Path, path: Path) -> int:
 def _copy(session_file: Path, folder: Path) -> int:
     store, topics, count = ros.typestore(), {}, 0
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for each in contents(session_file):
-            if not isinstance(each, Delivered):
+        for each in read_contents(session_file):
+            if not isinstance(each, RawMessage):
                 continue
+
+            # Declare a topic once
             if each.topic not in topics:
                 topics[each.topic] = writer.add_connection(
                     each.topic,
@@ -71,13 +73,15 @@ def _copy(session_file: Path, folder: Path) -> int:
                     typestore=store,
                     offered_qos_profiles=[LATCHED] if each.latched else [],
                 )
+
+            # Copy the message
             writer.write(topics[each.topic], each.nanoseconds, each.data)
             count += 1
     return count
 
 
 def _rename_inside(folder: Path, name: str) -> None:
-    """Give the data file the final folder's name, as rosbag2 does, and tell the metadata."""
+    """Name the data file after the final folder, as rosbag2 does, here and in the metadata."""
     metadata = folder / "metadata.yaml"
     (data,) = folder.glob("*.mcap")
     final = folder / f"{name}.mcap"

@@ -20,7 +20,7 @@ def encode_xyz(piece: Piece) -> bytes:
 
 
 def poses_csv(parts: Sequence[Piece]) -> str:
-    """Return where each part's frame is in ``world``, [m] and [rad]."""
+    """Return the pose of each part's frame in ``world`` [m, rad] as CSV."""
     rows = ["name,x_m,y_m,yaw_rad"]
     for part in parts:
         pose = part.T_world_piece
@@ -31,8 +31,8 @@ def poses_csv(parts: Sequence[Piece]) -> str:
 def write_uos(parts: Sequence[Piece], path: Path) -> list[Path]:
     """Write ``scanNNN.3d`` and ``scanNNN.pose`` for each part to the folder ``path``.
 
-    As 3DTK wants them: centimetres in a left-handed frame, x right, y up, z ahead; a pose is the
-    place and the angles about x, y and z [deg], where a positive one about y turns to the right.
+    3DTK's convention: centimetres in a left-handed frame, x right, y up, z ahead; a pose is the
+    place and the angles about x, y and z [deg]; a positive angle about y turns right.
     """
     written = []
     for index, part in enumerate(parts):

@@ -1,1 +1,1 @@
-"""The session file: MCAP with ROS 2 messages, written as the run goes, read wherever it ends."""
+"""The session file: MCAP with ROS 2 messages, written during the run, readable if cut off."""

@@ -1,4 +1,4 @@
-"""An MCAP file that grows with the run and loses at most what came in since its last flush."""
+"""An MCAP file written during the run; a crash loses at most the messages since the last flush."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.writer import McapWriter
 
 FLUSH_PERIOD = 0.5
-"""Longest time, on the robot's clock and on ours, for which messages are held back [s]."""
+"""Longest time between two flushes, on the robot's clock and on the computer's [s]."""
 CHUNK_SIZE = 256 * 1024
-"""Messages are held back up to this size [bytes]: half a second of lines and raw bytes is less."""
+"""Size at which a chunk is flushed [bytes]: half a second of lines and raw bytes is less."""
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 LATCHED = f"""- history: 1
   depth: 1
@@ -30,21 +30,21 @@ LATCHED = f"""- history: 1
   liveliness_lease_duration: {_FOREVER}
   avoid_ros_namespace_conventions: false
 """
-"""Quality of service of a message that late listeners need too, as rosbag2 writes it (durability 1
-is transient_local)."""
+"""Quality of service of a message that late subscribers need too, as rosbag2 writes it (durability
+1 is transient_local)."""
 
 
 class Sink:
-    """The end of a file: what was written is with the operating system, or the file is as before.
+    """A file for appending: each write reaches the operating system or leaves the file as it was.
 
     A run in progress holds a lock on it.
     """
 
     def __init__(self, path: Path) -> None:
-        """Make the file ``path``, which must not exist.
+        """Create the file ``path``, which must not exist.
 
         Raises:
-            FileError: It cannot be made.
+            FileError: The file cannot be created.
         """
         self.path = path
         try:
@@ -60,13 +60,16 @@ class Sink:
     def write(self, data: bytes) -> int:
         """Write all of ``data``.
 
-        After a failure nothing more is written: an index would not fit to what is there.
+        After a failure nothing more is written, because an index would not match the content.
 
         Raises:
-            FileError: The disk is full or gone, or was before; what was written then is kept.
+            FileError: The disk is full or gone, now or in an earlier call; earlier data is kept.
         """
+        # Refuse after a failure
         if self._failure is not None:
             raise self._failure
+
+        # Write, or restore the size
         left = memoryview(data)
         try:
             while left:
@@ -77,6 +80,8 @@ class Sink:
                 os.lseek(self._fd, self._size, os.SEEK_SET)
             self._failure = _cannot_record(self.path, error)
             raise self._failure from error
+
+        # Count the bytes
         self._size += len(data)
         return len(data)
 
@@ -85,7 +90,7 @@ class Sink:
         return self._size
 
     def sync(self) -> None:
-        """Wait until the disk has everything, so that not even a power cut loses it.
+        """Wait until all data is on the disk, safe from a power cut.
 
         Raises:
             FileError: The disk is full or gone.
@@ -96,10 +101,10 @@ class Sink:
             raise _cannot_record(self.path, error) from error
 
     def rename(self, path: Path) -> None:
-        """Give the file the name ``path``, in place of what was there.
+        """Rename the file to ``path``, replacing a file of that name.
 
         Raises:
-            FileError: It cannot be.
+            FileError: The file cannot be renamed.
         """
         try:
             os.replace(self.path, path)
@@ -109,7 +114,7 @@ class Sink:
 
     @property
     def closed(self) -> bool:
-        """Whether nothing can be written any more."""
+        """Whether the file is closed."""
         return self._fd < 0
 
     def close(self) -> None:
@@ -121,23 +126,23 @@ class Sink:
 
 def _cannot_record(path: Path, error: OSError) -> FileError:
     return FileError(
-        f"cannot record to {path}: {error.strerror or error}; what was recorded before is kept, "
-        "make room and go on with --resume"
+        f"cannot record to {path}: {error.strerror or error}; earlier data is kept: free disk "
+        "space and continue with --resume"
     )
 
 
 class McapFile:
-    """Writes ROS 2 messages; topics come to be with their first message."""
+    """Writes ROS 2 messages; a topic is declared with its first message."""
 
     def __init__(self, path: Path, wall: Callable[[], float]) -> None:
-        """Make the file ``path``.
+        """Create the file ``path``.
 
         Args:
             path: Must not exist.
-            wall: Returns the time here [s]; only differences count.
+            wall: Returns the computer's time [s]; only differences count.
 
         Raises:
-            FileError: It cannot be made.
+            FileError: The file cannot be created.
         """
         self.sink = Sink(path)
         self._wall = wall
@@ -170,16 +175,16 @@ class McapFile:
         self._writer.add_message(self._channels[topic], nanoseconds, data)
 
     def metadata(self, name: str, entries: Mapping[str, str]) -> None:
-        """Add text by name; what is said last of a ``name`` holds."""
+        """Add ``entries`` called ``name``; readers take the last entries of a name."""
         self._writer.add_metadata(name, entries)
 
     def flush(self, stamp: float) -> None:
-        """Hand everything to the operating system: a killed program loses nothing of it."""
+        """Hand all messages to the operating system, where they survive the end of the program."""
         self._writer.flush()
         self._flushed = (stamp, self._wall())
 
     def finish(self) -> None:
-        """Write the index, which makes the file whole, and close it."""
+        """Write the index, which completes the file, and close it."""
         self._writer.finish()
         self.sink.sync()
         self.sink.close()

@@ -1,4 +1,4 @@
-"""Reading MCAP files that end anywhere: after their index, or where a run was killed."""
+"""Reads MCAP files, complete or cut off where a run was killed (recovery)."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from zstandard import ZstdError
 from scan3d_twin.core.errors import FileError
 
 _MAGIC = b"\x89MCAP0\r\n"
-_BROKEN = (McapError, CRCValidationError, ZstdError, struct.error, ValueError, KeyError)
-"""What a reader runs into where a disk has lost a part of the file."""
+_READ_ERRORS = (McapError, CRCValidationError, ZstdError, struct.error, ValueError, KeyError)
+"""Errors of a reader where a part of the file is lost."""
 
 
 @dataclass(frozen=True, slots=True)
-class Delivered:
-    """A message as it lies in a file.
+class RawMessage:
+    """An encoded message in a file.
 
     Attributes:
-        topic: Where it was published.
+        topic: Its topic.
         name: Its type.
-        latched: Whether late listeners need it too.
-        nanoseconds: When, on the robot's clock [ns].
-        data: Encoded.
+        latched: Whether late subscribers need it too.
+        nanoseconds: Its stamp on the robot's clock [ns].
+        data: The message as CDR.
     """
 
     topic: str
@@ -46,10 +46,10 @@ class Delivered:
 
 
 def is_finished(path: Path) -> bool:
-    """Tell whether the file at ``path`` ends as a finished one does.
+    """Return whether the file at ``path`` is complete, by its last bytes.
 
     Raises:
-        FileError: It cannot be read, or is no MCAP file.
+        FileError: The file cannot be read, or is no MCAP file.
     """
     try:
         with path.open("rb") as stream:
@@ -63,10 +63,10 @@ def is_finished(path: Path) -> bool:
 
 
 def is_sound(path: Path) -> bool:
-    """Tell whether every message of the finished file at ``path`` can be read.
+    """Return whether every message of the complete file at ``path`` can be read.
 
     Raises:
-        FileError: It cannot be opened.
+        FileError: The file cannot be opened.
     """
     try:
         with path.open("rb") as stream:
@@ -74,13 +74,13 @@ def is_sound(path: Path) -> bool:
                 pass
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except _BROKEN:
+    except _READ_ERRORS:
         return False
     return True
 
 
 def is_written(path: Path) -> bool:
-    """Tell whether a run that is still going on writes to the file at ``path``."""
+    """Return whether a running program is writing to the file at ``path``."""
     try:
         with path.open("rb") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -91,13 +91,13 @@ def is_written(path: Path) -> bool:
     return False
 
 
-def contents(path: Path, *topics: str) -> Iterator[Delivered | Metadata]:
-    """Yield metadata and messages, of ``topics`` or of all, in the order they were written in.
+def read_contents(path: Path, *topics: str) -> Iterator[RawMessage | Metadata]:
+    """Yield metadata and messages, of ``topics`` or of all, in the order of writing.
 
-    An unfinished file is read up to its last good byte.
+    An unfinished file is read up to its last complete record.
 
     Raises:
-        FileError: It cannot be read, or is no MCAP file, or a finished one is damaged.
+        FileError: The file cannot be read, is no MCAP file, or is complete but damaged.
     """
     finished = is_finished(path)
     try:
@@ -105,21 +105,21 @@ def contents(path: Path, *topics: str) -> Iterator[Delivered | Metadata]:
             if finished and topics:
                 yield from _indexed(stream, topics)
                 return
-            yield from (each for each in _scanned(stream) if _wanted(each, topics))
+            yield from (each for each in _scanned(stream) if _is_wanted(each, topics))
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except _BROKEN as error:
+    except _READ_ERRORS as error:
         raise FileError(
             f"{path} is damaged ({error}); save what is left: twin session recover {path.parent}"
         ) from None
 
 
-def _wanted(each: Delivered | Metadata, topics: tuple[str, ...]) -> bool:
+def _is_wanted(each: RawMessage | Metadata, topics: tuple[str, ...]) -> bool:
     return not topics or isinstance(each, Metadata) or each.topic in topics
 
 
-def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[Delivered | Metadata]:
-    """Yield by the index of a finished file."""
+def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[RawMessage | Metadata]:
+    """Yield the content by the index of a complete file."""
     reader = make_reader(stream, validate_crcs=True)
     yield from reader.iter_metadata()
     for schema, channel, message in reader.iter_messages(topics, log_time_order=False):
@@ -127,8 +127,8 @@ def _indexed(stream: IO[bytes], topics: tuple[str, ...]) -> Iterator[Delivered |
         yield _delivered(schema, channel, message)
 
 
-def _scanned(stream: IO[bytes]) -> Iterator[Delivered | Metadata]:
-    """Yield from the start up to where the file is no longer sound."""
+def _scanned(stream: IO[bytes]) -> Iterator[RawMessage | Metadata]:
+    """Yield the content from the start up to the first damaged record."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     for record in _sound_records(stream):
@@ -143,13 +143,14 @@ def _scanned(stream: IO[bytes]) -> Iterator[Delivered | Metadata]:
             yield _delivered(schemas[channel.schema_id], channel, record)
 
 
-def _delivered(schema: Schema, channel: Channel, message: Message) -> Delivered:
+def _delivered(schema: Schema, channel: Channel, message: Message) -> RawMessage:
     latched = "offered_qos_profiles" in channel.metadata
-    return Delivered(channel.topic, schema.name, latched, message.log_time, message.data)
+    return RawMessage(channel.topic, schema.name, latched, message.log_time, message.data)
 
 
 def _sound_records(stream: IO[bytes]) -> Iterator[McapRecord]:
-    """Yield what chunks hold, and metadata, each only if all of it is there."""
+    """Yield the records of complete chunks, and complete metadata records."""
+    # Walk over the records
     size = stream.seek(0, os.SEEK_END)
     place = stream.seek(len(_MAGIC))
     while place + 9 <= size:
@@ -160,9 +161,11 @@ def _sound_records(stream: IO[bytes]) -> Iterator[McapRecord]:
         if opcode not in (Opcode.CHUNK, Opcode.METADATA):
             stream.seek(place)
             continue
+
+        # Parse chunks and metadata
         try:
             records = _parsed(opcode, stream.read(length))
-        except _BROKEN:
+        except _READ_ERRORS:
             return
         yield from records
 

@@ -1,4 +1,4 @@
-"""Writing a new session file in place of an old one, which is kept beside it."""
+"""Replaces a session file by a new one to be written to, and keeps the old one as a backup."""
 
 from __future__ import annotations
 
@@ -13,102 +13,106 @@ from mcap.records import Metadata
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
-from scan3d_twin.recording.mcap.reader import Delivered, contents, is_written
+from scan3d_twin.recording.mcap.reader import RawMessage, is_written, read_contents
 from scan3d_twin.recording.names import PART, RECORDS, SESSION_FILE
 from scan3d_twin.recording.session_log import MARK
 
 
 @dataclass(frozen=True)
 class Reopened:
-    """A session file that can be written to once more.
+    """A session file reopened for writing.
 
     Attributes:
-        file: Holds everything of the old one up to its last mark.
-        old: Where the old one was.
-        backup: Where it is now.
+        file: The new file, with the content of the old one up to its last mark.
+        old: Former path of the old file.
+        backup: Path of the old file now.
     """
 
     file: McapFile
     old: Path
     backup: Path
 
-    def take_back(self) -> None:
-        """Drop the new file and put the old one in its place again."""
+    def restore_old(self) -> None:
+        """Delete the new file and restore the old one."""
         self.file.sink.close()
         self.file.sink.path.unlink(missing_ok=True)
         os.replace(self.backup, self.old)
 
 
 def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reopened:
-    """Begin a new unfinished session file with what the one at ``path`` holds.
+    """Begin a new unfinished session file with the content of the one at ``path``.
 
-    At every moment one of the two is in the folder as a whole.
+    At every moment one of the two is complete in the folder.
 
     Args:
-        path: Of the session file.
-        wall: Returns the time here [s]; only differences count.
-        whole: Also what comes after its last mark: the way towards a view that was not finished.
+        path: The session file.
+        wall: Returns the computer's time [s]; only differences count.
+        whole: Also copy what follows the last mark: the drive towards an unfinished view.
 
     Raises:
-        FileError: A run is writing to it, it cannot be read, or there is no room.
+        FileError: A run is writing to the file, it cannot be read, or the disk is full.
     """
     if is_written(path):
-        raise FileError(f"{path} is being written by a run that goes on: stop that first")
+        raise FileError(f"a running program is writing to {path}; stop it first")
+
+    # Copy the content
     copy = path.with_name(f".{SESSION_FILE}.copy")
     copy.unlink(missing_ok=True)
     file = McapFile(copy, wall)
     try:
-        for each in contents(path) if whole else up_to_last_mark(path):
-            write_again(each, file)
+        for each in read_contents(path) if whole else read_to_last_mark(path):
+            copy_record(each, file)
         file.flush(0.0)
         file.sink.sync()
-        backup = keep_beside(path)
+        backup = back_up(path)
     except BaseException:
         file.sink.close()
         copy.unlink(missing_ok=True)
         raise
+
+    # Replace the old file
     file.sink.rename(path.with_name(SESSION_FILE + PART))
     if path.name == SESSION_FILE:
         path.unlink()
     return Reopened(file, path, backup)
 
 
-def up_to_last_mark(path: Path, *topics: str) -> Iterator[Delivered | Metadata]:
-    """Yield what belongs to a finished view or plan; not the way that led to no other one.
+def read_to_last_mark(path: Path, *topics: str) -> Iterator[RawMessage | Metadata]:
+    """Yield the content up to the last finished view or plan.
 
     Args:
-        path: Of the session file.
-        topics: Which messages besides the records; all if none is named.
+        path: The session file.
+        topics: Topics to yield besides the records; all if none is named.
     """
-    pending: list[Delivered | Metadata] = []
-    for each in contents(path, *(topics and (*topics, RECORDS))):
+    pending: list[RawMessage | Metadata] = []
+    for each in read_contents(path, *(topics and (*topics, RECORDS))):
         pending.append(each)
         if is_mark(each):
             yield from pending
             pending.clear()
 
 
-def is_mark(each: Delivered | Metadata) -> bool:
-    """Tell whether all that was recorded before ``each`` belongs together."""
+def is_mark(each: RawMessage | Metadata) -> bool:
+    """Return whether ``each`` is a mark: the state recorded before it is consistent."""
     if isinstance(each, Metadata) or each.topic != RECORDS:
         return False
     kind: str = ros.typestore().deserialize_cdr(each.data, each.name).kind
     return kind == MARK
 
 
-def write_again(each: Delivered | Metadata, file: McapFile) -> None:
-    """Write what was read from one file to another."""
+def copy_record(each: RawMessage | Metadata, file: McapFile) -> None:
+    """Write a record of one file to another ``file``, unchanged."""
     if isinstance(each, Metadata):
         file.metadata(each.name, each.metadata)
     else:
         file.write_bytes(each.topic, each.name, each.nanoseconds, each.data, latched=each.latched)
 
 
-def keep_beside(path: Path) -> Path:
-    """Give the file at ``path`` a second name, ``session.1.mcap`` or the next free one; return it.
+def back_up(path: Path) -> Path:
+    """Link the file at ``path`` as ``session.1.mcap`` or the next free name; return that path.
 
     Raises:
-        FileError: It cannot be.
+        FileError: The backup cannot be written.
     """
     stem, rest = path.name.split(".", 1)
     number = 1
@@ -124,11 +128,11 @@ def keep_beside(path: Path) -> Path:
     return backup
 
 
-def latest_backup(folder: Path) -> Path:
-    """Return the file that the session in ``folder`` was made from last.
+def find_latest_backup(folder: Path) -> Path:
+    """Return the latest backup of the session in ``folder``.
 
     Raises:
-        FileError: There is none.
+        FileError: There is no backup.
     """
     found: dict[int, Path] = {}
     for path in folder.glob("session.*.mcap*"):

@@ -1,4 +1,4 @@
-"""What is recorded as ROS 2 messages, so that the tools of that world open a session unchanged.
+"""Encodes what a run records as ROS 2 messages, so that ROS tools open a session file directly.
 
 Frames (as REP 105): ``world`` > ``odom`` > ``base`` > ``laser``. Frame ``laser`` is the lidar's,
 turned so that its beams lie in the x-y plane, as ``sensor_msgs/LaserScan`` has it. Time is the
@@ -82,7 +82,7 @@ class Message(NamedTuple):
 
     Attributes:
         kind: Its type, such as ``std_msgs/msg/Header``.
-        data: As CDR.
+        data: The message as CDR.
     """
 
     kind: str
@@ -91,85 +91,95 @@ class Message(NamedTuple):
 
 @cache
 def typestore() -> Any:
-    """Return the messages of ROS 2 and our own."""
+    """Return the message types of ROS 2 and our own."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in OWN_TYPES.items():
         store.register(get_types_from_msg(text, name))
     return store
 
 
-def new(kind: str, /, **fields: Any) -> Any:
+def make_message(kind: str, /, **fields: Any) -> Any:
     """Return the message of type ``kind``, such as ``std_msgs/msg/Header``, not yet encoded."""
     return typestore().types[kind](**fields)
 
 
 def encode(kind: str, /, **fields: Any) -> Message:
     """Return the message of type ``kind`` with these ``fields``."""
-    return Message(kind, bytes(typestore().serialize_cdr(new(kind, **fields), kind)))
+    return Message(kind, bytes(typestore().serialize_cdr(make_message(kind, **fields), kind)))
 
 
-def split(stamp: float) -> tuple[int, int]:
+def split_stamp(stamp: float) -> tuple[int, int]:
     """Return ``stamp`` [s] as whole seconds and nanoseconds."""
     return divmod(round(stamp * 1e9), 1_000_000_000)
 
 
-def time_of(stamp: float) -> Any:
-    """Return ``stamp`` [s] as ROS has it, to the nanosecond."""
-    seconds, rest = split(stamp)
-    return new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+def make_time(stamp: float) -> Any:
+    """Return ``stamp`` [s] as a ROS time, to the nanosecond."""
+    seconds, rest = split_stamp(stamp)
+    return make_message("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
 
 
-def header(stamp: float, frame: str) -> Any:
+def make_header(stamp: float, frame: str) -> Any:
     """Return a header."""
-    return new("std_msgs/msg/Header", stamp=time_of(stamp), frame_id=frame)
+    return make_message("std_msgs/msg/Header", stamp=make_time(stamp), frame_id=frame)
 
 
-def mount(T_base_lidar: FloatArray) -> Message:
-    """Return where the lidar sits on the base, as a transform that never changes."""
+def encode_mount(T_base_lidar: FloatArray) -> Message:
+    """Return the lidar's extrinsics as a static transform from ``base`` to ``laser``."""
+    # Compose rotation and translation
     T = T_base_lidar @ LASER_IN_LIDAR
     x, y, z, w = map(float, Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
-    rotation = new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-    place = new("geometry_msgs/msg/Vector3", **dict(zip("xyz", T[:3, 3].tolist(), strict=True)))
-    edge = new(
+    rotation = make_message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+    place = make_message(
+        "geometry_msgs/msg/Vector3", **dict(zip("xyz", T[:3, 3].tolist(), strict=True))
+    )
+
+    # Wrap them in a transform
+    edge = make_message(
         "geometry_msgs/msg/TransformStamped",
-        header=header(0.0, "base"),
+        header=make_header(0.0, "base"),
         child_frame_id="laser",
-        transform=new("geometry_msgs/msg/Transform", translation=place, rotation=rotation),
+        transform=make_message("geometry_msgs/msg/Transform", translation=place, rotation=rotation),
     )
     return encode("tf2_msgs/msg/TFMessage", transforms=[edge])
 
 
-def pose(planar: Pose2) -> Any:
+def make_pose(planar: Pose2) -> Any:
     """Return a planar pose."""
-    z, w = heading(planar.yaw)
-    return new(
+    z, w = yaw_quaternion(planar.yaw)
+    return make_message(
         "geometry_msgs/msg/Pose",
-        position=new("geometry_msgs/msg/Point", x=planar.x, y=planar.y, z=0.0),
-        orientation=new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=z, w=w),
+        position=make_message("geometry_msgs/msg/Point", x=planar.x, y=planar.y, z=0.0),
+        orientation=make_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=z, w=w),
     )
 
 
-def heading(yaw: float) -> tuple[float, float]:
+def yaw_quaternion(yaw: float) -> tuple[float, float]:
     """Return z and w of the unit quaternion that turns about z by ``yaw`` in [-pi, pi) [rad]."""
     return math.sin(yaw / 2), math.cos(yaw / 2)
 
 
-def viewpoint(stamp: float, where: Pose2) -> Message:
-    """Return where the robot is to go next, in ``world``."""
-    return encode("geometry_msgs/msg/PoseStamped", header=header(stamp, "world"), pose=pose(where))
+def encode_viewpoint(stamp: float, where: Pose2) -> Message:
+    """Return the next viewpoint in ``world``."""
+    return encode(
+        "geometry_msgs/msg/PoseStamped", header=make_header(stamp, "world"), pose=make_pose(where)
+    )
 
 
-def cloud(stamp: float, index: int, view: View) -> Message:
+def encode_cloud(stamp: float, index: int, view: View) -> Message:
     """Return all points of view ``index`` in ``world``, except the floor."""
+    # Fill points, view and target
     points = np.zeros(len(view.sweep), dtype=CLOUD)
     for axis, values in zip("xyz", view.T_world_scan.apply(view.sweep.points).T, strict=True):
         points[axis] = values
     points["view"] = index
     places, target = (_places(each.lines, each.beams, view) for each in (view.sweep, view.target))
     points["target"] = np.isin(places, target)
+
+    # Wrap them in a message
     return encode(
         "sensor_msgs/msg/PointCloud2",
-        header=header(stamp, "world"),
+        header=make_header(stamp, "world"),
         height=1,
         width=len(points),
         fields=[_cloud_field(*each) for each in _CLOUD_FIELDS],
@@ -186,4 +196,6 @@ def _places(lines: IntArray, beams: IntArray, view: View) -> IntArray:
 
 
 def _cloud_field(name: str, offset: int, datatype: int) -> Any:
-    return new("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1)
+    return make_message(
+        "sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1
+    )

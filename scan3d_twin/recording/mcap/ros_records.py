@@ -1,4 +1,4 @@
-"""What a run decided and said, as ROS 2 messages."""
+"""Encodes events, plans, registrations and session records as ROS 2 messages."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from scan3d_twin.recording.exact_json import Packed
 from scan3d_twin.recording.mcap import ros_messages as ros
 
 INFO = 20
-"""Level of an ordinary ``rcl_interfaces/Log``."""
+"""Level INFO of ``rcl_interfaces/Log``."""
 
 
-def log(stamp: float, text: str) -> ros.Message:
-    """Return an event in words."""
+def encode_log(stamp: float, text: str) -> ros.Message:
+    """Return an event as a log message."""
     return ros.encode(
         "rcl_interfaces/msg/Log",
-        stamp=ros.time_of(stamp),
+        stamp=ros.make_time(stamp),
         level=INFO,
         name="twin",
         msg=text,
@@ -28,14 +28,14 @@ def log(stamp: float, text: str) -> ros.Message:
     )
 
 
-def plan(stamp: float, index: int, made: Plan) -> ros.Message:
+def encode_plan(stamp: float, index: int, made: Plan) -> ros.Message:
     """Return the plan that was made after view ``index``, in ``world``."""
     return ros.encode(
         "scan3d_twin_msgs/msg/Plan",
-        header=ros.header(stamp, "world"),
+        header=ros.make_header(stamp, "world"),
         view=index,
         finished=made.viewpoint is None,
-        viewpoint=ros.pose(made.viewpoint or Pose2()),
+        viewpoint=ros.make_pose(made.viewpoint or Pose2()),
         overlap=float(made.overlap),
         predicted_rmse=float(made.predicted_rmse),
         fell_back=bool(made.fell_back),
@@ -46,25 +46,25 @@ def plan(stamp: float, index: int, made: Plan) -> ros.Message:
 
 
 def _candidate(each: Candidate) -> Any:
-    return ros.new(
+    return ros.make_message(
         "scan3d_twin_msgs/msg/Candidate",
-        viewpoint=ros.pose(each.viewpoint),
+        viewpoint=ros.make_pose(each.viewpoint),
         overlap=float(each.overlap),
         predicted_rmse=float(each.predicted_rmse),
         feasible=bool(each.feasible),
     )
 
 
-def registration(stamp: float, index: int, result: RegistrationResult) -> ros.Message:
-    """Return how view ``index`` lies on the one before it."""
-    pose = ros.new(
+def encode_registration(stamp: float, index: int, result: RegistrationResult) -> ros.Message:
+    """Return the registration of view ``index`` on the one before it."""
+    pose = ros.make_message(
         "geometry_msgs/msg/PoseWithCovariance",
-        pose=ros.pose(Pose2.from_matrix(result.T_target_source)),
+        pose=ros.make_pose(Pose2.from_matrix(result.T_target_source)),
         covariance=np.asarray(result.covariance, dtype=np.float64).ravel(),
     )
     return ros.encode(
         "scan3d_twin_msgs/msg/Registration",
-        header=ros.header(stamp, "world"),
+        header=ros.make_header(stamp, "world"),
         view=index,
         converged=bool(result.converged),
         target_source=pose,
@@ -77,12 +77,12 @@ def registration(stamp: float, index: int, result: RegistrationResult) -> ros.Me
     )
 
 
-def record(stamp: float, kind: str, index: int, packed: Packed) -> ros.Message:
-    """Return a value that is to come back bit by bit."""
+def encode_record(stamp: float, kind: str, index: int, packed: Packed) -> ros.Message:
+    """Return a record of the session log, stored bit by bit."""
     text, blob = packed
     return ros.encode(
         "scan3d_twin_msgs/msg/Record",
-        stamp=ros.time_of(stamp),
+        stamp=ros.make_time(stamp),
         kind=kind,
         index=index,
         json=text,

@@ -7,31 +7,32 @@ from bisect import bisect_right
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.core.navigation.wheel_kinematics import ACCELERATION, wheel_speeds
+from scan3d_twin.core.navigation.wheel_kinematics import WHEEL_ACCELERATION, split_velocity
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.sim.base.odometers import Sample, make_odometer
 from scan3d_twin.sim.base.profiles import CREATE2
-from scan3d_twin.sim.base.safety_sensors import Feelers
+from scan3d_twin.sim.base.safety_sensors import SafetySensors
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.world import PREFIX, World
 
-__all__ = ["CREATE2", "HISTORY", "SimBase"]
+__all__ = ["CREATE2", "MIN_HISTORY", "SimBase"]
 
-HISTORY = 20_000
-"""Odometry samples that are kept at least: 5 minutes."""
-SURPLUS = 2_000
-"""So many older ones are forgotten at a time."""
+MIN_HISTORY = 20_000
+"""Number of latest odometry samples that are always kept: 5 minutes."""
+FORGET_BATCH = 2_000
+"""Number of older samples that are discarded at once."""
 
 
 class SimBase:
     """A ``DriveBase`` on the twin.
 
-    Sensor packets are taken in every 15 ms; they become odometry when somebody asks for it.
+    A sensor packet is sampled every 15 ms; odometry is computed from the packets on demand.
     """
 
     def __init__(
         self, world: World, spec: BaseSpec = CREATE2, errors: RobotErrorConfig | None = None
     ) -> None:
+        # Find its parts in the model
         errors = RobotErrorConfig() if errors is None else errors
         self.spec = spec
         self._world = world
@@ -40,10 +41,14 @@ class SimBase:
         self._drives = [int(model.actuator(name + "_drive").id) for name in names]
         self._wheels = [int(model.joint(name + "_wheel").qposadr[0]) for name in names]
         self._qpos, self._radius = data.qpos, spec.wheel_diameter / 2
-        self._ramp = ACCELERATION * spec.sample_period / self._radius
-        self._feelers = Feelers(world, spec.sample_period, errors.battery_life)
+        self._ramp = WHEEL_ACCELERATION * spec.sample_period / self._radius
+
+        # Start sensors and commands at rest
+        self._feelers = SafetySensors(world, spec.sample_period, errors.battery_life)
         self._target = (0.0, 0.0)
         self._driven = (0.0, 0.0)
+
+        # Start the odometry
         self._samples = 0
         self.next_step = self._due(1)
         self._zero = [float(data.qpos[wheel]) for wheel in self._wheels]
@@ -58,7 +63,7 @@ class SimBase:
 
     def set_velocity(self, linear: float, angular: float) -> tuple[float, float]:
         """See ``DriveBase.set_velocity``."""
-        left, right = self._target = wheel_speeds(self.spec, linear, angular)
+        left, right = self._target = split_velocity(self.spec, linear, angular)
         return (left + right) / 2, (right - left) / self.spec.wheel_base
 
     def stop(self) -> None:
@@ -86,11 +91,13 @@ class SimBase:
         return self._feelers.wall()
 
     def service(self) -> None:
-        """Take in a sensor packet and move the wheel speeds towards the command.
+        """Sample a sensor packet and ramp the wheel speeds towards the command.
 
         Raises:
-            HazardError: A new hazard, or the robot drives on into an old one; the wheels stand.
+            HazardError: A hazard is new, or the robot drives on into an old one; the wheels are
+                stopped.
         """
+        # Sample a sensor packet
         self._samples += 1
         self.next_step = self._due(self._samples + 1)
         time, qpos, radius = self._world.time, self._qpos, self._radius
@@ -98,21 +105,25 @@ class SimBase:
         right = qpos.item(self._wheels[1]) - self._zero[1]
         sent = (self._driven[0] * radius, self._driven[1] * radius)
         self._pending.append(Sample(time, (left, right), sent))
-        if len(self._pending) >= SURPLUS:
+        if len(self._pending) >= FORGET_BATCH:
             self._reckon()
+
+        # Stop the wheels for hazards
         before, self._hazards = self._hazards, self._feelers.hazards(self._driven)
         names = _blocking(before, self._hazards, self._target)
         if names:
             self.stop()
             raise HazardError(f"stopped: {', '.join(names)} at {time:.2f} s")
+
+        # Ramp towards the command
         self._accelerate()
 
     def _reckon(self) -> None:
-        """Make odometry of the packets that came in since."""
+        """Compute odometry from the pending packets."""
         update = self._odometer.update
         self._history += [update(sample) for sample in self._pending]
         self._pending.clear()
-        del self._history[: max(0, len(self._history) - HISTORY) // SURPLUS * SURPLUS]
+        del self._history[: max(0, len(self._history) - MIN_HISTORY) // FORGET_BATCH * FORGET_BATCH]
 
     def _accelerate(self) -> None:
         step, wanted = self._ramp, (self._target[0] / self._radius, self._target[1] / self._radius)
@@ -128,7 +139,7 @@ class SimBase:
 
 
 def _blocking(before: Hazards, now: Hazards, target: tuple[float, float]) -> tuple[str, ...]:
-    """Return the hazards to stop for: new ones, and old ones if the robot drives on ahead."""
+    """Return the hazards to stop for: new ones, and old ones if the robot drives forward."""
     if now.battery <= 0:
         return (*now.active(), "battery empty")
     if now == before and sum(target) <= 0:

@@ -1,4 +1,4 @@
-"""How a base knows where it is: by encoder counts, or on a Create 1 by its commands."""
+"""Odometry of a base: by encoder counts, or on a Create 1 by its commands."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from typing import NamedTuple, Protocol
 
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.navigation.odometry import DeadReckoning
-from scan3d_twin.core.navigation.wheel_kinematics import correction
+from scan3d_twin.core.navigation.wheel_kinematics import correct_reading
 from scan3d_twin.core.types import Odometry
 from scan3d_twin.sim.config import RobotErrorConfig
 
-AT_REST = 0.3
-"""Standstill after which a Create 1's packets are read [s]; the driver reads between motions."""
+REST_TIME = 0.3
+"""Standstill before a Create 1's packets are read [s]; the driver reads between motions."""
 
 
 class Sample(NamedTuple):
-    """What one sensor packet of 15 ms holds.
+    """The wheels at one sensor packet, every 15 ms.
 
     Attributes:
-        stamp: [s].
+        stamp: Time of the packet [s].
         turned: Angle of the left and right wheel since opening [rad].
-        sent: Speed of the left and right rim that the motors were told [m/s].
+        sent: Commanded speed of the left and right rim [m/s].
     """
 
     stamp: float
@@ -40,11 +40,11 @@ class Odometer(Protocol):
 def make_odometer(spec: BaseSpec, errors: RobotErrorConfig) -> Odometer:
     """Return the odometer of a base."""
     by_command = spec.name == "create1" and errors.reckoning == "driver"
-    return Commanded(spec, errors) if by_command else Encoders(spec)
+    return CommandOdometer(spec, errors) if by_command else EncoderOdometer(spec)
 
 
-class Encoders:
-    """What the wheels turned: packets 43 and 44 of a Create 2, whole millimetres of a Create 1."""
+class EncoderOdometer:
+    """Odometry by wheel angles: packets 43 and 44 of a Create 2, packet 19 of a Create 1."""
 
     def __init__(self, spec: BaseSpec) -> None:
         self._per_radian = spec.counts_per_turn / math.tau
@@ -59,12 +59,13 @@ class Encoders:
         )
 
 
-class Commanded:
-    """A Create 1 has packets 19 and 20 only: whole mm and degrees since they were read last.
+class CommandOdometer:
+    """Odometry of a Create 1 by its commands, corrected by its packets.
 
-    Each read drops the fraction (libcreate issue 22), so that a turn of 5 deg/s read every 15 ms
-    is 0. So the way is that of the commands, and the packets, read at rest, only correct it to the
-    nearest number they allow.
+    A Create 1 only has packets 19 and 20: whole millimetres and degrees since the last read. Each
+    read drops the fraction (libcreate issue 22), so that a turn of 5 deg/s read every 15 ms is 0.
+    Therefore odometry integrates the commands; the packets, read at rest, correct it to the nearest
+    value consistent with them.
     """
 
     def __init__(self, spec: BaseSpec, errors: RobotErrorConfig) -> None:
@@ -72,19 +73,19 @@ class Commanded:
         self._reckoning = DeadReckoning(spec, 0, 0)
         self._stamp = self._moved = 0.0
         self._wheels = (0.0, 0.0)
-        self._told = [0.0, 0.0]  # way [m] and turn [rad] commanded since the last read
-        self._unread = [0.0, 0.0]  # what the firmware counted since
+        self._commanded = [0.0, 0.0]  # way [m] and turn [rad] commanded since the last read
+        self._unread = [0.0, 0.0]  # way [m] and turn [rad] that the firmware counted since
 
     def update(self, sample: Sample) -> Odometry:
         """See ``Odometer``."""
         stamp, passed = sample.stamp, sample.stamp - self._stamp
         self._stamp = stamp
         way, turn = (speed * passed for speed in self._way_and_turn(sample.sent))
-        self._told = [self._told[0] + way, self._told[1] + turn]
+        self._commanded = [self._commanded[0] + way, self._commanded[1] + turn]
         self._count(sample.turned)
         if any(sample.sent):
             self._moved = stamp
-        elif any(self._told) and stamp - self._moved >= AT_REST:
+        elif any(self._commanded) and stamp - self._moved >= REST_TIME:
             way, turn = self._correction()
         return self._reckoning.advance(stamp, way, turn)
 
@@ -92,7 +93,7 @@ class Commanded:
         return (sides[0] + sides[1]) / 2, (sides[1] - sides[0]) / self._spec.wheel_base
 
     def _count(self, turned: tuple[float, float]) -> None:
-        """Let the firmware count how far the wheels turned."""
+        """Add the turns of the wheels to the counters of the firmware."""
         radius = self._spec.wheel_diameter / 2
         left, right = (radius * (b - a) for a, b in zip(self._wheels, turned, strict=True))
         self._wheels = turned
@@ -101,10 +102,10 @@ class Commanded:
         self._unread[1] += turn * self._errors.angle_gain
 
     def _correction(self) -> tuple[float, float]:
-        """Read packets 19 and 20; return what they add to the commanded way and turn."""
+        """Read packets 19 and 20; return the correction of the commanded way and turn."""
         distance, angle = int(1e3 * self._unread[0]), int(math.degrees(self._unread[1]))
         rest = (self._unread[0] - distance / 1e3, self._unread[1] - math.radians(angle))
         self._unread = [0.0, 0.0] if self._errors.truncates else [*rest]
-        way, turn = correction(self._told[0], self._told[1], distance, angle)
-        self._told = [0.0, 0.0]
+        way, turn = correct_reading(self._commanded[0], self._commanded[1], distance, angle)
+        self._commanded = [0.0, 0.0]
         return way, turn

@@ -1,6 +1,6 @@
-"""An uneven floor: what the wheels roll on where the scene has a plane.
+"""An uneven floor under the wheels, in place of the planes of a scene.
 
-The lidar goes on seeing the plane, a millimetre off, far below its own noise.
+The lidar still sees the plane; the difference of a millimetre is below its noise.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from scipy.ndimage import gaussian_filter
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.config import RobotErrorConfig
 
-REACH = 6.0
-"""Half the side of the uneven square about the scene's origin [m]; beyond it the floor is even."""
+HALF_SIDE = 6.0
+"""Half the side of the uneven square around the scene's origin [m]; the floor beyond is even."""
 CELLS_PER_LENGTH = 4
-"""Cells of the grid per ``uneven_length``; a coarser grid would have kinks."""
+"""Grid cells per ``uneven_length``; a coarser grid would have kinks."""
 
 
-def uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArray:
-    """Return heights (n, n) [m] of zero mean that change over ``uneven_length``."""
-    n = round(2 * REACH / config.uneven_length * CELLS_PER_LENGTH)
+def draw_uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArray:
+    """Return random heights (n, n) [m] of zero mean with the correlation ``uneven_length``."""
+    n = round(2 * HALF_SIDE / config.uneven_length * CELLS_PER_LENGTH)
     smooth = gaussian_filter(rng.standard_normal((n, n)), CELLS_PER_LENGTH / 2, mode="nearest")
     heights: FloatArray = (smooth - smooth.mean()) / smooth.std() * config.uneven
     return heights
@@ -30,19 +30,24 @@ def uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArr
 
 def lay_floor(spec: Any, heights: FloatArray) -> None:
     """Let the robot roll on ``heights`` (n, n) [m] instead of the scene's planes."""
+    # Disable contacts of the planes
     planes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
     if not planes:
         return  # a floor made of boxes has its own edges
     for plane in planes:
         plane.conaffinity = 0  # the robot touches what has a conaffinity
+
+    # Add a height field instead
     low, high = float(heights.min()), float(heights.max())
     field = spec.add_hfield(
         name="uneven_floor",
-        size=[REACH, REACH, high - low, 0.1],
+        size=[HALF_SIDE, HALF_SIDE, high - low, 0.1],
         nrow=heights.shape[0],
         ncol=heights.shape[1],
     )
     field.userdata = ((heights - low) / (high - low)).ravel()
+
+    # Hide it from the rays
     spec.worldbody.add_geom(
         name="uneven_floor",
         type=mujoco.mjtGeom.mjGEOM_HFIELD,

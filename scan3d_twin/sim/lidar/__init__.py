@@ -1,1 +1,1 @@
-"""The simulated lidar: motion, geometry, optics and firmware of a reading."""
+"""The simulated lidar: motion, geometry, optics, noise and firmware of a reading."""

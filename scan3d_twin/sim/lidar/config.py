@@ -1,8 +1,8 @@
-"""How the simulated URG-04LX errs: every source one parameter, with its unit and its source.
+"""Error model of the simulated URG-04LX: one parameter per error source, with unit and provenance.
 
 "Logs" are static intervals of real URG-04LX logs; "sibling" is the UBG-04LX-F01, measured at 31
-distances and 5 incidences. They give the repeatability. What no measurement backs is named an
-assumption. Importing this module costs nothing (no numpy).
+distances and 5 incidences. They give the repeatability. A value without a measurement is called an
+assumption. This module does not import NumPy, so that the command line starts fast.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class LidarModelConfig:
     sigma_per_metre: float = number(0.00045, 0.0, 0.5)
     """Growth of the range noise with distance [m/m]; within the two intervals of the logs."""
     sigma_far: float = number(0.0014, 0.0, 0.5)
-    """Step of the range noise from 2.0 to 2.2 m [m]; logs: 6.8 to 7.3 mm at 2 to 4 m; that it is
-    the receiver's gain is an assumption."""
+    """Step of the range noise from 2.0 to 2.2 m [m]; logs: 6.8 to 7.3 mm at 2 to 4 m; assumed to
+    come from the receiver's gain."""
     sigma_weak: float = number(0.003, 0.0, 0.5)
     """Range noise of a return at the threshold, added in quadrature [m]; assumption."""
     sigma_incidence: float = number(0.75, 0.0, 100.0)
@@ -40,16 +40,16 @@ class LidarModelConfig:
     """Amplitude of the phase measurement's cyclic error [m]; assumption, within the +-10 mm of the
     data sheet."""
     surface_bias: float = number(0.003, 0.0, 0.5)
-    """Error that belongs to a surface, standard deviation over surfaces [m]; assumption, within the
-    +-10 mm of the data sheet; that colour and material matter: Kneip et al. 2009."""
+    """Range bias of a surface, standard deviation over surfaces [m]; assumption, within the +-10 mm
+    of the data sheet; it depends on colour and material (Kneip et al. 2009)."""
     warm_up: float = number(0.003, 0.0, 0.5)
-    """Error of the cold sensor that fades away [m]; assumption, that it drifts: Kneip et al.
+    """Range error of the cold sensor, which decays [m]; assumption; that it drifts: Kneip et al.
     2009."""
     warm_up_time: float = number(1200.0, most=1e6)
     """Time constant of the warm-up [s]; assumption."""
     albedo: float = number(0.6, 0.0, 1.0)
-    """Diffuse reflectance of the brightest surfaces, 0..1; light grey paint. A darker one has that
-    of its red colour, which is nearest to the 785 nm of the laser."""
+    """Diffuse reflectance of the brightest surfaces, 0..1; light grey paint. A darker surface has
+    the reflectance of its red colour, nearest to the 785 nm of the laser."""
     roughness: float = number(0.6, 0.01, 1.0)
     """Roughness of surfaces that state none, 0..1 (GGX alpha = roughness squared); matte."""
     threshold: float = number(0.0018, 0.0, 1000.0)
@@ -84,7 +84,7 @@ class LidarModelConfig:
     stamp_step: float = number(0.001, 0.0, 0.01)
     """Resolution of the time stamp [s]; SCIP 2.0: milliseconds. 0: exact."""
     latency: float = number(0.101, 0.08, 1.0)
-    """From step 0 to the arrival of a line [s]; a capture of firmware 3.1.04 over USB."""
+    """Delay from step 0 to the arrival of a line [s]; a capture of firmware 3.1.04 over USB."""
 
     def __post_init__(self) -> None:
         check_options(self, "lidar")
@@ -108,7 +108,7 @@ IDEAL_LIDAR = LidarModelConfig(
     jitter=0.0,
     stamp_step=0.0,
 )
-"""A lidar that errs by its 1 mm resolution only."""
+"""A lidar whose only error is its resolution of 1 mm."""
 
 HARSH_LIDAR = LidarModelConfig(
     line_loss=0.05,

@@ -1,4 +1,4 @@
-"""What the sensor's firmware makes of the light: whole millimetres, or an error code."""
+"""The sensor's firmware: turns the received light into whole millimetres or an error code."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy.typing as npt
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.sim.lidar.config import LidarModelConfig
-from scan3d_twin.sim.lidar.noise import Draws, cyclic_bias, repeated, spread
+from scan3d_twin.sim.lidar.noise import Draws, cyclic_bias, range_sigma, repeat_readings
 
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """What the receiver gets, arrays (m, n_beams).
+    """The received light, arrays (m, n_beams).
 
     Attributes:
-        distances: By phase [m]; inf for a miss.
-        power: Of the return; 0 for a miss.
-        cosines: Of the incidence in the middle of the beam.
-        bias: The surface's own error [m].
+        distances: Distance by phase [m]; inf for a miss.
+        power: Power of the return; 0 for a miss.
+        cosines: Cosine of the incidence in the middle of the beam.
+        bias: Range bias of the surface [m].
     """
 
     distances: FloatArray
@@ -31,7 +31,7 @@ class Light:
     bias: FloatArray
 
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the arrays in their order."""
+        """Return the arrays in the order of the attributes."""
         return self.distances, self.power, self.cosines, self.bias
 
 
@@ -42,17 +42,32 @@ Broken = tuple[tuple[IntArray, IntArray], IntArray]
 def read(
     light: Light, broken: Broken, draws: Draws, drift: FloatArray, config: LidarModelConfig
 ) -> tuple[FloatArray, IntArray]:
-    """Return ranges [m], NaN where there is none, and codes, both (m, n_beams)."""
+    """Return ranges [m], NaN without a measurement, and codes, both (m, n_beams).
+
+    Args:
+        light: The received light.
+        broken: Beams at a depth edge with the codes of their mixed pixels.
+        draws: Random draws of the lines.
+        drift: Warm-up error of each line (m,) [m].
+        config: Error model.
+    """
+    # Detect the returns
     power = light.power
-    seen = _detected(power, draws.seen, config)
+    seen = _is_detected(power, draws.seen, config)
     distances = np.where(seen, light.distances, 0.0)
-    sigma = spread(distances, power, light.cosines, config)
+
+    # Add bias and noise
+    sigma = range_sigma(distances, power, light.cosines, config)
     readings = cyclic_bias(distances, config)
     readings += distances + light.bias + drift[:, None] + sigma * draws.noise
-    readings = repeated(readings, sigma, draws.chance, config)
+    readings = repeat_readings(readings, sigma, draws.chance, config)
+
+    # Round and check the range
     millimetres = np.rint(readings * 1000)
     valid = seen & (millimetres >= urg04lx.MIN_RANGE_MM) & (millimetres <= urg04lx.MAX_RANGE_MM)
     codes = np.where(valid, VALID, urg04lx.NO_RETURN)
+
+    # Set error codes by cause
     if config.threshold > 0:
         codes[~seen & (power > config.threshold / 2)] = urg04lx.WEAK_RETURN
     at, mixed = broken
@@ -62,12 +77,14 @@ def read(
         codes[valid & (draws.chance > 1 - config.glitch)] = urg04lx.GLITCH
     if power.max() > config.saturation:
         codes[power > config.saturation] = urg04lx.TOO_STRONG
+
+    # Drop isolated readings
     valid = codes == VALID
-    codes[_lonely(valid)] = urg04lx.NEIGHBOURS_INVALID
+    codes[_is_isolated(valid)] = urg04lx.NEIGHBOURS_INVALID
     return np.where(codes == VALID, millimetres / 1000, np.nan), codes
 
 
-def _detected(
+def _is_detected(
     power: FloatArray, normals: npt.NDArray[np.floating[Any]], config: LidarModelConfig
 ) -> BoolArray:
     """Return which returns of ``power`` are detected, given standard normal draws."""
@@ -77,8 +94,8 @@ def _detected(
     return result
 
 
-def _lonely(valid: BoolArray) -> BoolArray:
-    """Return where a valid reading has neighbours in its line and none is valid."""
+def _is_isolated(valid: BoolArray) -> BoolArray:
+    """Return where a valid reading lies between two invalid ones of its line."""
     lonely = np.zeros_like(valid)
     lonely[:, 1:-1] = valid[:, 1:-1] & ~valid[:, :-2] & ~valid[:, 2:]
     return lonely

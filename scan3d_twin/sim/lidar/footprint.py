@@ -1,12 +1,12 @@
-"""The beam has a width: rays over its footprint, and the one reading that comes of them.
+"""The footprint of a beam: sub-rays over its width, and the one reading they combine to.
 
 The sensor measures the phase of amplitude-modulated light, so returns from several distances add as
 phasors:
 
     z = sum_k P_k exp(i 4 pi f (r_k - r_0) / c),    distance = r_0 + arg(z) c / (4 pi f)
 
-At a depth edge that lies between or beside the true distances: a mixed pixel. It differs for the
-two modulations, and where it differs too much the firmware sees that the two waves disagree.
+At a depth edge the result lies between or beside the true distances: a mixed pixel. It differs
+between the two modulations; where it differs too much, the firmware reports an error code.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from scan3d_twin.sim.lidar.config import LidarModelConfig
 SPEED_OF_LIGHT = 299_792_458.0
 WAVE_NUMBERS = tuple(4 * math.pi * f / SPEED_OF_LIGHT for f in urg04lx.MODULATIONS)
 """Phase per distance of the two modulations [rad/m]."""
-EDGE = 0.02
+MIN_EDGE_DEPTH = 0.02
 """Spread of distances over a footprint beyond which it straddles a depth edge [m]; below it phasors
 and the mean weighted by power agree within 1e-5 m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mixed:
-    """What the receiver gets per beam.
+    """The received light per beam.
 
     Attributes:
-        distances: By phase (n,) [m]; inf where nothing was hit.
-        power: Of the return (n,); 0 where nothing was hit.
-        broken: Beams that straddle a depth edge (n_broken,).
-        codes: The error code of each of those; ``VALID`` where it is read (n_broken,).
+        distances: Distance by phase (n,) [m]; inf for a miss.
+        power: Power of the return (n,); 0 for a miss.
+        broken: Indices of beams that straddle a depth edge (n_broken,).
+        codes: Error code of each of these beams, or ``VALID`` (n_broken,).
     """
 
     distances: FloatArray
@@ -48,7 +48,7 @@ class Mixed:
 def offsets(config: LidarModelConfig) -> FloatArray:
     """Return the sub-rays' angles (K, 2) [rad] along and across the line; the first is the centre.
 
-    The others lie on a ring, so wide that the second moments are those of the filled ellipse.
+    The others lie on a ring whose second moments equal those of the filled ellipse.
     """
     ring = config.sub_rays - 1
     if ring == 0:
@@ -61,21 +61,27 @@ def offsets(config: LidarModelConfig) -> FloatArray:
 
 
 def mix(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> Mixed:
-    """Return what the receiver gets of sub-rays at ``distances`` (K, n) [m] with ``power`` (K, n).
+    """Return the received light of sub-rays at ``distances`` (K, n) [m] with ``power`` (K, n).
 
-    Misses have infinite distance and no power.
+    Misses have infinite distance and zero power.
     """
     if len(distances) == 1:
         none = np.empty(0, np.int64)
         return Mixed(distances[0], power[0], none, none)
+
+    # Find beams at a depth edge
     near, far = distances.min(axis=0), distances.max(axis=0)
     total = power.sum(axis=0)
-    edge = np.flatnonzero((far > near + EDGE) & (total > 0))
+    edge = np.flatnonzero((far > near + MIN_EDGE_DEPTH) & (total > 0))
+
+    # Average weighted by power
     safe = distances if np.isfinite(far).all() else np.where(power > 0, distances, 0.0)
     mean = (power * safe).sum(axis=0)
     mean /= np.maximum(total, 1e-300)
     mean[near == np.inf] = np.inf
     total /= len(distances)
+
+    # Add phasors at the edges
     if len(edge) == 0:
         return Mixed(mean, total, edge, edge)
     phasors = _phasors(safe[:, edge], power[:, edge])
@@ -94,7 +100,7 @@ def _phasors(distances: FloatArray, power: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _codes(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> IntArray:
-    """Return the error codes (n,) of beams whose modulations gave these (2, n)."""
+    """Return the error codes (n,) of beams with these ``distances`` and ``power`` (2, n)."""
     codes = np.full(distances.shape[1], VALID)
     apart: BoolArray = np.abs(distances[0] - distances[1]) > config.mixed_phase
     codes[apart] = urg04lx.OTHER_ERROR

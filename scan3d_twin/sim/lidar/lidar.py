@@ -11,14 +11,14 @@ import numpy as np
 from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
 from scan3d_twin.core.types import FloatArray, LidarSpec, ScanLine, read_only
 from scan3d_twin.sim.clock import SimClock
-from scan3d_twin.sim.lidar.noise import Draws, warm_up
+from scan3d_twin.sim.lidar.noise import Draws, warm_up_error
 from scan3d_twin.sim.lidar.scanner import CHUNK, Evidence, Readings, Scanner
-from scan3d_twin.sim.world import RECENT, TIMESTEP, World
+from scan3d_twin.sim.world import HISTORY_STEPS, TIMESTEP, World
 
-UNREAD_LINES = 16
-"""Unread lines that are kept; assumption, the host's serial buffer of some 32 kB."""
-LONGEST_SWEEP = 0.9 * RECENT * TIMESTEP
-"""Of a sweep that is computed at once [s]; the lidar's poses are kept no longer."""
+MAX_UNREAD_LINES = 16
+"""Most unread lines that are kept; assumption, the host's serial buffer of about 32 kB."""
+MAX_SWEEP_DURATION = 0.9 * HISTORY_STEPS * TIMESTEP
+"""Longest sweep that is computed at once [s], limited by the history of the lidar's poses."""
 
 # Streams of the lidar's seed.
 _NOISE, _JITTER, _LOSS = 0, 1, 2
@@ -27,10 +27,10 @@ _BLOCK = 256
 
 @dataclass(frozen=True, slots=True)
 class Revolution:
-    """A revolution not yet read: enough to compute its line later.
+    """A revolution that is not yet read, with all that its line needs.
 
     Attributes:
-        number: It counts the revolutions that are sent.
+        number: Number of the revolution since the first that was sent.
         start: True time of step 0 [s].
         qpos: Positions of the scene's moving objects.
     """
@@ -43,22 +43,26 @@ class Revolution:
 class SimLidar:
     """A ``Lidar`` on the twin.
 
-    The noise of a revolution depends on the seed and its number alone, so a line that nobody reads
-    costs nothing and changes nothing, and a sweep read at once equals one read line by line.
+    The noise of a revolution depends only on the seed and its number. So an unread line costs
+    nothing and changes nothing, and a sweep read at once equals one read line by line.
     """
 
     def __init__(self, world: World, clock: SimClock, scanner: Scanner, seed: list[int]) -> None:
+        # Keep the parts of the twin
         self._world = world
         self._clock = clock
         self._scanner = scanner
         self._seed = seed
+
+        # Draw the mirror's phase and speed
         rng = np.random.default_rng(seed)
-        # The mirror turned before anyone listened.
         self._start = float(rng.uniform(0.0, scanner.spec.line_period))
         self._pace = 1 + scanner.config.revolution * float(rng.standard_normal())
+
+        # Start with no revolution
         self._jitter, self._drawn = np.empty(0), 0
         self._next = 0
-        self._unread: deque[Revolution] = deque(maxlen=UNREAD_LINES)
+        self._unread: deque[Revolution] = deque(maxlen=MAX_UNREAD_LINES)
         self._last: Revolution | None = None
         self.next_step = self._arrival(0)
 
@@ -72,7 +76,7 @@ class SimLidar:
         return math.ceil((self._time(number) + self._scanner.config.latency) / self._world.timestep)
 
     def service(self) -> None:
-        """Take in the line that has arrived, unless it is lost."""
+        """Queue the line that has arrived, unless it is lost."""
         number, start, self._next = self._next, self._time(self._next), self._next + 1
         self.next_step = self._arrival(self._next)
         loss = self._scanner.config.line_loss
@@ -91,14 +95,14 @@ class SimLidar:
         return self._lines([self._last])[0]
 
     def read_sweep(self, count: int) -> tuple[ScanLine, ...]:
-        """Return the next ``count`` lines, computed at once: the same bits as by ``read_line``.
+        """Return the next ``count`` lines, computed at once, bit by bit as by ``read_line``.
 
         Raises:
-            ConfigError: So many lines take longer than the lidar's poses are kept.
+            ConfigError: The lines take longer than ``MAX_SWEEP_DURATION``.
             HazardError: As for ``Clock.sleep``.
         """
-        if not (count >= 1 and count * self.spec.line_period <= LONGEST_SWEEP):
-            longest = int(LONGEST_SWEEP / self.spec.line_period)
+        if not (count >= 1 and count * self.spec.line_period <= MAX_SWEEP_DURATION):
+            longest = int(MAX_SWEEP_DURATION / self.spec.line_period)
             raise ConfigError(f"a sweep read at once has 1 to {longest} lines, got {count}")
         turns: list[Revolution] = []
         while len(turns) < count:
@@ -111,7 +115,7 @@ class SimLidar:
     def read_waiting(self, since: float = 0.0) -> tuple[ScanLine, ...]:
         """See ``BunchingLidar.read_waiting``: the same bits as by ``read_line``.
 
-        Only the last ``UNREAD_LINES`` wait.
+        At most the last ``MAX_UNREAD_LINES`` are kept.
         """
         turns = [turn for turn in self._unread if self._stamp(turn.start) >= since]
         self._unread.clear()
@@ -119,13 +123,13 @@ class SimLidar:
         return tuple(self._lines(turns))
 
     def evidence(self) -> Evidence | None:
-        """Return what lay behind the line read last, for evaluation; None before the first."""
+        """Return the ground truth of the last line read, for evaluation; None before the first."""
         if self._last is None:
             return None
         return self._measure([self._last], evidence=True).evidence[0]
 
     def _lines(self, turns: list[Revolution]) -> list[ScanLine]:
-        """Return the lines of ``turns``, a few at once where nothing else moves."""
+        """Return the lines of ``turns``, computed in chunks where the scene is static."""
         lines = []
         size = 1 if turns and len(turns[0].qpos) else CHUNK
         for first in range(0, len(turns), size):
@@ -137,22 +141,25 @@ class SimLidar:
         return lines
 
     def _measure(self, turns: list[Revolution], *, evidence: bool = False) -> Readings:
+        # Interpolate the poses of all beams
         config, n = self._scanner.config, self.spec.n_beams
         starts = np.array([turn.start for turn in turns])
         times = starts[:, None] + self.spec.beam_times * self._pace
         positions, rotations = self._world.lidar_poses(times.ravel())
+
+        # Draw the noise and measure
         rngs = [np.random.default_rng([*self._seed, _NOISE, turn.number]) for turn in turns]
         return self._scanner.measure(
             turns[0].qpos,
             positions.reshape(len(turns), n, 3),
             rotations.reshape(len(turns), n, 3, 3),
             Draws.of(rngs, n, config),
-            np.array([warm_up(turn.start, config) for turn in turns]),
+            np.array([warm_up_error(turn.start, config) for turn in turns]),
             evidence=evidence,
         )
 
     def _time(self, number: int) -> float:
-        """Return the true time of step 0 of revolution ``number`` [s]; asked in their order."""
+        """Return the true time of step 0 of revolution ``number`` [s]; call in order of numbers."""
         if number >= self._drawn:
             rng = np.random.default_rng([*self._seed, _JITTER, self._drawn])
             self._jitter = self._scanner.config.jitter * rng.standard_normal(_BLOCK)
@@ -161,6 +168,6 @@ class SimLidar:
         return max(0.0, self._start + turn + float(self._jitter[number - self._drawn]))
 
     def _stamp(self, start: float) -> float:
-        """Return ``start`` [s] as the sensor's timer shows it."""
+        """Return ``start`` [s] rounded down to the resolution of the sensor's timer."""
         step = self._scanner.config.stamp_step
         return math.floor(start / step) * step if step > 0 else start

@@ -1,6 +1,6 @@
-"""How a reading errs: repeatability (white noise) and accuracy (what averaging does not remove).
+"""Errors of a reading: random noise, and biases that averaging does not remove.
 
-Arrays have the shape (lines, beams); chance comes in as draws, so that a line reads the same alone
+Arrays have the shape (lines, beams). Random draws are arguments, so that a line is the same alone
 and in a sweep.
 """
 
@@ -17,20 +17,20 @@ from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.lidar.config import LidarModelConfig
 from scan3d_twin.sim.lidar.footprint import WAVE_NUMBERS
 
-FAR, FAR_WIDTH = 2.0, 0.2
-"""Where the range noise steps up, and over what distance [m]; see ``sigma_far``."""
+FAR_DISTANCE, FAR_WIDTH = 2.0, 0.2
+"""Distance at which the range noise steps up, and width of the step [m]; see ``sigma_far``."""
 REPEAT_WITHIN = 2.0
-"""Neighbours this many standard deviations apart lie within their noise; assumption."""
+"""Largest difference of a repeated reading, in standard deviations of the noise; assumption."""
 
 
 @dataclass(frozen=True, slots=True)
 class Draws:
-    """The chance in a number of lines.
+    """The random draws of m lines.
 
     Attributes:
-        seen: Standard normal, for the detection (m, n).
-        noise: Standard normal, correlated between neighbours (m, n).
-        chance: Uniform in 0..1, for repeats and glitches (m, n).
+        seen: Standard normal draws for the detection (m, n).
+        noise: Standard normal draws, correlated between neighbours (m, n).
+        chance: Uniform draws in 0..1 for repeats and glitches (m, n).
     """
 
     seen: npt.NDArray[np.floating[Any]]
@@ -40,17 +40,17 @@ class Draws:
     @staticmethod
     def of(rngs: list[np.random.Generator], beams: int, config: LidarModelConfig) -> Draws:
         """Draw for the lines of ``rngs``, one each."""
-        seen = np.empty((len(rngs), beams), np.float32)  # half as dear, and only compared
+        seen = np.empty((len(rngs), beams), np.float32)  # precise enough for a comparison
         noise = np.empty((len(rngs), beams + 1))
         chance = np.empty((len(rngs), beams))
         for k, rng in enumerate(rngs):
             rng.standard_normal(out=seen[k], dtype=np.float32)
             rng.standard_normal(out=noise[k])
             rng.random(out=chance[k])
-        return Draws(seen, _correlated(noise, config), chance)
+        return Draws(seen, _correlate(noise, config), chance)
 
 
-def _correlated(white: FloatArray, config: LidarModelConfig) -> FloatArray:
+def _correlate(white: FloatArray, config: LidarModelConfig) -> FloatArray:
     """Return ``white`` (m, n + 1) as (m, n) with correlation ``neighbours`` between neighbours."""
     rho = config.neighbours
     if rho == 0:
@@ -62,11 +62,11 @@ def _correlated(white: FloatArray, config: LidarModelConfig) -> FloatArray:
     return mixed
 
 
-def spread(
+def range_sigma(
     distances: FloatArray, power: FloatArray, cosines: FloatArray, config: LidarModelConfig
 ) -> FloatArray:
     """Return the standard deviation of readings [m], shaped as ``distances`` [m]."""
-    far = np.minimum(np.maximum((distances - FAR) / FAR_WIDTH, 0.0), 1.0)
+    far = np.minimum(np.maximum((distances - FAR_DISTANCE) / FAR_WIDTH, 0.0), 1.0)
     sigma = config.sigma + config.sigma_per_metre * distances + config.sigma_far * far
     sigma *= 1 + config.sigma_incidence - config.sigma_incidence * (cosines * cosines)
     weak = config.sigma_weak**2 * config.threshold
@@ -75,20 +75,20 @@ def spread(
 
 
 def cyclic_bias(distances: FloatArray, config: LidarModelConfig) -> FloatArray:
-    """Return the phase measurement's error [m]; two cycles per turn of the phase."""
+    """Return the cyclic error of the phase measurement [m]: two cycles per turn of the phase."""
     result: FloatArray = config.bias * np.sin(2 * WAVE_NUMBERS[0] * distances)
     return result
 
 
-def warm_up(time: float, config: LidarModelConfig) -> float:
-    """Return the error of a sensor switched on ``time`` [s] ago [m]."""
+def warm_up_error(time: float, config: LidarModelConfig) -> float:
+    """Return the warm-up error [m] of a sensor switched on ``time`` [s] ago."""
     return config.warm_up * math.exp(-time / config.warm_up_time)
 
 
-def repeated(
+def repeat_readings(
     readings: FloatArray, sigma: FloatArray, chance: FloatArray, config: LidarModelConfig
 ) -> FloatArray:
-    """Return ``readings`` (m, n) [m], some of which repeat the one before, as the firmware's do."""
+    """Return ``readings`` (m, n) [m], some replaced by the one before, as the firmware does."""
     if config.repeats == 0:
         return readings
     repeats = chance < config.repeats

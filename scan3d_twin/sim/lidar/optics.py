@@ -1,7 +1,7 @@
-"""How much of the lidar's light comes back from a surface.
+"""Optics: the power that a surface returns to the lidar.
 
-Light and receiver coincide (monostatic), so the half vector is the view. Power per beam, in units
-of a white diffuse surface facing the sensor at 1 m times 1 / pi:
+Emitter and receiver coincide (monostatic), so the half vector is the view vector. Power per beam,
+in units of a white diffuse surface facing the sensor at 1 m times 1 / pi:
 
     P = (rho / pi * cos + F0 * D * G1^2 / (4 * cos) + R) / r^2
 
@@ -34,7 +34,7 @@ UNSET_RGBA = (0.5, 0.5, 0.5, 1.0)
 
 @dataclass(frozen=True)
 class Materials:
-    """Optical properties by geom id; the last row is the robot itself.
+    """Optical properties by geom id; the last row is the robot.
 
     Attributes:
         diffuse: rho / pi (n_geoms + 1,).
@@ -52,12 +52,15 @@ class Materials:
     def of(model: Any, config: LidarModelConfig) -> Materials:
         """Read ``metallic``, ``roughness`` and colour of each geom; unset (-1) is matte.
 
-        MuJoCo's ``specular`` and ``shininess`` cannot serve: by default all things shine.
+        MuJoCo's ``specular`` and ``shininess`` are ignored: by default they make everything shiny.
         """
+        # Start from matte surfaces
         metallic = np.zeros(model.ngeom + 1)
         roughness = np.full(model.ngeom + 1, config.roughness)
         red = np.full(model.ngeom + 1, config.albedo)
         retro, gains = np.zeros(model.ngeom + 1), _retro_gains(model)
+
+        # Read the material of each geom
         for geom, material in enumerate(model.geom_matid):
             red[geom] = _rgba(model, geom)[0]
             if material >= 0:
@@ -65,6 +68,8 @@ class Materials:
                 retro[geom] = gains.get(int(material), 0.0)
                 if model.mat_roughness[material] >= 0:
                     roughness[geom] = max(0.01, float(model.mat_roughness[material]))
+
+        # Precompute the factors of power
         f0 = F0_DIELECTRIC * (1 - metallic) + F0_METAL * metallic
         return Materials(
             diffuse=read_only((1 - metallic) * np.minimum(config.albedo, red) / math.pi),
@@ -78,8 +83,8 @@ class Materials:
 
         Args:
             geoms: Geom ids (n,); -1 is the robot itself.
-            cosines: Of the incidence, in 0..1 (n,).
-            distances: (n,) [m]; inf for a miss.
+            cosines: Cosines of the incidence, in 0..1 (n,).
+            distances: Distances (n,) [m]; inf for a miss.
         """
         cos = np.maximum(cosines, 1e-3)
         alpha2 = self.alpha2.take(geoms)

@@ -1,7 +1,7 @@
-"""A mesh file as a scene: true triangles for the rays, small boxes for the contacts.
+"""A mesh file as a scene: its triangles for the rays, small boxes for the contacts.
 
-MuJoCo collides with a mesh's convex hull, which may swallow the robot, so the mesh itself has no
-contacts; its footprint below the robot's height is covered by invisible boxes instead.
+MuJoCo collides with the convex hull of a mesh, which may contain the robot. So the mesh has no
+contacts; invisible boxes cover its surface below the robot's height instead.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from scan3d_twin.sim.scenes.surface_samples import sample_triangles
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 
 ROBOT_HEIGHT = 0.35
-"""What stands above this cannot touch the robot [m]."""
+"""Height above which nothing can touch the robot [m]."""
 SPAWN_DISTANCE = 1.5
-"""From the robot's start to the mesh [m]; as in the built-in scenes."""
+"""Distance from the robot's start to the mesh [m]; as in the built-in scenes."""
 SIZE_LIMITS = (0.02, 20.0)
-"""Least and largest extent of a mesh that can be meant [m]; else its unit is wrong."""
-GRID = 24
+"""Smallest and largest plausible extent of a mesh [m]; beyond, its unit is wrong."""
+GRID_CELLS = 24
 """Cells of the collision grid along the longer side of the footprint."""
 
 
@@ -36,8 +36,9 @@ def mesh_spec(path: Path, scale: float) -> Any:
         scale: Metres per unit of the file.
 
     Raises:
-        SceneError: The file is not a mesh, is empty, or its size cannot be meant.
+        SceneError: The file is not a mesh, is empty, or its size is implausible.
     """
+    # Add the mesh for the rays
     vertices, faces = _load(path, scale)
     spec = mujoco.MjSpec()
     spec.modelname = path.stem
@@ -55,14 +56,18 @@ def mesh_spec(path: Path, scale: float) -> Any:
         conaffinity=0,
         rgba=[0.8, 0.75, 0.6, 1],
     )
+
+    # Add invisible boxes for contacts
     for low, high in _collision_boxes(vertices, faces):
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=(low + high) / 2,
             size=(high - low) / 2,
-            rgba=[0, 0, 0, 0],  # rays pass through what is wholly transparent
+            rgba=[0, 0, 0, 0],  # rays pass fully transparent geoms
             group=3,
         )
+
+    # Add spawn, light and conventions
     spec.worldbody.add_site(
         name="spawn", pos=[vertices[:, 0].min() - SPAWN_DISTANCE, 0, 0], group=4
     )
@@ -108,15 +113,18 @@ def _areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
 def _collision_boxes(vertices: FloatArray, faces: IntArray) -> list[tuple[FloatArray, FloatArray]]:
     """Return boxes (low, high corner) [m] that cover the surface below the robot's height.
 
-    Only cells that hold some surface are covered, so hollow things stay hollow.
+    Only cells that contain surface are covered, so that hollow objects stay hollow.
     """
+    # Sample surface below the robot's height
     extent = np.ptp(vertices[:, :2], axis=0)
-    cell = max(float(extent.max()) / GRID, SIZE_LIMITS[0])
+    cell = max(float(extent.max()) / GRID_CELLS, SIZE_LIMITS[0])
     points, _ = sample_triangles(vertices[faces], cell / 2)
     points = np.concatenate([points, vertices[np.unique(faces)]])
     points = points[points[:, 2] < ROBOT_HEIGHT]
     if len(points) == 0:
         return []
+
+    # Cover the cells with surface
     origin = points[:, :2].min(axis=0)
     cells = ((points[:, :2] - origin) / cell).astype(int)
     occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)

@@ -17,14 +17,14 @@ INSTALL = (
 
 
 class Context(Protocol):
-    """What ``mujoco.egl`` and ``mujoco.osmesa`` call ``GLContext``."""
+    """An OpenGL context: ``GLContext`` of ``mujoco.egl`` and ``mujoco.osmesa``."""
 
     def make_current(self) -> None:
-        """Draw here from now on."""
+        """Make it the context of all OpenGL calls of this thread."""
         ...
 
     def free(self) -> None:
-        """Give the context back."""
+        """Release the context."""
         ...
 
 
@@ -32,13 +32,16 @@ def open_context(width: int, height: int) -> Context:
     """Return a context of ``width`` x ``height`` pixels.
 
     Raises:
-        ConfigError: There is none; the message names what to install.
+        ConfigError: No backend works; the message names what to install.
     """
+    # Check packages and wanted backend
     if any(importlib.util.find_spec(name) is None for name in ("OpenGL", "glfw")):
-        raise ConfigError("pictures need the extra view: pip install 'scan3d-twin[view]'")
+        raise ConfigError("pictures need OpenGL for Python: pip install glfw pyopengl")
     wanted = os.environ.get("MUJOCO_GL")
     if wanted and wanted not in BACKENDS:
         raise ConfigError(f"MUJOCO_GL must be one of {', '.join(BACKENDS)}, got {wanted!r}")
+
+    # Try the backends in turn
     reasons = []
     for backend in (wanted,) if wanted else BACKENDS:
         try:
@@ -52,7 +55,7 @@ def open_context(width: int, height: int) -> Context:
 def _open(backend: str, width: int, height: int) -> Any:
     """Return a context of ``backend``.
 
-    PyOpenGL keeps to the platform of its first import, so it is forgotten before.
+    PyOpenGL keeps the platform of its first import, so its modules are unloaded first.
     """
     for name in [name for name in sys.modules if name.split(".")[0] == "OpenGL"]:
         del sys.modules[name]

@@ -1,9 +1,9 @@
 """Random scenes: a target of random shape and material, in a room or in the open.
 
-Everything drawn lies in the ranges of ``SceneRanges``; the same generator state gives the same
-scene. The target stands in the middle of ``map``, the robot starts some way off and looks
-roughly at it, and round the target nothing stands in its way. ``load_scene("random:7")`` returns
-the scene of seed 7 of the default ranges.
+All draws lie in the ranges of ``SceneRanges``; the same generator state gives the same scene. The
+target stands in the middle of ``map``, the robot starts at a distance and roughly faces it, and its
+path round the target is free. ``load_scene("random:7")`` returns the scene of seed 7 of the default
+ranges.
 """
 
 from __future__ import annotations
@@ -18,29 +18,36 @@ import numpy as np
 from scan3d_twin.core.config import MotionConfig, Tour
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.sim.scenes.random_shapes import Shape, Solid, build_shape, draw, shape_names
+from scan3d_twin.sim.scenes.random_shapes import (
+    Shape,
+    Solid,
+    build_shape,
+    draw_uniform,
+    shape_names,
+)
 from scan3d_twin.sim.scenes.scene import Scene, scene_from_spec
 
-PREFIX = "random:"
-"""Before the seed in a scene's name."""
+NAME_PREFIX = "random:"
+"""Prefix of the seed in a scene's name."""
 _STREAM = 7
-"""Keeps scene k's draws apart from those of a run with seed k."""
+"""Separates the draws of scene k from those of a run with seed k."""
 Interval = tuple[float, float]
-SLACK = 0.20
-"""Room beyond what the robot needs to stand at the standoff and to turn [m]; assumption."""
-START_CLEAR = 1.5
-"""Nothing but the target stands so near to the robot's start that it would stand out more [m]."""
-BEHIND = 0.8
-"""From a front's target to the wall behind it [m]; nearer, strays join the two in a look around."""
-WALL_HEIGHT, WALL = 1.25, 0.05
+TURNING_ROOM = 0.20
+"""Free room besides the standoff and the robot's diameter [m]; assumption."""
+MIN_START_DISTANCE = 1.5
+"""Least distance of clutter from the robot's start, so that the target is most salient [m]."""
+MIN_WALL_DISTANCE = 0.8
+"""Least distance of a target for tour front to the wall behind it [m]; nearer, stray points would
+join the two in a panorama."""
+WALL_HALF_HEIGHT, WALL_HALF_THICKNESS = 1.25, 0.05
 """Half height and half thickness of walls [m]; as in the built-in scenes."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneRanges:
-    """What random scenes are drawn from: intervals (low, high), uniform; SI units.
+    """Ranges of random scenes: uniform intervals (low, high) in SI units.
 
-    Sizes are those of furniture and boxes that a robot 35 cm high can see all of: assumptions.
+    Sizes are those of furniture and boxes that a robot 35 cm high can see completely: assumptions.
     """
 
     shapes: tuple[Shape, ...] = field(default_factory=shape_names)
@@ -48,47 +55,47 @@ class SceneRanges:
     tours: tuple[Tour, ...] = ("front", "full")
     """Whether it is scanned from the front or all round, equally likely."""
     width: Interval = (0.35, 1.50)
-    """Of the target across the robot's view [m]; a sweep covers 1.15 m at a standoff of 1 m."""
+    """Width of the target across the robot's view [m]; a sweep covers 1.15 m at 1 m standoff."""
     depth: Interval = (0.20, 0.60)
-    """Of each part along the robot's view [m]."""
+    """Depth of each part along the robot's view [m]."""
     height: Interval = (0.30, 0.90)
-    """Of each part [m]; the window of 75 deg ends 1.07 m high at a standoff of 1 m."""
+    """Height of each part [m]; the window of 75 deg ends at 1.07 m at a standoff of 1 m."""
     gap: Interval = (0.04, 0.12)
-    """Between parts [m]; below the 0.20 m at which two things count as two targets."""
+    """Gap between parts [m]; from 0.20 m on they count as two targets."""
     setback: Interval = (0.0, 0.15)
-    """Of a part's front behind the foremost one [m]; paper, Fig. 13."""
+    """Setback of a part's front behind the foremost one [m]; paper, Fig. 13."""
     radius: Interval = (0.12, 0.35)
-    """Of cylinders [m]."""
+    """Radius of cylinders [m]."""
     amplitude: Interval = (0.01, 0.03)
-    """Of a wavy side [m]; paper, Fig. 10: 0.02."""
+    """Amplitude of a wavy side [m]; paper, Fig. 10: 0.02."""
     period: Interval = (0.08, 0.25)
-    """Of a wavy side [m]; paper, Fig. 10: 0.08."""
+    """Period of a wavy side [m]; paper, Fig. 10: 0.08."""
     rise: Interval = (0.12, 0.20)
-    """Of a step [m]; DIN 18065: 0.14 to 0.20."""
+    """Rise of a step [m]; DIN 18065: 0.14 to 0.20."""
     going: Interval = (0.15, 0.30)
-    """Depth of a step, its going [m]; DIN 18065: 0.23 to 0.32."""
+    """Going (depth) of a step [m]; DIN 18065: 0.23 to 0.32."""
     turn: Interval = (-0.35, 0.35)
-    """Heading of a target that is scanned from the front [rad]; others lie any way."""
+    """Heading of a target for tour front [rad]; others have any heading."""
     start: Interval = (1.0, 1.4)
-    """Way from the target's round to the robot's start [m]."""
+    """Distance from the target's circumcircle to the robot's start [m]."""
     heading: Interval = (-0.3, 0.3)
-    """The robot's heading at its start, off the target's middle [rad]."""
+    """The robot's heading at its start, relative to the target's middle [rad]."""
     standoff: Interval = (0.9, 1.1)
     """Scanning distance [m]; the built-in scenes have 1.0."""
     walls: float = 0.75
     """Share of the scenes that lie in a room, 0..1."""
     spare: Interval = (0.0, 0.8)
-    """Room beyond the robot's way round the target, on each side [m]."""
+    """Room beyond the robot's path round the target, on each side [m]."""
     clutter: tuple[int, int] = (0, 6)
-    """Number of things that stand about, as many of them as fit."""
+    """Number of objects of clutter; fewer where they do not fit."""
     clutter_radius: Interval = (0.06, 0.17)
-    """Of those things [m]."""
+    """Radius of these objects [m]."""
     matte: float = 0.60
     """Share of matte surfaces, 0..1."""
     dark: float = 0.15
     """Share of dark matte surfaces, 0..1."""
     glossy: float = 0.15
-    """Share of glossy plastic, 0..1; chrome is what the three shares leave."""
+    """Share of glossy plastic, 0..1; the rest is chrome."""
     albedo: Interval = (0.40, 0.90)
     """Reflectance of matte and glossy surfaces."""
     dark_albedo: Interval = (0.10, 0.25)
@@ -101,8 +108,11 @@ class SceneRanges:
     """Sliding friction between floor and tyres."""
 
     def __post_init__(self) -> None:
+        # Check the intervals
         for name in _LIMITS:
             _check_interval(name, getattr(self, name))
+
+        # Check shapes and tours
         _require(bool(self.shapes) and bool(self.tours), "random.shapes and random.tours: name one")
         for shape in self.shapes:
             if shape not in shape_names():
@@ -110,6 +120,8 @@ class SceneRanges:
         for tour in self.tours:
             if tour not in ("front", "full"):
                 raise UnknownNameError("tour", tour, ("front", "full"))
+
+        # Check the shares
         for name in ("walls", "matte", "dark", "glossy"):
             share = getattr(self, name)
             _require(0.0 <= share <= 1.0, f"random.{name} must be in [0, 1], got {share:g}")
@@ -130,7 +142,7 @@ _LIMITS: dict[str, Interval] = {
     "clutter": (0, 50), "clutter_radius": (0.02, 0.5), "albedo": (0.0, 1.0),
     "dark_albedo": (0.0, 1.0), "gloss": (0.05, 1.0), "chrome": (0.05, 1.0), "friction": (0.1, 2.0),
 }  # fmt: skip
-"""What an interval may hold: beyond, the robot or its lidar is not made for it."""
+"""Limits of the intervals: the range in which robot and lidar work."""
 
 
 def _check_interval(name: str, value: tuple[float, float]) -> None:
@@ -141,32 +153,42 @@ def _check_interval(name: str, value: tuple[float, float]) -> None:
     )
 
 
-def random_scene(
+def draw_scene(
     rng: np.random.Generator, ranges: SceneRanges | None = None, name: str = "random"
 ) -> Scene:
-    """Return a scene drawn from ``ranges``; None are the default ones."""
+    """Return a random scene drawn from ``ranges``; None for the default ones."""
     ranges = SceneRanges() if ranges is None else ranges
+
+    # Draw shape, heading and standoff
     shape = ranges.shapes[int(rng.integers(len(ranges.shapes)))]
     tour = ranges.tours[int(rng.integers(len(ranges.tours)))]
-    turn = draw(rng, ranges.turn if tour == "front" else (-math.pi, math.pi))
+    turn = draw_uniform(rng, ranges.turn if tour == "front" else (-math.pi, math.pi))
     solids = [solid.moved(Pose2(0.0, 0.0, turn)) for solid in build_shape(shape, rng, ranges)]
-    standoff, start = draw(rng, ranges.standoff), draw(rng, ranges.start)
+    standoff, start = draw_uniform(rng, ranges.standoff), draw_uniform(rng, ranges.start)
+
+    # Add the target
     spec = mujoco.MjSpec()
     spec.modelname = name
     _add_target(spec, solids, rng, ranges)
+
+    # Place the robot's start
     corners = np.concatenate([solid.corners() for solid in solids])
     R = float(np.linalg.norm(corners, axis=1).max())
-    spawn = Pose2(-R - start, 0.0, draw(rng, ranges.heading))
-    way = R + max(standoff, start) + 2 * MotionConfig().robot_radius + SLACK
+    spawn = Pose2(-R - start, 0.0, draw_uniform(rng, ranges.heading))
+    way = R + max(standoff, start) + 2 * MotionConfig().robot_radius + TURNING_ROOM
+
+    # Add room and clutter
     limits = _add_room(spec, R, way, tour, rng, ranges)
     _add_clutter(spec, spawn, way, limits, rng, ranges)
     _add_site(spec, "spawn", spawn)
+
+    # Add front and conventions
     if tour == "front":
         outward = Pose2(0.0, 0.0, turn).rotate(np.array([-1.0, 0.0]))
         place = float((corners @ outward).max()) * outward
         heading = math.atan2(outward[1], outward[0])
         _add_site(spec, "front", Pose2(float(place[0]), float(place[1]), heading))
-    _add_customs(spec, shape, tour, standoff, draw(rng, ranges.friction))
+    _add_customs(spec, shape, tour, standoff, draw_uniform(rng, ranges.friction))
     return scene_from_spec(name, spec, name)
 
 
@@ -176,19 +198,21 @@ def scene_of_seed(name: str) -> Scene:
     Raises:
         ConfigError: SEED is no whole number >= 0.
     """
-    text = name.removeprefix(PREFIX)
+    text = name.removeprefix(NAME_PREFIX)
     if not (text.isascii() and text.isdigit()):
         raise ConfigError(f"a random scene is random:SEED, SEED a whole number >= 0, got {name!r}")
     rng = np.random.default_rng([int(text), _STREAM])
-    return random_scene(rng, name=f"random_{int(text)}")
+    return draw_scene(rng, name=f"random_{int(text)}")
 
 
 def _add_target(
     spec: Any, solids: list[Solid], rng: np.random.Generator, ranges: SceneRanges
 ) -> None:
-    """Add the target's solids; all of one material, or each of its own."""
+    """Add the target's solids, of one common material or one each."""
     alike = bool(rng.integers(2))
     common = _add_material(spec, "target", rng, ranges)
+
+    # Add one geom per solid
     for k, solid in enumerate(solids):
         material = common if alike else _add_material(spec, f"target_{k}", rng, ranges)
         name = f"target_{k}"
@@ -210,8 +234,8 @@ def _add_target(
 def _add_material(spec: Any, name: str, rng: np.random.Generator, ranges: SceneRanges) -> str:
     """Add a random material and return its name."""
     kind, material = float(rng.random()), spec.add_material(name=name)
-    grey, roughness = draw(rng, ranges.albedo), draw(rng, ranges.gloss)
-    dark, chrome = draw(rng, ranges.dark_albedo), draw(rng, ranges.chrome)
+    grey, roughness = draw_uniform(rng, ranges.albedo), draw_uniform(rng, ranges.gloss)
+    dark, chrome = draw_uniform(rng, ranges.dark_albedo), draw_uniform(rng, ranges.chrome)
     if ranges.matte <= kind < ranges.matte + ranges.dark:
         grey = dark
     elif ranges.matte + ranges.dark <= kind < ranges.matte + ranges.dark + ranges.glossy:
@@ -230,31 +254,46 @@ def _add_room(
     rng: np.random.Generator,
     ranges: SceneRanges,
 ) -> FloatArray:
-    """Add a floor and perhaps walls; return the inside's limits (-x, +x, -y, +y) [m]."""
+    """Add a floor and perhaps walls; return the limits of the room (-x, +x, -y, +y) [m]."""
+    # Add light and floor
     spec.worldbody.add_light(pos=(0, 0, 3), dir=(0.3, 0, -1))
     spec.worldbody.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(8, 8, 0.1), rgba=(0.55, 0.55, 0.55, 1)
     )
+
+    # Draw the limits of the room
     limits = way + rng.uniform(*ranges.spare, 4)
-    behind = R + BEHIND + draw(rng, ranges.spare)
+    behind = R + MIN_WALL_DISTANCE + draw_uniform(rng, ranges.spare)
     if tour == "front":
-        limits[1] = behind  # nobody has to pass behind the target
+        limits[1] = behind  # tour front needs no path behind the target
     if rng.random() >= ranges.walls:
         return limits
+
+    # Add the four walls
     material = spec.add_material(name="wall", rgba=(0.85, 0.85, 0.82, 1.0)).name
     middle = ((limits[1] - limits[0]) / 2, (limits[3] - limits[2]) / 2)
     half = ((limits[0] + limits[1]) / 2, (limits[2] + limits[3]) / 2)
     for name, x, y, long in (
-        ("back", -limits[0] - WALL, middle[1], (WALL, half[1] + 2 * WALL)),
-        ("front", limits[1] + WALL, middle[1], (WALL, half[1] + 2 * WALL)),
-        ("right", middle[0], -limits[2] - WALL, (half[0], WALL)),
-        ("left", middle[0], limits[3] + WALL, (half[0], WALL)),
+        (
+            "back",
+            -limits[0] - WALL_HALF_THICKNESS,
+            middle[1],
+            (WALL_HALF_THICKNESS, half[1] + 2 * WALL_HALF_THICKNESS),
+        ),
+        (
+            "front",
+            limits[1] + WALL_HALF_THICKNESS,
+            middle[1],
+            (WALL_HALF_THICKNESS, half[1] + 2 * WALL_HALF_THICKNESS),
+        ),
+        ("right", middle[0], -limits[2] - WALL_HALF_THICKNESS, (half[0], WALL_HALF_THICKNESS)),
+        ("left", middle[0], limits[3] + WALL_HALF_THICKNESS, (half[0], WALL_HALF_THICKNESS)),
     ):
         spec.worldbody.add_geom(
             name=f"wall_{name}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=(x, y, WALL_HEIGHT),
-            size=(*long, WALL_HEIGHT),
+            pos=(x, y, WALL_HALF_HEIGHT),
+            size=(*long, WALL_HALF_HEIGHT),
             material=material,
         )
     return limits
@@ -268,11 +307,13 @@ def _add_clutter(
     rng: np.random.Generator,
     ranges: SceneRanges,
 ) -> None:
-    """Add things about the room, out of the robot's way and off its start."""
+    """Add clutter to the room, outside the robot's path and away from its start."""
     wanted = int(rng.integers(ranges.clutter[0], ranges.clutter[1] + 1))
     placed: list[tuple[float, float, float]] = []
+
+    # Draw places until enough are free
     for _ in range(10 * wanted):
-        radius = draw(rng, ranges.clutter_radius)
+        radius = draw_uniform(rng, ranges.clutter_radius)
         x = float(rng.uniform(-limits[0], limits[1]))
         y = float(rng.uniform(-limits[2], limits[3]))
         inside = (
@@ -280,7 +321,7 @@ def _add_clutter(
             and -limits[2] + radius < y < limits[3] - radius
         )
         apart = all(math.dist((x, y), (u, v)) > radius + r for u, v, r in placed)
-        off = spawn.distance(Pose2(x, y)) > START_CLEAR + radius
+        off = spawn.distance(Pose2(x, y)) > MIN_START_DISTANCE + radius
         if inside and apart and off and math.hypot(x, y) > way + radius and len(placed) < wanted:
             _add_thing(spec, f"thing_{len(placed)}", (x, y, radius), rng, ranges)
             placed.append((x, y, radius))
@@ -295,13 +336,13 @@ def _add_thing(
 ) -> None:
     """Add a box, a cylinder or a ball of radius ``where[2]`` [m]."""
     x, y, radius = where
-    half = draw(rng, (0.05, 0.30))
+    half = draw_uniform(rng, (0.05, 0.30))
     kind = int(rng.integers(3))
     geom = spec.worldbody.add_geom(name=name, material=_add_material(spec, name, rng, ranges))
     geom.pos = (x, y, radius if kind == 2 else half)
     if kind == 0:
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_BOX, (0.7 * radius, 0.7 * radius, half)
-        geom.quat = _quaternion(draw(rng, (-math.pi, math.pi)))
+        geom.quat = _quaternion(draw_uniform(rng, (-math.pi, math.pi)))
     elif kind == 1:
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_CYLINDER, (radius, half, 0.0)
     else:
@@ -313,7 +354,7 @@ def _add_site(spec: Any, name: str, pose: Pose2) -> None:
 
 
 def _add_customs(spec: Any, shape: Shape, tour: Tour, standoff: float, friction: float) -> None:
-    """Add what the conventions of scene files say in ``<custom>``."""
+    """Add the ``<custom>`` elements of the scene conventions."""
     where = "front only" if tour == "front" else "all round"
     spec.add_text(name="scan3d.tour", data=tour)
     spec.add_text(name="scan3d.description", data=f"random: {shape.replace('_', ' ')}, {where}")

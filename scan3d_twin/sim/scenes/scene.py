@@ -22,7 +22,7 @@ import numpy as np
 from scan3d_twin.core.config import Tour
 from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
 from scan3d_twin.core.types import Pose2
-from scan3d_twin.sim.resources import resource_dir
+from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.scenes.meshes import MESH_SUFFIXES, mesh_spec
 from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
 
@@ -32,9 +32,9 @@ class Scene:
     """A scene without a robot.
 
     Attributes:
-        name: For reports and folder names.
-        spec: Its editable model; copy before editing.
-        model: The compiled model: what the lidar's rays can hit.
+        name: Name in reports and folder names.
+        spec: The editable model; copy before editing.
+        model: The compiled model, against which the lidar's rays are cast.
         spawn: ``T_map_base`` at the start; ``map`` is the scene's own frame.
         tour: Whether it is scanned from the front or all round.
         standoff: Scanning distance [m]; None leaves it to the run's configuration.
@@ -67,7 +67,7 @@ def scene_names() -> tuple[str, ...]:
     >>> "sine_box" in s3d.scene_names()
     True
     """
-    return tuple(sorted(path.stem for path in resource_dir("scenes").glob("*.xml")))
+    return tuple(sorted(path.stem for path in find_resource_dir("scenes").glob("*.xml")))
 
 
 def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
@@ -79,8 +79,8 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
         mesh_scale: Metres per unit of a mesh file.
 
     Raises:
-        UnknownNameError: It is neither a path nor the name of a scene.
-        ConfigError: ``mesh_scale`` is not positive, or the SEED no whole number.
+        UnknownNameError: There is no scene of this name, and it is no path.
+        ConfigError: ``mesh_scale`` is not positive, or SEED is not a whole number.
         SceneError: The file is missing or broken, or holds no target.
 
     >>> s3d.load_scene("three_boxes").tour
@@ -102,7 +102,7 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
     if name_or_path not in scene_names():
         raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))
     return scene_from_spec(
-        name_or_path, _read_mjcf(resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path
+        name_or_path, _read_mjcf(find_resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path
     )
 
 
@@ -118,16 +118,17 @@ def _one_line(error: Exception) -> str:
 
 
 def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
-    """Return the scene that an ``MjSpec`` without a robot describes by the conventions above.
+    """Return the scene of an ``MjSpec`` without a robot, by the conventions above.
 
     Args:
-        name: The scene's.
-        spec: Gets a floor, and names for the target's geoms, where they are missing.
-        label: Names it in messages: a file.
+        name: Name of the scene.
+        spec: The model; a missing floor and missing names of target geoms are added.
+        label: The file or name in messages.
 
     Raises:
-        SceneError: It does not compile, or holds no target or spawn.
+        SceneError: The model does not compile, or has no target or spawn.
     """
+    # Complete and compile the model
     _add_floor(spec)
     targets = _targets(spec, label)
     try:
@@ -136,6 +137,8 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
         raise SceneError(f"{label} does not compile: {_one_line(error)}") from None
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+
+    # Read tour, spawn and front
     texts = {text.name: text.data for text in spec.texts}
     tour = texts.get("scan3d.tour", "full")
     if tour not in ("front", "full"):
@@ -146,6 +149,8 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
     front = _site_pose(model, data, "front") if tour == "front" else None
     if tour == "front" and front is None:
         raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
+
+    # Return it with its options
     return Scene(
         name=name,
         spec=spec,
@@ -170,7 +175,8 @@ def _add_floor(spec: Any) -> None:
 
 
 def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
-    """Return the geom names of each target; unnamed geoms of a target body get a name."""
+    """Return the geom names of each target, after naming unnamed geoms of target bodies."""
+    # Collect geoms of target bodies
     bodies, geoms = _target_names(spec)
     targets = {}
     for name in bodies:
@@ -180,6 +186,8 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
             geom.name = geom.name or f"{name}/{number}"
         if parts:
             targets[name] = tuple(geom.name for geom in parts)
+
+    # Collect single target geoms
     for name in geoms:
         if name not in targets and not any(name in parts for parts in targets.values()):
             targets[name] = (name,)
@@ -187,6 +195,8 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
         raise SceneError(
             f"{label} has no target; name a geom or body 'target...' or add <tuple name=\"target\">"
         )
+
+    # Refuse geoms that are not solid
     for name in (name for parts in targets.values() for name in parts):
         geom = spec.geom(name)
         if geom is None:
@@ -210,7 +220,7 @@ def _target_names(spec: Any) -> tuple[list[str], list[str]]:
 
 
 def _positive(spec: Any, name: str, unit: str, label: str) -> float | None:
-    """Return the number that the scene states as ``name``; None if it does not."""
+    """Return the positive number ``name`` of the scene; None if it states none."""
     for numeric in spec.numerics:
         if numeric.name == name:
             value = float(np.atleast_1d(numeric.data)[0])

@@ -1,4 +1,4 @@
-"""Evenly spaced samples of a geom's surface, exact in shape, deterministic."""
+"""Evenly spaced, deterministic samples of a geom's exact surface."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SAMPLED_TYPES = (
     mujoco.mjtGeom.mjGEOM_CAPSULE,
     mujoco.mjtGeom.mjGEOM_ELLIPSOID,
 )
-"""Geom types that ``sample_geom`` knows."""
+"""Geom types that ``sample_geom`` supports."""
 
 
 def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
@@ -38,31 +38,36 @@ def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
         case mujoco.mjtGeom.mjGEOM_MESH:
             return sample_triangles(mesh_triangles(model, geom), spacing)
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            return sample_triangles(_capsule(size[0], size[1]), spacing)
+            return sample_triangles(_capsule_triangles(size[0], size[1]), spacing)
         case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            return sample_triangles(_unit_sphere() * size, spacing)
+            return sample_triangles(_unit_sphere_triangles() * size, spacing)
         case other:
             raise ValueError(f"no surface samples of a {other.name}")
 
 
 def sample_triangles(triangles: FloatArray, spacing: float) -> Samples:
     """Return samples of ``triangles`` (m, 3, 3), area-weighted by systematic sampling."""
+    # Compute the areas
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     double_area = np.linalg.norm(cross, axis=1)
     total = float(double_area.sum()) / 2
+
+    # Sample the triangles by area
     count = max(1, math.ceil(total / spacing**2))
     places = (np.arange(count) + 0.5) * (double_area.sum() / count)
     chosen = np.searchsorted(np.cumsum(double_area), places).clip(max=len(triangles) - 1)
     # The R2 sequence fills a triangle evenly (M. Roberts, 2018: unreasonable effectiveness of
-    # quasirandom sequences); points beyond the diagonal are folded back.
+    # quasirandom sequences); points beyond the diagonal are reflected.
     uv = (np.arange(1, count + 1)[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1.0
     uv = np.where(uv.sum(axis=1, keepdims=True) > 1, 1 - uv, uv)
+
+    # Return points and normals
     a, b, c = np.moveaxis(triangles[chosen], 1, 0)
     points = a + uv[:, :1] * (b - a) + uv[:, 1:] * (c - a)
     return points, cross[chosen] / double_area[chosen, None]
 
 
-def _centres(half: float, spacing: float) -> FloatArray:
+def _cell_centres(half: float, spacing: float) -> FloatArray:
     """Return the centres of cells about ``spacing`` wide that cover -half..half."""
     n = max(1, round(2 * half / spacing))
     return half * ((2 * np.arange(n) + 1) / n - 1)
@@ -72,7 +77,9 @@ def _sample_box(size: FloatArray, spacing: float) -> Samples:
     points, normals = [], []
     for axis in range(3):
         u, v = (axis + 1) % 3, (axis + 2) % 3
-        grid = np.meshgrid(_centres(size[u], spacing), _centres(size[v], spacing), indexing="ij")
+        grid = np.meshgrid(
+            _cell_centres(size[u], spacing), _cell_centres(size[v], spacing), indexing="ij"
+        )
         for sign in (-1.0, 1.0):
             face = np.zeros((grid[0].size, 3))
             face[:, axis], face[:, u], face[:, v] = sign * size[axis], *(g.ravel() for g in grid)
@@ -81,7 +88,7 @@ def _sample_box(size: FloatArray, spacing: float) -> Samples:
     return np.concatenate(points), np.concatenate(normals)
 
 
-def _circle(radius: float, spacing: float) -> FloatArray:
+def _circle_points(radius: float, spacing: float) -> FloatArray:
     """Return unit vectors (n, 2) to points about ``spacing`` apart on a circle."""
     n = max(3, round(math.tau * radius / spacing))
     angles = math.tau * (np.arange(n) + 0.5) / n
@@ -90,13 +97,13 @@ def _circle(radius: float, spacing: float) -> FloatArray:
 
 def _sample_cylinder(radius: float, half: float, spacing: float) -> Samples:
     points, normals = [], []
-    ring = _circle(radius, spacing)
-    for z in _centres(half, spacing):
+    ring = _circle_points(radius, spacing)
+    for z in _cell_centres(half, spacing):
         points.append(np.column_stack([radius * ring, np.full(len(ring), z)]))
         normals.append(np.column_stack([ring, np.zeros(len(ring))]))
     n_rings = max(1, round(radius / spacing))
     for r in radius * (np.arange(n_rings) + 0.5) / n_rings:
-        ring = _circle(r, spacing)
+        ring = _circle_points(r, spacing)
         for sign in (-1.0, 1.0):
             points.append(np.column_stack([r * ring, np.full(len(ring), sign * half)]))
             normals.append(np.tile([0.0, 0.0, sign], (len(ring), 1)))
@@ -104,7 +111,7 @@ def _sample_cylinder(radius: float, half: float, spacing: float) -> Samples:
 
 
 def _sample_sphere(radius: float, spacing: float) -> Samples:
-    """Return a Fibonacci lattice."""
+    """Return samples of a sphere on a Fibonacci lattice."""
     n = max(4, round(4 * math.pi * radius**2 / spacing**2))
     k = np.arange(n) + 0.5
     z, angle = 1 - 2 * k / n, math.pi * (1 + math.sqrt(5)) * k
@@ -113,7 +120,7 @@ def _sample_sphere(radius: float, spacing: float) -> Samples:
     return radius * normals, normals
 
 
-def _capsule(radius: float, half: float) -> FloatArray:
+def _capsule_triangles(radius: float, half: float) -> FloatArray:
     """Return triangles (m, 3, 3) of a capsule along z."""
     import trimesh  # slow to import, and rarely needed
 
@@ -122,14 +129,14 @@ def _capsule(radius: float, half: float) -> FloatArray:
     return triangles
 
 
-def _unit_sphere() -> FloatArray:
+def _unit_sphere_triangles() -> FloatArray:
     """Return triangles (m, 3, 3) of a sphere of radius 1."""
-    import trimesh  # as above
+    import trimesh  # slow to import, and rarely needed
 
     return np.array(trimesh.creation.icosphere(4).triangles)
 
 
-def corners(model: Any, geom: int) -> FloatArray:
+def bounding_points(model: Any, geom: int) -> FloatArray:
     """Return points (n, 3) [m] in the geom's frame whose bounding box is the geom's."""
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         return mesh_triangles(model, geom).reshape(-1, 3)  # its own box is turned to the inertia

@@ -10,13 +10,13 @@ import numpy as np
 
 from scan3d_twin.core.types import FloatArray
 
-TOLERANCE = 1e-4
-"""How far a chord may lie below the surface [m]."""
+CHORD_TOLERANCE = 1e-4
+"""Largest distance of a chord from the surface [m]."""
 PLANE_REACH = 100.0
-"""Half the side of the square that stands for an endless plane [m]; the lidar sees 4 m."""
+"""Half the side of the square that replaces an infinite plane [m]; the lidar sees 4 m."""
 
 _GEOM = mujoco.mjtGeom
-KNOWN = (
+TRIANGULATED_TYPES = (
     _GEOM.mjGEOM_PLANE,
     _GEOM.mjGEOM_BOX,
     _GEOM.mjGEOM_SPHERE,
@@ -25,7 +25,7 @@ KNOWN = (
     _GEOM.mjGEOM_CAPSULE,
     _GEOM.mjGEOM_MESH,
 )
-"""Geom types that ``geom_triangles`` knows."""
+"""Geom types that ``geom_triangles`` supports."""
 
 
 def geom_triangles(model: Any, geom: int) -> FloatArray:
@@ -33,24 +33,24 @@ def geom_triangles(model: Any, geom: int) -> FloatArray:
     size = np.array(model.geom_size[geom])
     match mujoco.mjtGeom(int(model.geom_type[geom])):
         case mujoco.mjtGeom.mjGEOM_PLANE:
-            return _plane(size)
+            return _plane_triangles(size)
         case mujoco.mjtGeom.mjGEOM_BOX:
-            return _box(size)
+            return _box_triangles(size)
         case mujoco.mjtGeom.mjGEOM_SPHERE:
-            return _revolved(_arc(size[0], -90, 90), size[0])
+            return _revolve(_arc_points(size[0], -90, 90), size[0])
         case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
             largest, widest = float(size.max()), float(size[:2].max())
-            profile = _arc(largest, -90, 90) / largest
-            stretched: FloatArray = _revolved(profile, widest) * size
+            profile = _arc_points(largest, -90, 90) / largest
+            stretched: FloatArray = _revolve(profile, widest) * size
             return stretched
         case mujoco.mjtGeom.mjGEOM_CYLINDER:
             r, half = size[:2]
-            return _revolved(np.array([[0, -half], [r, -half], [r, half], [0, half]]), r)
+            return _revolve(np.array([[0, -half], [r, -half], [r, half], [0, half]]), r)
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
             r, half = size[:2]
             end = np.array([0.0, half])
-            ends = [_arc(r, -90, 0) - end, end + _arc(r, 0, 90)]
-            return _revolved(np.concatenate(ends), r)
+            ends = [_arc_points(r, -90, 0) - end, end + _arc_points(r, 0, 90)]
+            return _revolve(np.concatenate(ends), r)
         case mujoco.mjtGeom.mjGEOM_MESH:
             return mesh_triangles(model, geom)
         case other:
@@ -68,27 +68,30 @@ def mesh_triangles(model: Any, geom: int) -> FloatArray:
     return triangles
 
 
-def _segments(radius: float, angle: float) -> int:
-    """Return how many chords stand for an arc of ``angle`` [rad] within ``TOLERANCE``."""
+def _segment_count(radius: float, angle: float) -> int:
+    """Return the number of chords for an arc of ``angle`` [rad] within ``CHORD_TOLERANCE``."""
     # A chord over the angle a lies radius * a^2 / 8 below the arc.
-    return min(512, max(6, math.ceil(angle / math.sqrt(8 * TOLERANCE / radius))))
+    return min(512, max(6, math.ceil(angle / math.sqrt(8 * CHORD_TOLERANCE / radius))))
 
 
-def _arc(radius: float, first: float, last: float) -> FloatArray:
+def _arc_points(radius: float, first: float, last: float) -> FloatArray:
     """Return points (n, 2), radius and height, from latitude ``first`` to ``last`` [deg]."""
-    n = _segments(radius, math.radians(last - first))
+    n = _segment_count(radius, math.radians(last - first))
     latitudes = np.radians(np.linspace(first, last, n + 1))
     points: FloatArray = radius * np.stack([np.cos(latitudes), np.sin(latitudes)], axis=1)
     points[np.abs(points[:, 0]) < 1e-12, 0] = 0.0
     return points
 
 
-def _revolved(profile: FloatArray, radius: float) -> FloatArray:
-    """Return the triangles swept by ``profile`` (n, 2), radius and height, upwards, about z."""
-    n = _segments(radius, math.tau)
+def _revolve(profile: FloatArray, radius: float) -> FloatArray:
+    """Return the surface of revolution about z of an upward ``profile`` (n, 2): radius, height."""
+    # Place rings of vertices
+    n = _segment_count(radius, math.tau)
     angles = math.tau * np.arange(n) / n
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     rows = [np.column_stack([r * ring, np.full(n, z)]) for r, z in profile]
+
+    # Join neighbouring rings
     triangles = []
     for (r_low, _), (r_high, _), low, high in zip(
         profile[:-1], profile[1:], rows[:-1], rows[1:], strict=True
@@ -101,13 +104,13 @@ def _revolved(profile: FloatArray, radius: float) -> FloatArray:
     return np.concatenate(triangles)
 
 
-def _plane(size: FloatArray) -> FloatArray:
+def _plane_triangles(size: FloatArray) -> FloatArray:
     x, y = (half if half > 0 else PLANE_REACH for half in size[:2])
     corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
     return corners[[[0, 1, 2], [0, 2, 3]]]
 
 
-def _box(size: FloatArray) -> FloatArray:
+def _box_triangles(size: FloatArray) -> FloatArray:
     faces = []
     square = np.array([[[-1, -1], [1, -1], [1, 1]], [[-1, -1], [1, 1], [-1, 1]]], dtype=float)
     for axis in range(3):

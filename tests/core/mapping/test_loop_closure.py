@@ -20,9 +20,9 @@ from scan3d_twin.core.mapping.loop_closure import (
     align_final,
     align_on_loop_closure,
     apply_alignment,
-    misfits,
-    scans_alone,
-    solve,
+    find_misfits,
+    remove_prior,
+    solve_alignment,
 )
 from scan3d_twin.core.registration import PosePrior, extract_surfels, register
 from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
@@ -76,6 +76,7 @@ def error(session: Session, true: list[Pose2]) -> float:
 
 
 def by_odometry(session: Session) -> Session:
+    """Return ``session`` with all views placed by odometry."""
     views = [replace(v, T_world_scan=v.observation.T_odom_scan) for v in session.views]
     return replace(session, views=tuple(views))
 
@@ -89,7 +90,7 @@ def test_a_tour_closes() -> None:
 
 
 def test_the_last_view_is_linked_with_the_first_ones() -> None:
-    alignment = solve(tour())
+    alignment = solve_alignment(tour())
     assert any(link.target <= 1 and link.source >= VIEWS - 2 for link in alignment.links)
     assert alignment.misfits == ()
     assert alignment.views == tuple(range(VIEWS))
@@ -120,15 +121,17 @@ def test_misfits_are_those_that_most_others_contradict() -> None:
         Link(2, 3, 50.0, 0.0),
         Link(1, 3, 2.0, 1.0),
     ]
-    assert misfits([*links, Link(0, 3, 1.0, 1.0)]) == (2,)
-    assert misfits([]) == ()
+    assert find_misfits([*links, Link(0, 3, 1.0, 1.0)]) == (2,)
+    assert find_misfits([]) == ()
 
 
 def configured(**alignment: str) -> Session:
+    """Return the tour with these options of its alignment."""
     return replace(tour(), config=replace(CONFIG, alignment=paper_alignment(**alignment)))
 
 
 def poses(session: Session) -> list[Pose2]:
+    """Return the poses of all views."""
     return [view.T_world_scan for view in session.views]
 
 
@@ -185,7 +188,7 @@ def planar(result: RegistrationResult, covariance: FloatArray) -> FloatArray:
 
 def test_what_the_scans_say_does_not_depend_on_the_prior() -> None:
     strong, prior, weak = pair()
-    alone, information = scans_alone(strong, prior)
+    alone, information = remove_prior(strong, prior)
     pulled, free = (Pose2.from_matrix(r.T_target_source) for r in (strong, weak))
     assert pulled.distance(free) > 1e-4
     assert alone.distance(free) < 0.3 * pulled.distance(free)
@@ -196,8 +199,8 @@ def test_what_the_scans_say_does_not_depend_on_the_prior() -> None:
 
 def test_an_ambiguous_pair_knows_no_more_than_its_prior() -> None:
     strong, prior, _ = pair()
-    _, sure = scans_alone(strong, prior)
-    _, unsure = scans_alone(replace(strong, ambiguity_gap=0.0), prior)
+    _, sure = remove_prior(strong, prior)
+    _, unsure = remove_prior(replace(strong, ambiguity_gap=0.0), prior)
     doubt = np.linalg.inv(unsure) - np.linalg.inv(sure)
     assert doubt == pytest.approx(planar(strong, prior.covariance), rel=1e-6, abs=1e-12)
 
@@ -208,7 +211,7 @@ def test_scans_that_add_nothing_say_nothing() -> None:
     back = np.linalg.inv(shift)
     information = read_only(back.T @ np.linalg.inv(prior.covariance) @ back)
     result = RegistrationResult.unregistered(prior.T, prior.covariance, information)
-    T, left = scans_alone(result, prior)
+    T, left = remove_prior(result, prior)
     assert left == pytest.approx(np.zeros((3, 3)), abs=1e-9)
     assert (T.x, T.y, T.yaw) == pytest.approx((0.1, 0.2, 0.3))
 

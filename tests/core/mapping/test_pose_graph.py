@@ -31,6 +31,7 @@ motions = st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3.1, 3.1)).ma
 
 
 def rows(poses: list[Pose2]) -> FloatArray:
+    """Return ``poses`` as rows x, y, yaw (n, 3)."""
     return np.array([[p.x, p.y, p.yaw] for p in poses])
 
 

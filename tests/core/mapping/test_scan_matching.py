@@ -29,6 +29,7 @@ PILASTERS = tuple(
 
 
 def config(scope: str = "target", **planning: float) -> Config:
+    """Return a configuration of the grid engine."""
     return paper_config(
         planner="fisher",
         registration=paper_registration(engine="grid", scope=scope),  # type: ignore[arg-type]
@@ -55,6 +56,7 @@ def second_view(
 
 
 def error(session: Session, true: Pose2) -> float:
+    """Return the RMS displacement of the latest view's target from its ``true`` pose [m]."""
     view = session.views[-1]
     points: FloatArray = view.target.points
     return rms(view.T_world_scan.apply(points) - true.apply(points))
@@ -148,25 +150,25 @@ def test_the_motion_prior_is_that_of_turn_drive_turn(yaw: float) -> None:
     assert prior[2, 2] >= np.var(first + drift + second)
 
 
-def test_the_forecast_tells_features_from_a_wall() -> None:
+def test_the_prediction_distinguishes_features_from_a_wall() -> None:
     errors = []
     for boxes in (WALL, PILASTERS):
         context = PlanningContext(session_at(boxes, config()))
-        viewpoint = context.place(0.7).viewpoint
+        viewpoint = context.find_placement(0.7).viewpoint
         assert viewpoint is not None
         errors.append(ErrorPrediction.of(context).error(viewpoint))
     assert errors[1] < 0.005
     assert errors[0] > 3 * errors[1]
 
 
-def test_the_forecast_is_what_registration_then_reports() -> None:
+def test_the_prediction_is_what_registration_then_reports() -> None:
     session = session_at(PILASTERS, config())
     viewpoint = Pose2(0.0, -0.5, 0.2)
-    forecast = ErrorPrediction.of(PlanningContext(session)).error(viewpoint)
+    predicted = ErrorPrediction.of(PlanningContext(session)).error(viewpoint)
     seen = second_view(session, PILASTERS, viewpoint)
     result = seen.views[-1].registration
     assert result is not None
-    assert 0.3 < forecast / result.predicted_rmse < 2.0
+    assert 0.3 < predicted / result.predicted_rmse < 2.0
 
 
 def test_out_of_sight_is_no_overlap() -> None:

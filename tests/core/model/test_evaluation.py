@@ -12,19 +12,19 @@ from synthetic import Box, cast, observe
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.model.evaluation import (
     COVERAGE_DISTANCE,
-    SPACING,
+    TRUTH_SPACING,
     Distances,
     Evaluation,
     Reference,
     Surface,
-    coverable_surface,
-    displacement,
     evaluate_model,
-    shows_target,
-    surface_distance,
-    true_pose,
+    find_coverable_surface,
+    find_true_pose,
+    is_of_target,
+    measure_displacement,
+    measure_surface_distance,
 )
-from scan3d_twin.core.model.fused_cloud import build_model, voxel_thin
+from scan3d_twin.core.model.fused_cloud import build_model, thin_by_voxel
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2
 
@@ -70,21 +70,24 @@ class BoxTruth:
 
 
 def at(pose: Pose2, k: int, sigma: float = 0.0) -> Observation:
+    """Return a sweep of the box at ``pose``, stamped for view ``k``."""
     seen = observe(pose, (BOX,), sigma=sigma, rng=np.random.default_rng(k))
     image = replace(seen.image, stamps=seen.image.stamps + 1000.0 * k)
     return Observation(image, pose)
 
 
 def session_of(*odometry: Pose2, true: tuple[Pose2, ...] = (FIRST, SECOND)) -> Session:
+    """Return a session whose views were taken at ``true`` and placed by ``odometry``."""
     hint = np.array([[0.6, 0.0]])
     session = Session(paper_config(tour="full"), 0, hint, np.array([-1.0, 0.0]))
-    for k, (told, pose) in enumerate(zip(odometry, true, strict=False)):
-        observation = Observation(at(pose, k).image, told)
+    for k, (measured, pose) in enumerate(zip(odometry, true, strict=False)):
+        observation = Observation(at(pose, k).image, measured)
         session = integrate(session, observation)
     return session
 
 
 def evaluated(session: Session) -> Evaluation:
+    """Return the measures of ``session`` against the true box."""
     reference = Reference.of(session, BoxTruth((FIRST, SECOND)))
     return evaluate_model(session, build_model(session), reference)
 
@@ -98,14 +101,14 @@ def test_coverage_grows_view_by_view_to_that_of_the_whole_model() -> None:
     truth = BoxTruth((FIRST, SECOND))
     reference = Reference.of(session, truth)
     points = reference.T_map_world.apply(build_model(session).points)
-    surface, normals = truth.surface(SPACING)
-    wanted = surface[coverable_surface(surface, normals, truth, session.config)]
+    surface, normals = truth.surface(TRUTH_SPACING)
+    wanted = surface[find_coverable_surface(surface, normals, truth, session.config)]
     assert result.coverage == np.mean(cKDTree(points).query(wanted)[0] <= COVERAGE_DISTANCE)
 
 
 def test_the_true_pose_is_that_of_the_middle_line() -> None:
     session = session_of(FIRST)
-    pose = true_pose(session.views[0], BoxTruth((FIRST,)))
+    pose = find_true_pose(session.views[0], BoxTruth((FIRST,)))
     assert (pose.x, pose.y, pose.yaw) == pytest.approx((FIRST.x, FIRST.y, FIRST.yaw), abs=1e-6)
 
 
@@ -127,9 +130,9 @@ def test_a_perfect_run_is_accurate_and_covers_what_it_saw() -> None:
 
 def test_the_truth_is_about_its_own_target_only() -> None:
     session = session_of(FIRST)
-    assert shows_target(session, BoxTruth((FIRST,)))
+    assert is_of_target(session, BoxTruth((FIRST,)))
     other = replace(session, hint=np.array([[0.6, 1.5], [0.6, 1.7]]))
-    assert not shows_target(other, BoxTruth((FIRST,)))
+    assert not is_of_target(other, BoxTruth((FIRST,)))
 
 
 def test_the_error_of_a_pair_is_that_of_its_relative_pose() -> None:
@@ -156,8 +159,8 @@ def test_the_first_pose_is_the_gauge() -> None:
 def test_only_the_front_is_coverable_on_a_tour_of_the_front() -> None:
     truth = BoxTruth((FIRST,), front=Pose2(0.6, 0.0, math.pi))
     surface, normals = truth.surface(0.02)
-    all_round = coverable_surface(surface, normals, truth, paper_config(tour="full"))
-    front = coverable_surface(surface, normals, truth, paper_config(tour="front"))
+    all_round = find_coverable_surface(surface, normals, truth, paper_config(tour="full"))
+    front = find_coverable_surface(surface, normals, truth, paper_config(tour="front"))
     back = normals[:, 0] > 0.5
     assert all_round[back].mean() > 0.9
     assert not front[back].any()
@@ -169,7 +172,7 @@ def test_what_stands_too_close_to_a_wall_is_not_coverable() -> None:
     against = BoxTruth((FIRST,))
     surface, normals = against.surface(0.02)
     buried = surface + np.array([1.45, 0.0, 0.0])  # 5 cm in front of the wall at x = 2.5
-    seen = coverable_surface(buried, normals, _Against(), paper_config(tour="full"))
+    seen = find_coverable_surface(buried, normals, _Against(), paper_config(tour="full"))
     assert not seen[normals[:, 0] > 0.5].any()
     assert seen[normals[:, 0] < -0.5].mean() > 0.9
 
@@ -191,7 +194,7 @@ def test_distance_to_a_sampled_plane_has_no_share_of_the_sampling() -> None:
     surface = np.stack([np.zeros(y.size), y.ravel(), z.ravel()], axis=1)
     normals = np.tile([1.0, 0.0, 0.0], (len(surface), 1))
     points = np.array([[0.003, 0.507, 0.313], [0.0, 0.5, 1.2]])
-    distance = surface_distance(points, surface, normals, 0.02)
+    distance = measure_surface_distance(points, surface, normals, 0.02)
     assert distance[0] == pytest.approx(0.003)
     assert distance[1] == pytest.approx(1.2 - 0.98 - 0.02 / math.sqrt(2), abs=1e-6)
 
@@ -215,11 +218,11 @@ def test_statistics() -> None:
 def test_displacement_of_a_turn_grows_with_the_distance() -> None:
     near, far = np.array([[1.0, 0.0, 0.0]]), np.array([[2.0, 0.0, 0.0]])
     turn = Pose2(0.0, 0.0, 0.01)
-    assert displacement(near, Pose2(), turn) == pytest.approx(0.01, rel=1e-4)
-    assert displacement(far, Pose2(), turn) == pytest.approx(0.02, rel=1e-4)
+    assert measure_displacement(near, Pose2(), turn) == pytest.approx(0.01, rel=1e-4)
+    assert measure_displacement(far, Pose2(), turn) == pytest.approx(0.02, rel=1e-4)
 
 
 def test_voxels_are_means() -> None:
     points = np.array([[0.01, 0.01, 0.01], [0.03, 0.01, 0.01], [0.91, 0.0, 0.0]])
-    assert voxel_thin(points, 0.1) == pytest.approx(np.array([[0.02, 0.01, 0.01], [0.91, 0, 0]]))
-    assert voxel_thin(np.zeros((0, 3)), 0.1).shape == (0, 3)
+    assert thin_by_voxel(points, 0.1) == pytest.approx(np.array([[0.02, 0.01, 0.01], [0.91, 0, 0]]))
+    assert thin_by_voxel(np.zeros((0, 3)), 0.1).shape == (0, 3)

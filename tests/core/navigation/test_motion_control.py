@@ -6,13 +6,19 @@ from kinematic import JumpingClock, KinematicBase
 from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.errors import MotionTimeoutError
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.navigation.motion_control import STALL, Ticks, back_off, drive_to, turn_by
+from scan3d_twin.core.navigation.motion_control import (
+    STALL_TIME,
+    ControlTicks,
+    back_off,
+    drive_to,
+    turn_by,
+)
 
 CONFIG = MotionConfig()
 
 
 class Slowed(KinematicBase):
-    """A base that only does ``share`` of what it is told, as one whose world runs slowly."""
+    """A base that only does ``share`` of what it is commanded, as in a world that runs slowly."""
 
     share = 1.0
 
@@ -21,6 +27,7 @@ class Slowed(KinematicBase):
 
 
 def robot(share):
+    """Return a robot that does only ``share`` of what it is commanded."""
     base = Slowed()
     base.share = share
     return Robot(base, None, JumpingClock(base))
@@ -57,7 +64,7 @@ def test_a_robot_that_is_stuck_is_given_up_when_the_time_is_up(name):
 
 def test_a_robot_that_gets_stuck_later_is_given_up_soon_after():
     slow = robot(0.1)
-    ticks = Ticks(slow.clock, 1.0, "a move", 0.01)
+    ticks = ControlTicks(slow.clock, 1.0, "a move", 0.01)
 
     def move():
         for _ in ticks:
@@ -65,12 +72,12 @@ def test_a_robot_that_gets_stuck_later_is_given_up_soon_after():
 
     with pytest.raises(MotionTimeoutError):
         move()
-    assert slow.clock.now() == pytest.approx(10.0 + STALL, abs=0.3)
+    assert slow.clock.now() == pytest.approx(10.0 + STALL_TIME, abs=0.3)
 
 
 def test_a_pause_in_which_nobody_looked_is_no_standstill():
     slow = robot(1.0)
-    ticks = iter(Ticks(slow.clock, 1.0, "a move", 0.01))
+    ticks = iter(ControlTicks(slow.clock, 1.0, "a move", 0.01))
     next(ticks)
     slow.clock.sleep(30.0)
     next(ticks)

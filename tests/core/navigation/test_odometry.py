@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from scan3d_twin.core.navigation.odometry import DeadReckoning, arc
+from scan3d_twin.core.navigation.odometry import DeadReckoning, drive_arc
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.sim.base.drive_base import CREATE2
 
@@ -24,7 +24,7 @@ def test_one_count_of_difference_turns_by_0_108_degrees():
 def test_arcs_are_exact(pieces):
     pose = Pose2()
     for _ in range(pieces):
-        pose = pose @ arc(math.pi / pieces, math.pi / 2 / pieces)
+        pose = pose @ drive_arc(math.pi / pieces, math.pi / 2 / pieces)
     assert (pose.x, pose.y, pose.yaw) == pytest.approx((2.0, 2.0, math.pi / 2))
 
 
@@ -44,7 +44,7 @@ def test_covariance_matches_the_robots_errors_after_a_quarter_turn():
 
 
 def test_a_straight_arc():
-    assert arc(0.5, 0.0) == Pose2(0.5, 0.0, 0.0)
+    assert drive_arc(0.5, 0.0) == Pose2(0.5, 0.0, 0.0)
 
 
 def test_covariance_matches_the_robots_errors_after_a_metre():

@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.navigation.wheel_kinematics import (
-    ACCELERATION,
-    correction,
-    ramped,
-    wheel_speeds,
+    WHEEL_ACCELERATION,
+    correct_reading,
+    ramp_speed,
+    split_velocity,
 )
 
 SPEC = BaseSpec("create1", 0.165, 0.258, 0.078, 245.0, 0.5, 0.015)
@@ -18,7 +18,7 @@ SPEED = st.floats(-0.5, 0.5)
 
 @given(SPEED, st.floats(-4.0, 4.0))
 def test_a_command_keeps_its_curvature_and_no_wheel_is_too_fast(linear, angular):
-    left, right = wheel_speeds(SPEC, linear, angular)
+    left, right = split_velocity(SPEC, linear, angular)
     assert max(abs(left), abs(right)) <= 0.5 + 1e-12
     wanted = (linear - angular * 0.129, linear + angular * 0.129)
     scale = min(1.0, 0.5 / max(map(abs, wanted), default=1.0) if any(wanted) else 1.0)
@@ -26,24 +26,24 @@ def test_a_command_keeps_its_curvature_and_no_wheel_is_too_fast(linear, angular)
 
 
 @given(SPEED, SPEED, st.floats(0.0, 2.0))
-def test_a_ramp_in_two_parts_is_the_ramp_in_one(speed, told, time):
-    way, after = ramped(speed, told, time)
-    first, between = ramped(speed, told, 0.3 * time)
-    second, end = ramped(between, told, 0.7 * time)
+def test_a_ramp_in_two_parts_is_the_ramp_in_one(speed, target, time):
+    way, after = ramp_speed(speed, target, time)
+    first, between = ramp_speed(speed, target, 0.3 * time)
+    second, end = ramp_speed(between, target, 0.7 * time)
     assert way == pytest.approx(first + second, abs=1e-9)
     assert after == pytest.approx(end, abs=1e-9)
-    assert abs(after - speed) <= ACCELERATION * time + 1e-9
+    assert abs(after - speed) <= WHEEL_ACCELERATION * time + 1e-9
 
 
 def test_a_ramp_takes_its_time():
     # From rest to 0.36 m/s in 0.2 s: 36 mm, and 36 mm more in another 0.1 s.
-    assert ramped(0.0, 0.36, 0.3) == pytest.approx((0.072, 0.36))
-    assert ramped(0.36, 0.0, 0.1) == pytest.approx((0.027, 0.18))
+    assert ramp_speed(0.0, 0.36, 0.3) == pytest.approx((0.072, 0.36))
+    assert ramp_speed(0.36, 0.0, 0.1) == pytest.approx((0.027, 0.18))
 
 
 @given(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0))
 def test_what_is_true_needs_no_correction(way, turn):
-    added = correction(way, turn, int(1e3 * way), int(math.degrees(turn)))
+    added = correct_reading(way, turn, int(1e3 * way), int(math.degrees(turn)))
     assert added == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
@@ -52,6 +52,6 @@ def test_what_is_true_needs_no_correction(way, turn):
     [(10.0, 12, 12.0), (15.0, 12, 13.0), (-10.0, -12, -12.0), (-15.0, -12, -13.0), (3.0, 0, 1.0)],
 )
 def test_a_reading_moves_the_command_to_the_nearer_of_its_two_numbers(commanded, read, corrected):
-    way, turn = correction(commanded / 1e3, math.radians(commanded), read, read)
+    way, turn = correct_reading(commanded / 1e3, math.radians(commanded), read, read)
     assert 1e3 * way + commanded == pytest.approx(corrected)
     assert math.degrees(turn) + commanded == pytest.approx(corrected)

@@ -13,7 +13,7 @@ from synthetic import THREE_BOXES, Box
 
 from scan3d_twin.core.planning import hidden_views as closing
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.hidden_surface import DEPTH, Hidden
+from scan3d_twin.core.planning.hidden_surface import FACE_DEPTH, HiddenSurface
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
@@ -40,7 +40,7 @@ def seen() -> Session:
 
 def on_face(session: Session, y: float, outward: float) -> FloatArray:
     """Return the x of the hidden pieces on a side face at ``y``, (n,)."""
-    faces = Hidden(session).faces
+    faces = HiddenSurface(session).faces
     side = (np.abs(faces.points[:, 1] - y) < 0.04) & (faces.normals[:, 1] * outward > 0.8)
     return faces.points[side, 0]
 
@@ -50,7 +50,7 @@ def test_the_sides_in_the_gaps_are_expected_and_not_seen(seen: Session) -> None:
         places = on_face(seen, y, outward)
         assert len(places) > 10
         assert places.min() > 1.05
-        assert places.max() < 1.05 + DEPTH
+        assert places.max() < 1.05 + FACE_DEPTH
 
 
 def test_what_was_seen_is_not_hidden(seen: Session) -> None:
@@ -59,21 +59,21 @@ def test_what_was_seen_is_not_hidden(seen: Session) -> None:
 
 
 def test_a_viewpoint_shows_what_it_looks_at_and_no_surface_hides(seen: Session) -> None:
-    hidden = Hidden(seen)
-    into, away = hidden.areas([standing(-0.1, 0.55), Pose2(-0.1, 0.55, math.pi)])
+    hidden = HiddenSurface(seen)
+    into, away = hidden.measure_areas([standing(-0.1, 0.55), Pose2(-0.1, 0.55, math.pi)])
     assert into > 0.005
     assert away == 0.0
     gap = hidden.faces.select(np.abs(hidden.faces.points[:, 1] - 0.25) < 0.04)
     # The front of the box on the left stands before the gap beside it.
-    assert hidden.slices.hides(gap, np.array([0.3, 1.6])).all()
-    assert not hidden.slices.hides(gap, np.array([-0.1, 0.55])).all()
+    assert hidden.slices.find_hidden(gap, np.array([0.3, 1.6])).all()
+    assert not hidden.slices.find_hidden(gap, np.array([-0.1, 0.55])).all()
 
 
 def test_what_a_view_into_the_gap_settled_is_hidden_no_more(seen: Session) -> None:
     poses = [view.observation.T_odom_scan for view in seen.views]
     more = session_at(BOXES, WIDE, poses=(*poses, standing(-0.1, 0.7)), half=1.2)
     before, after = (on_face(each, 0.25, 1.0) for each in (seen, more))
-    depth = 1.17  # so far the box on the left lets it look
+    depth = 1.17  # as far as the box on the left lets it see
     assert np.count_nonzero(before < depth) > 10
     assert np.count_nonzero(after < depth) <= 2
     assert np.count_nonzero(after > depth) > 10
@@ -85,13 +85,13 @@ def test_noise_does_not_decide_how_much_is_hidden(seed: int) -> None:
     session = session_at(BOXES, WIDE, poses=BESIDE, half=1.2, sigma=0.008, seed=seed)
     for y, outward in ((0.25, 1.0), (-0.15, -1.0)):
         assert len(on_face(session, y, outward)) >= 50  # of 29 in each of two slices
-    area = Hidden(session).areas([standing(-0.1, 0.7)])[0]
+    area = HiddenSurface(session).measure_areas([standing(-0.1, 0.7)])[0]
     assert area == pytest.approx(0.016, abs=0.005)
 
 
 def test_an_edge_that_two_views_saw_counts_once(seen: Session) -> None:
     again = session_at(BOXES, WIDE, poses=(*BESIDE, *BESIDE), half=1.2)
-    areas = [Hidden(each).areas([standing(-0.1, 0.7)])[0] for each in (seen, again)]
+    areas = [HiddenSurface(each).measure_areas([standing(-0.1, 0.7)])[0] for each in (seen, again)]
     assert areas[1] == pytest.approx(areas[0], rel=0.4)
 
 
@@ -106,7 +106,7 @@ def finished(session: Session, how: str) -> PlanningContext:
     """Return the context after a session whose contour is done."""
     planning = replace(paper_planning(), closing=how, epsilon=10.0)  # type: ignore[arg-type]
     context = PlanningContext(replace(session, config=replace(session.config, planning=planning)))
-    context.__dict__["contour_done"] = True
+    context.__dict__["is_contour_done"] = True
     return context
 
 
@@ -122,8 +122,10 @@ def test_a_view_is_added_where_most_may_show(seen: Session) -> None:
     plan = termination_plan(context)
     assert plan is not None
     assert plan.viewpoint is not None
-    areas = Hidden(context.session).areas(PoseCandidates(context).poses)
-    assert Hidden(context.session).areas([plan.viewpoint])[0] == pytest.approx(areas.max())
+    areas = HiddenSurface(context.session).measure_areas(PoseCandidates(context).poses)
+    assert HiddenSurface(context.session).measure_areas([plan.viewpoint])[0] == pytest.approx(
+        areas.max()
+    )
 
 
 def test_no_view_is_added_that_would_not_register(
@@ -137,14 +139,14 @@ def test_no_view_is_added_that_would_not_register(
 
 def test_a_step_along_the_contour_comes_first(seen: Session) -> None:
     context = finished(seen, "hidden")
-    context.__dict__["contour_done"] = False
+    context.__dict__["is_contour_done"] = False
     assert termination_plan(context) is None
 
 
 def test_a_contour_that_was_done_stays_done() -> None:
     end = Pose2(0.4, -1.6, math.radians(40.0))
     session = session_at(BOXES, WIDE, poses=(end,), half=1.2)
-    assert PlanningContext(session).contour_done
+    assert PlanningContext(session).is_contour_done
     on = session_at(BOXES, WIDE, poses=(end, standing(-0.1, 0.0)), half=1.2)
-    assert not PlanningContext(replace(on, views=on.views[1:])).contour_done
-    assert PlanningContext(on).contour_done
+    assert not PlanningContext(replace(on, views=on.views[1:])).is_contour_done
+    assert PlanningContext(on).is_contour_done

@@ -8,24 +8,27 @@ from sessions import PILASTERS, WALL, session_at, with_baselines
 
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.planners.curvature import feature_score
-from scan3d_twin.core.planning.planners.pito import resampled_area
-from scan3d_twin.core.planning.surface_patches import Eye, Patches, view_patches
+from scan3d_twin.core.planning.planners.curvature import score_features
+from scan3d_twin.core.planning.planners.pito import measure_resampled_area
+from scan3d_twin.core.planning.surface_patches import Eye, Patches, extract_view_patches
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 
 
 @pytest.fixture(scope="module")
 def wall() -> Session:
+    """Return a session in front of a bare wall."""
     return session_at(WALL)
 
 
 @pytest.fixture(scope="module")
 def pilasters() -> Session:
+    """Return a session in front of a wall with pilasters."""
     return session_at(PILASTERS)
 
 
 def plan(name: str, session: Session, **changes: object) -> Plan:
+    """Return the plan of the planner ``name`` with changed options."""
     return make_planner(name).plan(with_baselines(session, **changes), np.random.default_rng(0))
 
 
@@ -49,10 +52,10 @@ def test_pito_takes_the_smallest_overlap_that_resamples_enough(wall: Session) ->
     assert etas == sorted(etas)
     assert etas[0] < etas[-1]
     context = PlanningContext(wall)
-    eye, current = Eye.of(context.view, wall.config), view_patches(context.view)
+    eye, current = Eye.of(context.view, wall.config), extract_view_patches(context.view)
     for share, p in zip((0.1, 0.3, 0.5), plans, strict=True):
         assert p.viewpoint is not None
-        assert resampled_area(current, p.viewpoint, eye) >= share
+        assert measure_resampled_area(current, p.viewpoint, eye) >= share
 
 
 def test_pito_falls_back_when_nothing_resamples_enough(wall: Session) -> None:
@@ -63,10 +66,10 @@ def test_resampled_area_is_everything_from_the_same_place_and_nothing_from_behin
     wall: Session,
 ) -> None:
     context = PlanningContext(wall)
-    eye, current = Eye.of(context.view, wall.config), view_patches(context.view)
-    same = resampled_area(current, Pose2(), eye)
+    eye, current = Eye.of(context.view, wall.config), extract_view_patches(context.view)
+    same = measure_resampled_area(current, Pose2(), eye)
     assert 0.8 < same <= 1.0
-    assert resampled_area(current, Pose2(2.0, 0.0, np.pi), eye) == 0.0
+    assert measure_resampled_area(current, Pose2(2.0, 0.0, np.pi), eye) == 0.0
 
 
 @pytest.mark.parametrize("feature", ["normals", "variation"])
@@ -83,8 +86,8 @@ def test_the_feature_score_of_known_surfaces() -> None:
     flat, corner = np.tile([1.0, 0.0, 0.0], (10, 1)), np.tile([0.0, 1.0, 0.0], (10, 1))
     points, none = np.zeros((20, 3)), np.zeros(20)
     both = Patches(points, np.concatenate([flat, corner]), none)
-    assert feature_score(both, 20, "normals") == pytest.approx(0.5)
-    assert feature_score(both, 40, "normals") == pytest.approx(0.25)
-    assert feature_score(Patches(points[:10], flat, none[:10]), 20, "normals") == 0.0
+    assert score_features(both, 20, "normals") == pytest.approx(0.5)
+    assert score_features(both, 40, "normals") == pytest.approx(0.25)
+    assert score_features(Patches(points[:10], flat, none[:10]), 20, "normals") == 0.0
     bent = Patches(points, both.normals, np.repeat([0.2, 0.001], 10))
-    assert feature_score(bent, 20, "variation") == pytest.approx(0.5)
+    assert score_features(bent, 20, "variation") == pytest.approx(0.5)

@@ -11,13 +11,13 @@ from paper import paper_config
 from sessions import BOX, WALL, session_at, with_baselines
 
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.planning.planners.ig import gain, utility, wish
-from scan3d_twin.core.planning.planners.see import frontier_points
-from scan3d_twin.core.planning.pose_candidates import FAR, NEAR, PoseCandidates
+from scan3d_twin.core.planning.planners.ig import compute_gain, compute_utility, rate_share
+from scan3d_twin.core.planning.planners.see import find_frontier
+from scan3d_twin.core.planning.pose_candidates import MAX_STANDOFFS, MIN_STANDOFFS, PoseCandidates
 from scan3d_twin.core.planning.voxels import FREE, OCCUPIED, UNKNOWN, Rays, VoxelMap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
-from scan3d_twin.core.viewpoints import FRONT_SIDE
+from scan3d_twin.core.viewpoints import MAX_FRONT_ANGLE
 
 NAMES = ("random", "frontier2d", "ig", "see", "roberts")
 
@@ -30,10 +30,12 @@ def box() -> Session:
 
 @pytest.fixture(scope="module")
 def wall() -> Session:
+    """Return a session in front of a bare wall."""
     return session_at(WALL)
 
 
 def plan(name: str, session: Session, seed: int = 0, **changes: object) -> Plan:
+    """Return the plan of the planner ``name`` with changed options."""
     return make_planner(name).plan(with_baselines(session, **changes), np.random.default_rng(seed))
 
 
@@ -42,19 +44,19 @@ def test_candidates_are_feasible_new_and_at_the_standoff(box: Session) -> None:
     assert len(candidates.poses) > 10
     assert np.all(np.isfinite(candidates.travel))
     for pose in candidates.poses:
-        assert candidates.context.feasible(pose)  # world and scan are one frame here
+        assert candidates.context.is_feasible(pose)  # world and scan are one frame here
         assert pose.distance(Pose2()) > 0.15 or abs(pose.yaw) > math.radians(15)
     place = np.array([[pose.x, pose.y] for pose in candidates.poses])
     nearest = np.min(
         np.linalg.norm(place[:, None] - candidates.surface.points[None, :, :2], axis=2), axis=1
     )
-    assert nearest.min() >= NEAR - 1e-9
-    assert nearest.max() <= FAR + 1e-9
+    assert nearest.min() >= MIN_STANDOFFS - 1e-9
+    assert nearest.max() <= MAX_STANDOFFS + 1e-9
 
 
 def test_a_tour_of_the_front_stays_there(wall: Session) -> None:
     for pose in PoseCandidates.of(wall).poses:
-        assert abs(pose.yaw) <= FRONT_SIDE + 1e-6
+        assert abs(pose.yaw) <= MAX_FRONT_ANGLE + 1e-6
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -62,7 +64,7 @@ def test_plans_are_pure_and_feasible(name: str, box: Session) -> None:
     first, again = (plan(name, box) for _ in range(2))
     assert first == again
     assert first.viewpoint is not None
-    assert PoseCandidates.of(box).context.feasible(first.viewpoint)
+    assert PoseCandidates.of(box).context.is_feasible(first.viewpoint)
     assert first.candidates[-1].viewpoint == first.viewpoint
     assert 0.0 <= first.overlap <= 1.0
     assert first.reason
@@ -113,7 +115,7 @@ def test_max_views_end_the_run(name: str, box: Session) -> None:
 
 
 def test_the_frontier_of_a_wall_is_where_the_sweep_ended(wall: Session) -> None:
-    frontier = frontier_points(wall)
+    frontier = find_frontier(wall)
     y = frontier.patches.points[:, 1]
     assert len(frontier) > 4
     assert np.mean(np.abs(np.abs(y) - 0.55) < 0.12) > 0.9
@@ -139,25 +141,25 @@ def rays(*labels: int) -> tuple[Rays, VoxelMap]:
 def test_gains_of_known_rays() -> None:
     H, free = math.log(2.0), 1 - 0.1192
     two, space = rays(UNKNOWN, UNKNOWN)
-    assert gain(two, space, "oa") == pytest.approx(H + 0.5 * H)
-    assert gain(two, space, "rse") == 0.0
+    assert compute_gain(two, space, "oa") == pytest.approx(H + 0.5 * H)
+    assert compute_gain(two, space, "rse") == 0.0
     rear, space = rays(FREE, UNKNOWN, OCCUPIED)
-    assert gain(rear, space, "rse") == pytest.approx(free * H)
+    assert compute_gain(rear, space, "rse") == pytest.approx(free * H)
     broken, space = rays(UNKNOWN, FREE, OCCUPIED)
-    assert gain(broken, space, "rse") == 0.0
+    assert compute_gain(broken, space, "rse") == 0.0
 
 
 def test_the_area_factor_wants_a_fifth_of_overlap() -> None:
-    assert wish(0.0, 0.2) == 0.0
-    assert wish(0.2, 0.2) == pytest.approx(1.0)
-    assert wish(0.2 + 1e-12, 0.2) == pytest.approx(1.0)
-    assert wish(1.0, 0.2) == pytest.approx(0.0, abs=1e-12)
-    assert wish(0.1, 0.2) == pytest.approx(0.5)
-    values = [wish(x, 0.8) for x in np.linspace(0, 1, 101)]
+    assert rate_share(0.0, 0.2) == 0.0
+    assert rate_share(0.2, 0.2) == pytest.approx(1.0)
+    assert rate_share(0.2 + 1e-12, 0.2) == pytest.approx(1.0)
+    assert rate_share(1.0, 0.2) == pytest.approx(0.0, abs=1e-12)
+    assert rate_share(0.1, 0.2) == pytest.approx(0.5)
+    values = [rate_share(x, 0.8) for x in np.linspace(0, 1, 101)]
     assert int(np.argmax(values)) == 80
 
 
 def test_utility_trades_gain_for_travel() -> None:
     gains, travel = np.array([3.0, 2.9]), np.array([3.0, 0.5])
-    assert np.argmax(utility(gains, travel, 0.0)) == 0
-    assert np.argmax(utility(gains, travel, 0.5)) == 1
+    assert np.argmax(compute_utility(gains, travel, 0.0)) == 0
+    assert np.argmax(compute_utility(gains, travel, 0.5)) == 1

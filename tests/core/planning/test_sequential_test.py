@@ -8,12 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import betabinom
 
-from scan3d_twin.core.planning.sequential_test import _at_most, allowed_failures, decided
+from scan3d_twin.core.planning.sequential_test import (
+    _probability_at_most,
+    count_allowed_failures,
+    is_decided,
+)
 
 
 @given(st.integers(1, 40), st.floats(0.05, 1.0))
 def test_the_allowance_is_that_of_the_order_statistic(draws: int, quantile: float) -> None:
-    allowed = allowed_failures(draws, quantile)
+    allowed = count_allowed_failures(draws, quantile)
     for failures in range(draws + 1):
         errors = [0.0] * (draws - failures) + [1.0] * failures
         passes = np.quantile(errors, quantile, method="higher") <= 0.5
@@ -22,10 +26,10 @@ def test_the_allowance_is_that_of_the_order_statistic(draws: int, quantile: floa
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30), st.floats(0.1, 1.0))
 def test_full_certainty_never_changes_the_outcome(fails: list[bool], quantile: float) -> None:
-    allowed = allowed_failures(len(fails), quantile)
+    allowed = count_allowed_failures(len(fails), quantile)
     for drawn in range(1, len(fails) + 1):
         failures = sum(fails[:drawn])
-        if decided(failures, drawn, len(fails), quantile, 1.0):
+        if is_decided(failures, drawn, len(fails), quantile, 1.0):
             assert (failures <= allowed) == (sum(fails) <= allowed)
             return
     pytest.fail("a test with all its draws is decided")
@@ -38,9 +42,12 @@ def test_less_certainty_saves_draws_and_seldom_changes_the_outcome(
     rng, used, same, runs = np.random.default_rng(0), 0, 0, 200
     for _ in range(runs):
         fails = rng.random(20) < share
-        drawn = next(k for k in range(1, 21) if decided(int(fails[:k].sum()), k, 20, 0.9, 0.95))
-        early = fails[:drawn].sum() <= allowed_failures(drawn, 0.9)
-        used, same = used + drawn, same + (early == (fails.sum() <= allowed_failures(20, 0.9)))
+        drawn = next(k for k in range(1, 21) if is_decided(int(fails[:k].sum()), k, 20, 0.9, 0.95))
+        early = fails[:drawn].sum() <= count_allowed_failures(drawn, 0.9)
+        used, same = (
+            used + drawn,
+            same + (early == (fails.sum() <= count_allowed_failures(20, 0.9))),
+        )
     assert used < most * 20 * runs
     assert same > 0.85 * runs
 
@@ -48,4 +55,6 @@ def test_less_certainty_saves_draws_and_seldom_changes_the_outcome(
 @given(st.integers(0, 30), st.integers(0, 30), st.floats(0.5, 20.0), st.floats(0.5, 20.0))
 def test_the_distribution_is_the_beta_binomial(most: int, more: int, a: float, b: float) -> None:
     n = most + more
-    assert _at_most(most, n, a, b) == pytest.approx(betabinom.cdf(most, n, a, b), rel=1e-9)
+    assert _probability_at_most(most, n, a, b) == pytest.approx(
+        betabinom.cdf(most, n, a, b), rel=1e-9
+    )

@@ -11,14 +11,11 @@ from synthetic import Box, observe
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.core.planning import make_planner, planner_names
+from scan3d_twin.core.planning import list_planners, make_planner
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.planners.siicp import (
-    motion_error,
-    overlaps,
-    sample_motion_noise,
-    simulated_error,
-)
+from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
+from scan3d_twin.core.planning.overlap_search import list_overlaps
+from scan3d_twin.core.planning.planners.siicp import simulate_error
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Plan, Pose2
 
@@ -43,11 +40,13 @@ def session_at(boxes: tuple[Box, ...], config: Config | None = None) -> Session:
 
 @pytest.fixture(scope="module")
 def wall() -> Session:
+    """Return a session in front of a bare wall."""
     return session_at(WALL)
 
 
 @pytest.fixture(scope="module")
 def steps() -> Session:
+    """Return a session in front of a wall with pilasters."""
     return session_at(STEPS)
 
 
@@ -56,33 +55,34 @@ def errors(session: Session, overlap: float, n: int, **changes: object) -> np.nd
     planning = replace(session.config.planning, **changes)  # type: ignore[arg-type]
     session = replace(session, config=replace(session.config, planning=planning))
     context = PlanningContext(session)
-    viewpoint = context.place(overlap).viewpoint
+    viewpoint = context.find_placement(overlap).viewpoint
     assert viewpoint is not None
     draws = np.random.default_rng(1).standard_normal((n, 1, 3))
     rngs = np.random.default_rng(2).spawn(n)
     return np.array(
         [
-            simulated_error(context, overlap, viewpoint, d, r)
+            simulate_error(context, overlap, viewpoint, d, r)
             for d, r in zip(draws, rngs, strict=True)
         ]
     )
 
 
 def plan(session: Session, seed: int = 0, **changes: object) -> Plan:
+    """Return the plan of SiICP with changed options."""
     planning = replace(session.config.planning, **changes)  # type: ignore[arg-type]
     session = replace(session, config=replace(session.config, planning=planning))
     return make_planner("siicp").plan(session, np.random.default_rng(seed))
 
 
 def test_overlaps_are_those_of_the_paper() -> None:
-    assert overlaps(paper_planning()) == [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    assert list_overlaps(paper_planning()) == [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
 
 
 def test_the_motion_error_is_proportional_to_the_move() -> None:
     config = paper_planning(lambda_=0.02, gamma=0.01)
-    error = motion_error(np.array([1.0, -2.0, 3.0]), Pose2(0.5, -1.0, 0.4), config)
+    error = scale_motion_error(np.array([1.0, -2.0, 3.0]), Pose2(0.5, -1.0, 0.4), config)
     assert (error.x, error.y, error.yaw) == pytest.approx((0.01, -0.04, 0.012))
-    still = motion_error(np.ones(3), Pose2(), config)
+    still = scale_motion_error(np.ones(3), Pose2(), config)
     assert (still.x, still.y, still.yaw) == (0.0, 0.0, 0.0)
 
 
@@ -193,6 +193,6 @@ def test_a_lost_target_ends_the_run(wall: Session) -> None:
 
 
 def test_an_unknown_planner_is_an_error_that_lists_the_known() -> None:
-    assert "siicp" in planner_names()
+    assert "siicp" in list_planners()
     with pytest.raises(UnknownNameError, match=r"no planner 'best'; known: .*siicp"):
         make_planner("best")

@@ -13,10 +13,10 @@ from synthetic import Box, observe
 
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.mapping.scan_matching import motion_prior, odometry_scale, surfels_of
+from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior, surfels_of
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.planning.context import PlanningContext, readings_of
-from scan3d_twin.core.planning.simulated_registration import Simulation, displaced
+from scan3d_twin.core.planning.context import PlanningContext, mask_readings
+from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Surface
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels import N
@@ -35,7 +35,7 @@ O2 = Pose2(0.0, -0.25, 0.05)
 def surface_of(session: Session) -> Surface:
     view = session.views[-1]
     grid = surfels_of(view, session.config)
-    return Surface(grid, readings_of(view.target, view.image), math.radians(30.0), 4.0)
+    return Surface(grid, mask_readings(view.target, view.image), math.radians(30.0), 4.0)
 
 
 def silent(surface: Surface) -> DrawnNoise:
@@ -133,7 +133,9 @@ def test_the_little_noise_left_in_the_planes_does_not_look_like_features(wall: S
 def test_draws_follow_the_motion_prior() -> None:
     prior = motion_prior(Pose2(0.1, -0.6, 0.2), CONFIG.planning)
     rng = np.random.default_rng(0)
-    moved = [Pose2.from_matrix(displaced(prior, rng.standard_normal(3)).T) for _ in range(4000)]
+    moved = [
+        Pose2.from_matrix(displace_prior(prior, rng.standard_normal(3)).T) for _ in range(4000)
+    ]
     found = np.cov([[p.x for p in moved], [p.y for p in moved], [p.yaw for p in moved]])
     expected = prior.covariance[np.ix_(PLANAR, PLANAR)]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
@@ -142,7 +144,7 @@ def test_draws_follow_the_motion_prior() -> None:
 
 def test_candidates_meet_the_same_draws_and_seeds_differ(pilasters: Session) -> None:
     def errors(seed: int) -> list[float]:
-        return list(Simulation.of(PlanningContext(pilasters), seed).errors(O2, 2))
+        return list(SimulatedRegistration.of(PlanningContext(pilasters), seed).errors(O2, 2))
 
     assert errors(1) == errors(1)
     assert errors(1) != errors(2)
@@ -151,7 +153,7 @@ def test_candidates_meet_the_same_draws_and_seeds_differ(pilasters: Session) -> 
 def test_a_slide_shows_on_a_wall_and_not_on_features(wall: Session, pilasters: Session) -> None:
     median = []
     for session in (wall, pilasters):
-        errors = list(Simulation.of(PlanningContext(session), 3).errors(O2, 5))
+        errors = list(SimulatedRegistration.of(PlanningContext(session), 3).errors(O2, 5))
         median.append(float(np.median(errors)))
     assert median[1] < 0.005
     assert median[0] > 1.5 * median[1]
@@ -165,12 +167,14 @@ def test_wrong_basins_show_as_large_errors() -> None:
     )
     poor = replace(CONFIG, planning=replace(CONFIG.planning, lambda_=0.12))
     session = session_at(ribs, poor)
-    errors = list(Simulation.of(PlanningContext(session), 0).errors(Pose2(0.0, -0.45, 0.0), 5))
+    errors = list(
+        SimulatedRegistration.of(PlanningContext(session), 0).errors(Pose2(0.0, -0.45, 0.0), 5)
+    )
     assert max(errors) > 0.03
 
 
 def test_out_of_sight_is_infinite(wall: Session) -> None:
-    simulation = Simulation.of(PlanningContext(wall), 0)
+    simulation = SimulatedRegistration.of(PlanningContext(wall), 0)
     assert simulation.error(Pose2(0.0, 0.0, math.pi), 3) == math.inf
 
 
@@ -190,11 +194,11 @@ def test_checks_send_the_closed_form_on_to_a_larger_overlap(
     session = replace(pilasters, config=config)
     asked: list[Pose2] = []
 
-    def contradict(self: Simulation, viewpoint: Pose2, draws: int) -> float:
+    def contradict(self: SimulatedRegistration, viewpoint: Pose2, draws: int) -> float:
         asked.append(viewpoint)
         return 0.05 if len(asked) == 1 else 0.001
 
-    monkeypatch.setattr(Simulation, "error", contradict)
+    monkeypatch.setattr(SimulatedRegistration, "error", contradict)
     plan = make_planner("fisher").plan(session, np.random.default_rng(0))
     assert len(asked) == 2
     assert plan.candidates[-2].predicted_rmse == 0.05
@@ -213,9 +217,9 @@ def test_odometry_that_errs_more_than_configured_is_found_out() -> None:
     for off in (0.0, 0.06):
         session = session_at(PILASTERS, CONFIG)
         views = session_with_moves(session, off)
-        scales.append(odometry_scale(views.views, CONFIG))
+        scales.append(estimate_odometry_scale(views.views, CONFIG))
     assert scales[0] < 1.0 < 2.0 < scales[1]
-    assert odometry_scale((), CONFIG) == 1.0
+    assert estimate_odometry_scale((), CONFIG) == 1.0
 
 
 def session_with_moves(session: Session, off: float) -> Session:
@@ -224,8 +228,8 @@ def session_with_moves(session: Session, off: float) -> Session:
     for k in (1, 2):
         true = Pose2(0.0, -0.25 * k, 0.0)
         image = observe(true, PILASTERS, room=False, sigma=0.004, rng=rng).image
-        told = Pose2(true.x + off * k, true.y, true.yaw)
-        session = integrate(session, Observation(image, told))
+        measured = Pose2(true.x + off * k, true.y, true.yaw)
+        session = integrate(session, Observation(image, measured))
     return session
 
 
@@ -246,7 +250,8 @@ def test_the_prediction_of_a_registration_is_about_the_target(pilasters: Session
 def test_sparing_memory_changes_no_error(wall: Session) -> None:
     config = replace(CONFIG, optimize_for="memory")
     frugal, usual = (
-        Simulation.of(PlanningContext(replace(wall, config=each)), 3) for each in (config, CONFIG)
+        SimulatedRegistration.of(PlanningContext(replace(wall, config=each)), 3)
+        for each in (config, CONFIG)
     )
     for viewpoint in (O2, Pose2(0.0, -0.3, 0.0)):
         errors = [list(each.errors(viewpoint, 2)) for each in (frugal, usual)]

@@ -10,17 +10,17 @@ from sessions import BOX, session_at
 from scan3d_twin.core.planning.surface_patches import (
     Eye,
     Patches,
-    patches_of,
-    seen_patches,
-    view_patches,
+    extract_patches,
+    extract_view_patches,
+    merge_patches,
 )
 from scan3d_twin.core.planning.voxels import (
     FREE,
     OCCUPIED,
     UNKNOWN,
-    VOXEL,
+    VOXEL_SIZE,
     VoxelMap,
-    voxel_map,
+    build_voxel_map,
 )
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
@@ -30,15 +30,18 @@ EYE = Eye(0.30, math.radians(30.0), math.radians(37.5), 4.0)
 
 @pytest.fixture(scope="module")
 def box() -> Session:
+    """Return a session in front of a box."""
     return session_at(BOX, half=0.3)
 
 
 @pytest.fixture(scope="module")
 def space(box: Session) -> VoxelMap:
-    return voxel_map(box, 1.0)
+    """Return the voxel map around the box."""
+    return build_voxel_map(box, 1.0)
 
 
 def label(space: VoxelMap, x: float, y: float, z: float) -> int:
+    """Return the label of the voxel at a point in ``world``."""
     index = int(space.indices(np.array([x, y, z])))
     assert index >= 0
     return int(space.labels.ravel()[index])
@@ -52,7 +55,7 @@ def test_before_the_box_is_free_its_front_occupied_and_behind_unknown(space: Vox
 
 
 def test_more_of_the_target_may_be_just_beside_what_was_seen_of_it(space: VoxelMap) -> None:
-    more = space.origin + (np.argwhere(space.may_hold_more) + 0.5) * VOXEL
+    more = space.origin + (np.argwhere(space.may_hold_more) + 0.5) * VOXEL_SIZE
     assert len(more)
     front = np.abs(more[:, 0] - 0.9) + np.maximum(np.abs(more[:, 1]) - 0.3, 0)
     assert front.max() < 0.35
@@ -64,19 +67,19 @@ def test_rays_meet_what_stands_first(space: VoxelMap) -> None:
     rays = space.march(Pose2(), EYE, reach)
     ahead = rays.first[len(rays.first) // 2]
     cell = np.array(np.unravel_index(ahead, space.labels.shape))
-    place = space.origin + (cell + 0.5) * VOXEL
+    place = space.origin + (cell + 0.5) * VOXEL_SIZE
     assert place == pytest.approx([0.9, 0.0, 0.3], abs=0.06)
-    assert rays.met(space.target) > 50
+    assert rays.count_met(space.target) > 50
 
 
 def test_the_far_side_shows_from_the_side(space: VoxelMap) -> None:
-    here = space.march(Pose2(), EYE, 2.0).met(space.may_hold_more)
-    beside = space.march(Pose2(1.2, -1.2, math.pi / 2), EYE, 2.0).met(space.may_hold_more)
+    here = space.march(Pose2(), EYE, 2.0).count_met(space.may_hold_more)
+    beside = space.march(Pose2(1.2, -1.2, math.pi / 2), EYE, 2.0).count_met(space.may_hold_more)
     assert beside > here
 
 
 def test_patches_lie_on_the_box_and_face_the_robot(box: Session) -> None:
-    patches = view_patches(box.views[0])
+    patches = extract_view_patches(box.views[0])
     front = np.abs(patches.points[:, 0] - 0.9) < 0.03
     assert np.mean(front) > 0.8
     inner = (
@@ -104,12 +107,12 @@ def test_what_faces_away_or_is_hidden_is_not_seen() -> None:
 
 def test_patches_of_several_views_are_counted_once(box: Session) -> None:
     twice = session_at(BOX, poses=(Pose2(), Pose2(0.0, 0.01, 0.0)), half=0.3)
-    assert len(seen_patches(twice)) < 1.6 * len(seen_patches(box))
+    assert len(merge_patches(twice)) < 1.6 * len(merge_patches(box))
 
 
 def test_too_few_points_make_no_patches() -> None:
-    assert len(patches_of(np.zeros((5, 3)), np.zeros(3))) == 0
-    assert EYE.sees(Pose2(), patches_of(np.zeros((5, 3)), np.zeros(3))).shape == (0,)
+    assert len(extract_patches(np.zeros((5, 3)), np.zeros(3))) == 0
+    assert EYE.sees(Pose2(), extract_patches(np.zeros((5, 3)), np.zeros(3))).shape == (0,)
 
 
 def test_the_eye_is_that_of_the_sweeps(box: Session) -> None:

@@ -30,7 +30,7 @@ import synthetic
 
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, FileError
-from scan3d_twin.core.grids import dilate, label_components
+from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
@@ -45,7 +45,7 @@ from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displ
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
 from scan3d_twin.core.registration.surfels import Beams, fit_surfels, make_native_sweep
-from scan3d_twin.core.scanning.extrinsics import mounted
+from scan3d_twin.core.scanning.extrinsics import apply_mount
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
 
 FIRST, SECOND = Pose2(0.0, 0.15, -0.05), Pose2(0.02, -0.15, 0.10)
@@ -400,7 +400,9 @@ def test_neighbours_on_a_surface() -> None:
 
 def test_placed_readings() -> None:
     sweep = image(1)
-    leaning = replace(sweep, T_base_lidar=mounted(sweep.T_base_lidar, MountConfig(0.01, 0.02, 0.1)))
+    leaning = replace(
+        sweep, T_base_lidar=apply_mount(sweep.T_base_lidar, MountConfig(0.01, 0.02, 0.1))
+    )
     for seen in (sweep, leaning):
         wanted = seen.ranges < 3.0
         for found, plain in zip(
@@ -427,9 +429,9 @@ def test_free_reach() -> None:
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.4, 1.0])
 def test_grids(share: float) -> None:
     grid = np.random.default_rng(0).random((40, 30)) < share
-    assert np.array_equal(label_components(grid), reference.grids.labelled(grid))
+    assert np.array_equal(label_cells(grid), reference.grids.label_cells(grid))
     for radius in (-1.0, 0.0, 1.5, 4.0, 100.0):
-        assert np.array_equal(dilate(grid, radius), reference.grids.dilated(grid, radius))
+        assert np.array_equal(dilate(grid, radius), reference.grids.dilate(grid, radius))
 
 
 def test_pieces() -> None:

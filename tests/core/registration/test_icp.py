@@ -17,7 +17,7 @@ from scan3d_twin.core.registration.icp import (
     register,
     select_overlapping_lines,
 )
-from scan3d_twin.core.scanning.target_extraction import all_points
+from scan3d_twin.core.scanning.target_extraction import extract_points
 from scan3d_twin.core.types import FloatArray, Pose2, Scan3D, rms
 
 CONFIG = paper_registration()
@@ -28,7 +28,7 @@ turns = st.floats(-0.03, 0.03)
 @cache
 def boxes_scan(pose: Pose2, seed: int = 0) -> Scan3D:
     observation = observe(pose, room=False, sigma=0.003, rng=np.random.default_rng(seed))
-    return all_points(observation.image, paper_config())
+    return extract_points(observation.image, paper_config())
 
 
 @pytest.fixture(scope="module")

@@ -16,18 +16,18 @@ from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.hal import default_mount
 from scan3d_twin.core.scanning.extrinsic_calibration import (
     Calibration,
+    apply_yaw_scale,
     calibrate,
     calibrate_on_panorama,
     find_planes,
-    with_turning,
 )
 from scan3d_twin.core.scanning.extrinsics import (
-    composed,
-    corrected,
-    in_words,
-    mounted,
-    tilt,
-    turn_rate,
+    apply_mount,
+    compose_mounts,
+    correct_extrinsics,
+    describe_mount,
+    measure_turn_rate,
+    tilt_matrix,
 )
 from scan3d_twin.core.types import Observation, Pose2, RangeImage, read_only
 
@@ -50,9 +50,9 @@ def take(
     truth = replace(
         image,
         stamps=read_only(stamps),
-        T_base_lidar=read_only(mounted(default_mount(), wrong)),
+        T_base_lidar=read_only(apply_mount(default_mount(), wrong)),
     )
-    rate = turn_rate(truth)
+    rate = measure_turn_rate(truth)
     true_yaws = (1 + wrong.yaw_scale) * image.yaws + wrong.time_offset * rate
     truth = replace(truth, yaws=read_only(true_yaws), ranges=read_only(np.ones(image.ranges.shape)))
     pose = Pose2(0.1, -0.2, 0.3)
@@ -62,18 +62,19 @@ def take(
     rng = np.random.default_rng(seed)
     ranges = ranges.reshape(image.ranges.shape) + 0.004 * rng.standard_normal(image.ranges.shape)
     ranges = np.where(ranges < 4.0, ranges, np.nan)
-    told = replace(
+    measured = replace(
         truth,
         yaws=image.yaws,
         ranges=read_only(ranges),
         codes=read_only(np.where(np.isfinite(ranges), -1, 0), np.int64),
         T_base_lidar=default_mount(),
     )
-    return Observation(told, Pose2())
+    return Observation(measured, Pose2())
 
 
 @cache
 def full_turn(wrong: MountConfig) -> Calibration:
+    """Return the calibration from one full turn with a ``wrong`` mount."""
     return calibrate([[take(wrong).image]])
 
 
@@ -108,7 +109,7 @@ def test_sweeps_to_both_sides_tell_the_time_offset() -> None:
 def test_correcting_by_what_was_found_leaves_nothing_to_find() -> None:
     first = take(WRONG)
     found = full_turn(WRONG)
-    again = calibrate([[corrected(first, found.mount).image]])
+    again = calibrate([[correct_extrinsics(first, found.mount).image]])
     assert abs(again.mount.lateral) < 0.001
     assert abs(again.mount.roll) < math.radians(0.1)
     assert abs(again.mount.yaw_scale) < 0.001
@@ -116,19 +117,19 @@ def test_correcting_by_what_was_found_leaves_nothing_to_find() -> None:
 
 def test_a_correct_mount_changes_nothing() -> None:
     seen = take(MountConfig())
-    assert corrected(seen, MountConfig()) is seen
+    assert correct_extrinsics(seen, MountConfig()) is seen
 
 
 def test_corrections_add_up() -> None:
-    both = composed(WRONG, WRONG)
+    both = compose_mounts(WRONG, WRONG)
     assert both.lateral == pytest.approx(2 * WRONG.lateral)
     assert 1 + both.yaw_scale == pytest.approx((1 + WRONG.yaw_scale) ** 2)
-    assert "+10.0 mm" in in_words(WRONG)
+    assert "+10.0 mm" in describe_mount(WRONG)
 
 
 def test_the_tilt_leans_right_and_looks_down() -> None:
-    assert tilt(0.1, 0.0) @ [0, 0, 1] == pytest.approx([0, -math.sin(0.1), math.cos(0.1)])
-    assert tilt(0.0, 0.1) @ [1, 0, 0] == pytest.approx([math.cos(0.1), 0, -math.sin(0.1)])
+    assert tilt_matrix(0.1, 0.0) @ [0, 0, 1] == pytest.approx([0, -math.sin(0.1), math.cos(0.1)])
+    assert tilt_matrix(0.0, 0.1) @ [1, 0, 0] == pytest.approx([math.cos(0.1), 0, -math.sin(0.1)])
 
 
 def test_planes_are_told_apart() -> None:
@@ -141,6 +142,7 @@ def test_planes_are_told_apart() -> None:
 
 
 def nothing(image: RangeImage) -> RangeImage:
+    """Return ``image`` without any valid reading."""
     return replace(
         image,
         ranges=read_only(np.full(image.ranges.shape, np.nan)),
@@ -157,7 +159,7 @@ def test_scans_without_walls_are_refused() -> None:
 
 def test_scans_with_different_mounts_are_refused() -> None:
     one = take(MountConfig()).image
-    other = replace(one, T_base_lidar=read_only(mounted(default_mount(), WRONG)))
+    other = replace(one, T_base_lidar=read_only(apply_mount(default_mount(), WRONG)))
     with pytest.raises(ConfigError, match="different mounts"):
         calibrate([[one], [other]])
 
@@ -172,7 +174,7 @@ def test_a_run_turns_as_its_first_look_tells_if_that_is_wanted() -> None:
     config = replace(
         paper_config(), sweep=paper_sweep(turning="look"), mount=MountConfig(yaw_scale=0.01)
     )
-    tuned = with_turning(config, full_turn(WRONG))
+    tuned = apply_yaw_scale(config, full_turn(WRONG))
     assert tuned.mount.yaw_scale == pytest.approx(1.01 * (1 + WRONG.yaw_scale) - 1, abs=0.0015)
     assert replace(tuned.mount, yaw_scale=0.01) == config.mount  # the rest is left alone
     assert 0.002 <= tuned.registration.yaw_scale_sigma < config.registration.yaw_scale_sigma
@@ -180,7 +182,7 @@ def test_a_run_turns_as_its_first_look_tells_if_that_is_wanted() -> None:
 
 def test_else_it_turns_as_the_odometry_tells() -> None:
     config = paper_config()
-    assert with_turning(config, full_turn(WRONG)) == config
+    assert apply_yaw_scale(config, full_turn(WRONG)) == config
 
 
 def test_a_look_at_nothing_tells_nothing() -> None:
@@ -188,4 +190,4 @@ def test_a_look_at_nothing_tells_nothing() -> None:
     look = take(WRONG).image
     blind = replace(look, ranges=read_only(np.full(look.ranges.shape, np.nan)))
     assert calibrate_on_panorama(blind) is None
-    assert with_turning(config, None) == config
+    assert apply_yaw_scale(config, None) == config

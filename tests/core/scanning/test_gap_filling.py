@@ -19,14 +19,17 @@ BEAM = math.tau / 1024
 
 @pytest.fixture(scope="module")
 def image() -> RangeImage:
+    """Return a range image of three boxes."""
     return observe(Pose2(-0.4, 0.0, 0.0), room=False).image
 
 
 def with_ranges(image: RangeImage, ranges: np.ndarray) -> RangeImage:
+    """Return ``image`` with other ranges."""
     return replace(image, ranges=read_only(ranges))
 
 
 def flat(image: RangeImage) -> np.ndarray:
+    """Return equal ranges for all readings of ``image``."""
     return np.full(image.ranges.shape, 1.5)
 
 

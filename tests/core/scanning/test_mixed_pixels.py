@@ -9,7 +9,7 @@ from paper import paper_config
 from synthetic import observe
 
 from scan3d_twin.core.config import GapConfig
-from scan3d_twin.core.scanning.mixed_pixels import without_mixed_pixels
+from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.core.types import MIXED, VALID, Pose2, RangeImage, read_only
 from scan3d_twin.sim.robot import open_sim
@@ -19,10 +19,12 @@ CONFIG = GapConfig()
 
 @pytest.fixture(scope="module")
 def image() -> RangeImage:
+    """Return a range image of three boxes."""
     return observe(Pose2(-0.4, 0.0, 0.0), room=False).image
 
 
 def with_ranges(image: RangeImage, ranges: np.ndarray) -> RangeImage:
+    """Return ``image`` with other ranges, NaN for no reading."""
     codes = np.where(np.isfinite(ranges), VALID, 0)
     return replace(image, ranges=read_only(ranges), codes=read_only(codes, np.int64))
 
@@ -33,7 +35,7 @@ def test_what_hangs_between_two_surfaces_is_dropped_along_and_across_lines(image
     ranges[20, :] = 1.25  # the silhouette of the nearer surface, a line of mixed pixels
     ranges[:20, 200:] = 2.0
     ranges[:20, 200] = 1.4
-    clean = without_mixed_pixels(with_ranges(image, ranges), CONFIG)
+    clean = remove_mixed_pixels(with_ranges(image, ranges), CONFIG)
     mixed = np.zeros(ranges.shape, dtype=bool)
     mixed[20, :200] = True  # beyond, the line lies before both of its neighbours
     mixed[:20, 200] = True
@@ -50,13 +52,13 @@ def test_steep_surfaces_thin_things_and_noise_stay(image):
     pole = np.full(flat.shape, 2.0)
     pole[30] = 1.0
     for ranges in (flat + noise, pole):
-        clean = without_mixed_pixels(with_ranges(image, np.array(ranges)), CONFIG)
+        clean = remove_mixed_pixels(with_ranges(image, np.array(ranges)), CONFIG)
         assert np.isfinite(clean.ranges).all()
 
 
 def test_of_a_sweep_by_a_broad_beam_few_readings_are_dropped():
     with open_sim("three_boxes", 5) as (robot, _):
         raw = sweep(robot, 0.0, paper_config(), lambda line: None).image
-    clean = without_mixed_pixels(raw, CONFIG)
+    clean = remove_mixed_pixels(raw, CONFIG)
     dropped = np.count_nonzero(np.isfinite(raw.ranges) & ~np.isfinite(clean.ranges))
     assert 0 < dropped < 0.01 * np.count_nonzero(np.isfinite(raw.ranges))

@@ -9,10 +9,10 @@ from synthetic import THREE_BOXES, Box, observe
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.scanning.target_extraction import (
-    all_points,
+    extract_points,
     extract_target,
     find_target,
-    in_window,
+    is_in_window,
 )
 from scan3d_twin.core.types import Observation, Pose2
 
@@ -23,13 +23,14 @@ SPAWN = Pose2(-0.9, 0.0, 0.0)
 def look(
     boxes: tuple[Box, ...] = THREE_BOXES, *, room: bool = True, spawn: Pose2 = SPAWN
 ) -> Observation:
+    """Return a panorama of ``boxes``, with ``odom`` at the robot."""
     seen = observe(spawn, boxes, width=math.tau - 1e-3, step=math.radians(2.0), room=room)
     return Observation(seen.image, Pose2())  # odom is where the robot was opened
 
 
 def test_floor_robot_and_far_things_are_left_out() -> None:
     image = observe(SPAWN).image
-    scan = all_points(image, CONFIG)
+    scan = extract_points(image, CONFIG)
     ranges = image.ranges[scan.lines, scan.beams]
     assert scan.points[:, 2].min() > CONFIG.target.floor_height
     assert ranges.max() <= CONFIG.target.max_range
@@ -39,7 +40,7 @@ def test_floor_robot_and_far_things_are_left_out() -> None:
 
 def test_the_window_is_213_beams_around_384() -> None:
     image = observe(SPAWN).image
-    inside = np.flatnonzero(in_window(image, np.arange(image.spec.n_beams), CONFIG.target))
+    inside = np.flatnonzero(is_in_window(image, np.arange(image.spec.n_beams), CONFIG.target))
     middle = image.spec.n_beams // 2
     assert len(inside) == 213
     assert (inside[0], inside[-1]) == (middle - 106, middle + 106)
@@ -75,14 +76,14 @@ def test_nothing_near_the_wanted_place_is_an_error_that_says_so() -> None:
 
 
 def test_an_empty_floor_is_an_error_that_says_so() -> None:
-    with pytest.raises(SceneError, match="saw nothing within 4 m"):
+    with pytest.raises(SceneError, match="shows nothing within 4 m"):
         find_target(look((), room=False), None, CONFIG)
 
 
 def test_the_target_is_extracted_without_the_room() -> None:
     observation = observe(Pose2(-0.4, 0.0, 0.0))
-    sweep = all_points(observation.image, CONFIG)
-    known = np.array([[1.0, 0.5]])  # one point of the front is enough to tell which group it is
+    sweep = extract_points(observation.image, CONFIG)
+    known = np.array([[1.0, 0.5]])  # one point of the front is enough to identify the group
     target = extract_target(observation.image, sweep, known, CONFIG.target)
     x, y = observation.T_odom_scan.apply(target.points)[:, :2].T
     assert len(target) > 5000
@@ -97,7 +98,7 @@ def test_stray_points_are_left_out() -> None:
     ranges = observation.image.ranges.copy()
     ranges[60, 341] = 0.7  # in the air, in front of the boxes
     object.__setattr__(observation.image, "ranges", ranges)
-    sweep = all_points(observation.image, CONFIG)
+    sweep = extract_points(observation.image, CONFIG)
     known = np.array([[1.0, 0.5], [0.7, 0.0]])
     target = extract_target(observation.image, sweep, known, CONFIG.target)
     assert np.hypot(target.points[:, 0], target.points[:, 1]).min() > 0.9
@@ -105,7 +106,7 @@ def test_stray_points_are_left_out() -> None:
 
 def test_a_target_out_of_sight_is_empty() -> None:
     observation = observe(Pose2(-0.4, 0.0, math.pi))
-    sweep = all_points(observation.image, CONFIG)
+    sweep = extract_points(observation.image, CONFIG)
     known = np.array([[-1.2, 0.0]])
     assert len(extract_target(observation.image, sweep, known, CONFIG.target)) == 0
 
@@ -113,7 +114,7 @@ def test_a_target_out_of_sight_is_empty() -> None:
 def test_a_group_is_the_target_when_it_comes_within_the_gap_of_what_is_known() -> None:
     box = Box((0.3, -0.4, 0.0), (0.7, 0.4, 0.6))
     image = observe(SPAWN, (box,), room=False).image
-    sweep = all_points(image, CONFIG)
+    sweep = extract_points(image, CONFIG)
     top, rng, gap = sweep.points[:, :2], np.random.default_rng(0), CONFIG.target.cluster_gap
     outcomes = []
     for _ in range(60):

@@ -7,7 +7,7 @@ from kinematic import CREATE2 as KINEMATIC
 from kinematic import JumpingClock, KinematicBase, turned
 
 from scan3d_twin.core.errors import ConfigError, HazardError, LinkError, LinkTimeoutError
-from scan3d_twin.core.navigation.wheel_kinematics import ACCELERATION
+from scan3d_twin.core.navigation.wheel_kinematics import WHEEL_ACCELERATION
 from scan3d_twin.core.types import Hazards, Pose2
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import CREATE1, CREATE2, Op
@@ -36,7 +36,7 @@ class Rig:
 
     def __init__(self, model=CREATE2, faults=NO_FAULTS, before=b"", *, inert=False, **quirks):
         spec = replace(KINEMATIC, wheel_base=model.wheel_base_mm / 1000)
-        self.base = KinematicBase(spec, ACCELERATION) if inert else KinematicBase()
+        self.base = KinematicBase(spec, WHEEL_ACCELERATION) if inert else KinematicBase()
         self.clock = JumpingClock(self.base)
         self.device = CreateEmulator(self.base, model, Quirks(**quirks))
         self.line = Line(self.device, faults, seed=1)

@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
-from road import Road
+from emulated_base import Road
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.devices.create import guard_process

@@ -1,3 +1,5 @@
+"""A session whose views have different headings, to be exported."""
+
 import math
 
 import numpy as np
@@ -18,4 +20,4 @@ def session() -> Session:
     for pose in (Pose2(-0.4, 0.2, 0.1), Pose2(-0.4, 0.0, -0.2)):
         session = integrate(session, synthetic.observe(pose))
         session = session.with_plan(Plan(Pose2(), 0.8, math.nan, True, (), "the default"))
-    return session.ended("enough")
+    return session.with_stop_reason("enough")

@@ -8,21 +8,24 @@ import trimesh
 
 from scan3d_twin.core.errors import ConfigError, FileError, UnknownNameError
 from scan3d_twin.core.types import Pose2
-from scan3d_twin.recording.colours import rgb
+from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export import CLOUDS, export_cloud, file_name, pieces
 
 
 @pytest.fixture(scope="module")
 def fused(session):
+    """The fused cloud as one piece."""
     return pieces(session, per_view=False, voxel=0.0)
 
 
 @pytest.fixture(scope="module")
 def parts(session):
+    """One piece per view."""
     return pieces(session, per_view=True, voxel=0.0)
 
 
 def written(pieces, name, tmp_path, *, per_view=False):
+    """Export ``pieces`` under the default name; return the files."""
     path = tmp_path / file_name(name, per_view=per_view)
     return export_cloud(pieces, name, path, per_view=per_view)
 
@@ -40,7 +43,7 @@ def test_ply_is_read_by_trimesh_with_normals_and_colours(fused, tmp_path):
     (path,) = written(fused, "ply", tmp_path)
     cloud, model = trimesh.load(path), fused[0].model
     np.testing.assert_allclose(cloud.vertices, model.points, atol=1e-6)
-    np.testing.assert_array_equal(cloud.colors[:, :3], rgb(model.view))
+    np.testing.assert_array_equal(cloud.colors[:, :3], view_colours_rgb(model.view))
     vertex = cloud.metadata["_ply_raw"]["vertex"]["data"]
     np.testing.assert_allclose(np.ravel(vertex["nz"]), model.normals[:, 2], atol=1e-6)
     np.testing.assert_array_equal(np.ravel(vertex["view"]), model.view)
@@ -64,7 +67,9 @@ def test_pcd_is_read_by_open3d(fused, tmp_path):
     cloud = open3d.io.read_point_cloud(str(path))
     np.testing.assert_allclose(np.asarray(cloud.points), fused[0].model.points, atol=1e-6)
     np.testing.assert_allclose(np.asarray(cloud.normals), fused[0].model.normals, atol=1e-6)
-    np.testing.assert_allclose(np.asarray(cloud.colors) * 255, rgb(fused[0].model.view), atol=0.6)
+    np.testing.assert_allclose(
+        np.asarray(cloud.colors) * 255, view_colours_rgb(fused[0].model.view), atol=0.6
+    )
 
 
 def test_xyz_is_read_by_trimesh(fused, tmp_path):
@@ -79,7 +84,7 @@ def test_las_and_laz_are_read_by_laspy(name, fused, tmp_path):
     cloud, model = laspy.read(path), fused[0].model
     np.testing.assert_allclose(cloud.xyz, model.points, atol=6e-5)
     np.testing.assert_array_equal(cloud.point_source_id, model.view)
-    np.testing.assert_array_equal(np.asarray(cloud.red) // 257, rgb(model.view)[:, 0])
+    np.testing.assert_array_equal(np.asarray(cloud.red) // 257, view_colours_rgb(model.view)[:, 0])
 
 
 def test_e57_keeps_the_views_and_their_poses(parts, tmp_path):
@@ -92,7 +97,7 @@ def test_e57_keeps_the_views_and_their_poses(parts, tmp_path):
         world = part.T_world_piece.apply(part.model.points)
         placed = np.stack([scan[f"cartesian{name}"] for name in "XYZ"], axis=1)
         np.testing.assert_allclose(placed, world, atol=1e-6)
-        np.testing.assert_array_equal(scan["colorRed"], rgb(part.model.view)[:, 0])
+        np.testing.assert_array_equal(scan["colorRed"], view_colours_rgb(part.model.view)[:, 0])
     file.close()
 
 
@@ -142,6 +147,7 @@ def test_a_missing_library_names_the_extra(name, library, fused, tmp_path, monke
     whole = builtins.__import__
 
     def without(wanted, *arguments, **options):
+        """Import as usual, except for the missing library."""
         if wanted.split(".")[0] == library:
             raise ImportError(wanted)
         return whole(wanted, *arguments, **options)

@@ -3,18 +3,24 @@ import pytest
 import trimesh
 
 from scan3d_twin.core.errors import UnknownNameError
-from scan3d_twin.core.model.fused_cloud import Model, build_model, sightings
+from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_clouds
 from scan3d_twin.core.model.mesh import Mesh, build_mesh
-from scan3d_twin.recording.colours import rgb
-from scan3d_twin.recording.export.meshes import MESHES, TRUSTED, poisson, write_mesh
+from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.export.meshes import (
+    MAX_POISSON_DISTANCE,
+    MESH_FORMATS,
+    reconstruct_poisson,
+    write_mesh,
+)
 
 
 @pytest.fixture(scope="module")
 def mesh(session) -> Mesh:
-    return build_mesh(session, sightings(session))
+    """The mesh of the session."""
+    return build_mesh(session, build_view_clouds(session))
 
 
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("name", MESH_FORMATS)
 def test_trimesh_reads_the_same_surface(name, mesh, tmp_path):
     path = tmp_path / f"mesh.{name}"
     write_mesh(mesh, name, path)
@@ -32,7 +38,7 @@ def test_vertices_have_the_colours_of_their_views(name, mesh, tmp_path):
     path = tmp_path / f"mesh.{name}"
     write_mesh(mesh, name, path)
     again = trimesh.load(path, force="mesh", process=False)
-    np.testing.assert_array_equal(again.visual.vertex_colors[:, :3], rgb(mesh.view))
+    np.testing.assert_array_equal(again.visual.vertex_colors[:, :3], view_colours_rgb(mesh.view))
 
 
 def test_unknown_formats_are_refused(mesh, tmp_path):
@@ -47,16 +53,19 @@ def test_poisson_closes_no_hole(tmp_path):
     points = points[np.hypot(points[:, 1], points[:, 2]) > 0.15]
     n = len(points)
     holed = Model(points, np.tile((-1.0, 0.0, 0.0), (n, 1)), np.full(n, 0.005), np.zeros(n, int))
-    surface = poisson(holed)
+    surface = reconstruct_poisson(holed)
     middle = surface.vertices[surface.faces].mean(axis=1)
-    assert np.hypot(middle[:, 1], middle[:, 2]).min() > 0.15 - 2 * TRUSTED
-    seen, grown = 1 - np.pi * 0.15**2, (1 + 2 * TRUSTED) ** 2 - np.pi * (0.15 - TRUSTED) ** 2
+    assert np.hypot(middle[:, 1], middle[:, 2]).min() > 0.15 - 2 * MAX_POISSON_DISTANCE
+    seen, grown = (
+        1 - np.pi * 0.15**2,
+        (1 + 2 * MAX_POISSON_DISTANCE) ** 2 - np.pi * (0.15 - MAX_POISSON_DISTANCE) ** 2,
+    )
     assert 0.97 * seen < surface.areas.sum() < 1.02 * grown
     assert np.abs(middle[:, 0]).max() < 0.01
 
 
 def test_poisson_makes_a_surface_of_a_model(session):
     pytest.importorskip("open3d", exc_type=ImportError)
-    surface = poisson(build_model(session, 0.005))
+    surface = reconstruct_poisson(build_model(session, 0.005))
     assert len(surface.faces) > 5000
     assert set(surface.view) == {-1}

@@ -15,17 +15,18 @@ COVARIANCE = np.arange(1.0, 10.0).reshape(3, 3)
 BEFORE = Odometry(12.0, Pose2(1.0, -2.0, 0.5), np.zeros((3, 3)))
 SAMPLE = Odometry(12.015, Pose2(1.25, -2.5, -3.0), COVARIANCE)
 MESSAGES = {
-    "odometry": cdr.odometry(SAMPLE, BEFORE),
-    "the first odometry": cdr.odometry(SAMPLE, None),
-    "a command": cdr.command(1.5, 0.2, -0.7),
-    "frames": cdr.frames(1e6 + 0.25, Pose2(1.0, 2.0, 3.0), Pose2(-1.0, -2.0, -0.5)),
-    "a line": cdr.scan(line(3.000000001), spec()),
-    "bytes": cdr.serial_bytes(0.75, ">", b"\x80\x83\x01"),
-    "no bytes": cdr.serial_bytes(0.75, "<", b""),
+    "odometry": cdr.encode_odometry(SAMPLE, BEFORE),
+    "the first odometry": cdr.encode_odometry(SAMPLE, None),
+    "a command": cdr.encode_command(1.5, 0.2, -0.7),
+    "frames": cdr.encode_frames(1e6 + 0.25, Pose2(1.0, 2.0, 3.0), Pose2(-1.0, -2.0, -0.5)),
+    "a line": cdr.encode_scan(line(3.000000001), spec()),
+    "bytes": cdr.encode_serial_bytes(0.75, ">", b"\x80\x83\x01"),
+    "no bytes": cdr.encode_serial_bytes(0.75, "<", b""),
 }
 
 
 def decoded(message):
+    """Return ``message`` as rosbags decodes it."""
     return ros.typestore().deserialize_cdr(message.data, message.kind)
 
 

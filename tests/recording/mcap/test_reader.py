@@ -5,9 +5,9 @@ from recorded import LINES, record
 from same import same
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.recording.load import lines, load_session, session_path
+from scan3d_twin.recording.load import find_session_file, load_session, read_lines
 from scan3d_twin.recording.mcap.file import FLUSH_PERIOD
-from scan3d_twin.recording.mcap.reader import contents, is_finished
+from scan3d_twin.recording.mcap.reader import is_finished, read_contents
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,8 @@ def killed(session, tmp_path_factory):
 
 
 def everything(path):
-    return list(contents(path))
+    """Return all records that can be read from the file."""
+    return list(read_contents(path))
 
 
 def test_a_cut_at_any_byte_costs_what_comes_after_it_and_no_more(tmp_path, killed, session):
@@ -45,10 +46,10 @@ def test_a_cut_at_any_byte_costs_what_comes_after_it_and_no_more(tmp_path, kille
 def test_a_cut_costs_less_than_a_flush_period_of_lines(tmp_path, killed):
     path = tmp_path / "session.mcap.part"
     path.write_bytes(killed)
-    stamps = [line.stamp for line in lines(path)]
+    stamps = [line.stamp for line in read_lines(path)]
     assert len(stamps) == 2 * LINES
     path.write_bytes(killed[:-1])
-    left = [line.stamp for line in lines(path)]
+    left = [line.stamp for line in read_lines(path)]
     assert stamps[len(left) - 1] > stamps[-1] - FLUSH_PERIOD
 
 
@@ -100,6 +101,6 @@ def test_what_is_no_session_file(tmp_path, content):
 
 def test_a_folder_without_a_session(tmp_path):
     with pytest.raises(FileError, match=r"no session in .*: a run's folder holds a session\.mcap"):
-        session_path(tmp_path)
+        find_session_file(tmp_path)
     with pytest.raises(FileError, match="cannot read"):
         is_finished(tmp_path / "none")

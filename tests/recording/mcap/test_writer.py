@@ -13,6 +13,7 @@ CHUNK = 2000
 
 
 def messages(count):
+    """Yield channel, time and data of ``count`` random messages."""
     rng = np.random.default_rng(0)
     for k in range(count):
         yield (
@@ -23,6 +24,7 @@ def messages(count):
 
 
 def ours(sent):
+    """Return the file of our writer."""
     stream = io.BytesIO()
     writer = McapWriter(stream, CHUNK, "ros2", "test")
     writer.add_metadata("settings", {"name": "boxes", "toml": "a = 1"})
@@ -41,6 +43,7 @@ def ours(sent):
 
 
 def the_librarys(sent):
+    """Return the file of the mcap package's writer."""
     stream = io.BytesIO()
     writer = Writer(stream, chunk_size=CHUNK, compression=CompressionType.ZSTD)
     writer.start("ros2", "test")

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from scan3d_twin.core.errors import HazardError
-from scan3d_twin.core.navigation.wheel_kinematics import wheel_speeds
+from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
 from scan3d_twin.sim.base.drive_base import CREATE2
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
@@ -42,7 +42,7 @@ def test_one_count_is_0_4446_mm():
     ],
 )
 def test_wheel_speeds_are_whole_millimetres_within_the_limit(linear, angular, left, right):
-    assert wheel_speeds(CREATE2, linear, angular) == pytest.approx((left, right), abs=1e-12)
+    assert split_velocity(CREATE2, linear, angular) == pytest.approx((left, right), abs=1e-12)
 
 
 def test_odometry_moves_in_whole_counts():
@@ -79,6 +79,7 @@ def test_speed_ramps_up_at_the_firmwares_pace(bare):
         robot.clock.sleep(0.25)
 
         def speed(time):
+            """Return the true forward speed at ``time`` [m/s]."""
             return (truth.pose_at(time + 0.01).x - truth.pose_at(time - 0.01).x) / 0.02
 
         assert (speed(0.22) - speed(0.12)) / 0.10 == pytest.approx(1.8, rel=0.15)

@@ -16,6 +16,7 @@ NOTHING_BROKEN = ((np.empty(0, int), np.empty(0, int)), np.empty(0, int))
 
 
 def codes_of(distances, power, config=IDEAL_LIDAR, broken=NOTHING_BROKEN, chance=0.5):
+    """Return the codes of one line of readings."""
     distances, power = np.array([distances], float), np.array([power], float)
     one = np.ones_like(distances)
     draws = Draws(0 * one, 0 * one, chance * one)
@@ -67,6 +68,7 @@ RETRO = (
 
 
 def level_beam(scene, config=None):
+    """Return code and power of the level beam in ``scene``."""
     with open_sim(scene, 0, config or TwinConfig(errors=IDEAL_ROBOT)) as (robot, truth):
         line = robot.lidar.read_line(1.0)
         front = int(np.argmin(np.abs(robot.lidar.spec.elevations)))
@@ -74,6 +76,7 @@ def level_beam(scene, config=None):
 
 
 def surface(distance, material="", turn=0):
+    """Return a target box whose front is at ``distance`` [m]."""
     return (
         f'<geom name="target" type="box" size=".02 .6 .4" pos="{distance + 0.07} 0 .4" '
         f'euler="0 0 {turn}" {material}/>'

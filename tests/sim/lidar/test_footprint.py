@@ -9,13 +9,14 @@ from scan3d_twin.core.types import VALID
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.sim.config import IDEAL_ROBOT, LidarModelConfig, TwinConfig
 from scan3d_twin.sim.lidar.config import IDEAL_LIDAR
-from scan3d_twin.sim.lidar.footprint import EDGE, mix, offsets
+from scan3d_twin.sim.lidar.footprint import MIN_EDGE_DEPTH, mix, offsets
 from scan3d_twin.sim.robot import open_sim
 
 FIVE = LidarModelConfig(sub_rays=5)
 
 
 def mixed(distances, power):
+    """Return distance, power and codes of one beam of five sub-rays."""
     result = mix(np.array(distances)[:, None], np.array(power)[:, None], FIVE)
     return float(result.distances[0]), float(result.power[0]), result.codes
 
@@ -46,7 +47,7 @@ def test_a_depth_edge_reads_between_the_two_surfaces():
 
 
 def test_phasors_and_the_mean_agree_below_the_edge_threshold():
-    distances = np.linspace(1.0, 1.0 + 1.01 * EDGE, 5)
+    distances = np.linspace(1.0, 1.0 + 1.01 * MIN_EDGE_DEPTH, 5)
     by_phase, _, codes = mixed(distances, [0.3] * 5)
     assert len(codes) == 1
     assert by_phase == pytest.approx(distances.mean(), abs=2e-5)

@@ -15,6 +15,7 @@ LATERAL, ROLL, PITCH = 0.012, 0.02, -0.03
 
 
 def pose_of_lidar(twin: TwinConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Return the true position and attitude of the lidar."""
     with open_sim("plain_wall", 0, twin) as (robot, truth):
         robot.clock.sleep(0.2)
         robot.lidar.read_line(1.0)

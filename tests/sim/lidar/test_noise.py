@@ -8,7 +8,7 @@ import pytest
 from scan3d_twin.core.types import VALID
 from scan3d_twin.sim.config import IDEAL_ROBOT, LidarModelConfig, TwinConfig
 from scan3d_twin.sim.lidar.config import IDEAL_LIDAR
-from scan3d_twin.sim.lidar.noise import Draws, warm_up
+from scan3d_twin.sim.lidar.noise import Draws, warm_up_error
 from scan3d_twin.sim.robot import open_sim
 
 WALL = '<geom name="target" type="box" size=".05 3 3" pos="{x} 0 2"/>'
@@ -53,7 +53,7 @@ def test_a_surface_keeps_its_bias(scene_of):
 
 def test_the_cold_sensor_drifts_until_it_is_warm():
     config = LidarModelConfig()
-    drift = [warm_up(time, config) for time in (0.0, 1200.0, 1e5)]
+    drift = [warm_up_error(time, config) for time in (0.0, 1200.0, 1e5)]
     assert drift[0] == config.warm_up
     assert drift[1] == pytest.approx(config.warm_up / np.e)
     assert drift[2] < 1e-9
@@ -71,6 +71,7 @@ def test_share_of_equal_neighbours(scene_of):
     """Independent noise of 4.6 mm repeats a millimetre in 6 %; a capture holds 26 to 34 %."""
 
     def share(lidar):
+        """Return the share of readings that repeat the one before."""
         rows = readings(scene_of(WALL.format(x=1.3)), lidar, 200)
         return (np.abs(np.diff(rows, axis=1)) < 1e-6).mean()
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from scan3d_twin.sim.config import LidarModelConfig
-from scan3d_twin.sim.lidar.firmware import _detected as detected
-from scan3d_twin.sim.lidar.noise import spread
+from scan3d_twin.sim.lidar.firmware import _is_detected as detected
+from scan3d_twin.sim.lidar.noise import range_sigma
 from scan3d_twin.sim.lidar.optics import Materials
 
 CONFIG = LidarModelConfig()
@@ -11,11 +11,13 @@ ONE = np.array([0])
 
 
 def surface(diffuse, specular, alpha):
+    """Return a material of one geom."""
     alpha2 = np.array([alpha**2])
     return Materials(np.array([diffuse / np.pi]), specular * alpha2 / np.pi, alpha2, None)
 
 
 def power(material, cosine, distance):
+    """Return the power of a hit on the material."""
     return float(material.power(ONE, np.array([cosine]), np.array([distance]))[0])
 
 
@@ -50,10 +52,11 @@ def test_detection_is_even_at_the_threshold_and_certain_far_from_it():
 
 
 def sigma_mm(distance, cosine=1.0, material=None):
+    """Return the range noise [mm] on a material."""
     wall = surface(0.6, 0.04, 0.36) if material is None else material
     at = np.array([distance])
     strength = np.array([power(wall, cosine, distance)])
-    return 1000 * float(spread(at, strength, np.array([cosine]), CONFIG)[0])
+    return 1000 * float(range_sigma(at, strength, np.array([cosine]), CONFIG)[0])
 
 
 @pytest.mark.parametrize("distance", [0.5, 1.0, 1.5, 1.95])

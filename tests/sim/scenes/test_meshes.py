@@ -17,7 +17,10 @@ def cup(radius=0.15, height=0.3, wall=0.01):
 
 @pytest.fixture
 def save(tmp_path):
+    """Save a mesh as a file."""
+
     def write(mesh, name="thing.stl"):
+        """Write ``mesh`` and return its path."""
         path = tmp_path / name
         mesh.export(path)
         return str(path)

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.errors import ConfigError, FileError
-from scan3d_twin.core.png import png_bytes
+from scan3d_twin.core.png import encode_png
 from scan3d_twin.sim.scenes import offscreen
-from scan3d_twin.sim.scenes.pictures import HEIGHT, WIDTH, render, write_png
+from scan3d_twin.sim.scenes.pictures import HEIGHT, WIDTH, render_scene, write_png
 from scan3d_twin.sim.scenes.scene import load_scene
 
 
 def drawn(name):
+    """Return the picture of a built-in scene, or skip without OpenGL."""
     try:
-        return render(load_scene(name))
+        return render_scene(load_scene(name))
     except ConfigError as error:
         pytest.skip(str(error))
 
@@ -36,7 +37,7 @@ def test_walls_in_front_of_the_camera_are_cut_away():
 
 def test_a_png_holds_the_picture_it_was_made_of():
     picture = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
-    data = png_bytes(picture)
+    data = encode_png(picture)
     assert data.startswith(b"\x89PNG\r\n\x1a\n")
     start = data.index(b"IDAT") + 4
     rows = np.frombuffer(zlib.decompress(data[start : data.index(b"IEND") - 8]), np.uint8)

@@ -9,11 +9,11 @@ import pytest
 import trimesh
 from paper import paper_config
 
-from scan3d_twin.core.digitize import begin
+from scan3d_twin.core.digitize import begin_session
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.random_scenes import SceneRanges, random_scene
+from scan3d_twin.sim.scenes.random_scenes import SceneRanges, draw_scene
 from scan3d_twin.sim.scenes.random_shapes import build_shape, shape_names
 from scan3d_twin.sim.scenes.scene import load_scene
 from scan3d_twin.sim.scenes.tessellation import mesh_triangles
@@ -21,6 +21,7 @@ from scan3d_twin.sim.world import RobotErrors, build_model
 
 
 def generator(seed):
+    """Return the generator of ``seed``."""
     return np.random.default_rng(seed)
 
 
@@ -49,7 +50,7 @@ def test_the_robot_runs_finds_the_target_and_has_room(seed):
         planning=replace(paper_config().planning, standoff=scene.standoff),
     )
     with open_sim(scene, seed) as (robot, truth):
-        session, _ = begin(robot, config, seed, Unobserved(), None)
+        session, _ = begin_session(robot, config, seed, Unobserved(), None)
         surface, _ = truth.surface(0.05)
         assert not robot.base.hazards().active()
     found = scene.spawn.apply(session.hint)
@@ -73,7 +74,7 @@ def test_a_shape_keeps_to_its_ranges(shape, seed):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_wavy_box_is_closed_and_faces_outwards(seed):
-    model = random_scene(generator(seed), SceneRanges(shapes=("sine",))).model
+    model = draw_scene(generator(seed), SceneRanges(shapes=("sine",))).model
     geom = model.geom("target_0").id
     mesh = trimesh.Trimesh(**trimesh.triangles.to_kwargs(mesh_triangles(model, geom)))
     mesh.merge_vertices()
@@ -85,7 +86,7 @@ def test_nothing_stands_in_the_robots_way_round_the_target():
     ranges = SceneRanges(clutter=(6, 6), tours=("full",))
     count = 0
     for seed in range(20):
-        scene = random_scene(generator(seed), ranges)
+        scene = draw_scene(generator(seed), ranges)
         model = scene.model
         target = max(np.hypot(*model.geom(name).pos[:2]) for name in scene.target_geoms)
         for k in range(model.ngeom):
@@ -99,7 +100,7 @@ def test_nothing_stands_in_the_robots_way_round_the_target():
 
 def test_materials_and_friction_are_drawn_within_bounds():
     ranges = SceneRanges(matte=0.0, dark=0.0, glossy=0.0, chrome=(0.4, 0.5), friction=(0.3, 0.3))
-    scene = random_scene(generator(0), ranges)
+    scene = draw_scene(generator(0), ranges)
     material = scene.model.geom(scene.target_geoms[0]).matid[0]
     assert scene.model.mat_metallic[material] == 1.0
     assert 0.4 <= scene.model.mat_roughness[material] <= 0.5

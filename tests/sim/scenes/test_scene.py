@@ -6,7 +6,7 @@ from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import load_scene, scene_names
-from scan3d_twin.sim.scenes.surface_samples import corners
+from scan3d_twin.sim.scenes.surface_samples import bounding_points
 
 
 def bounds(scene, name):
@@ -14,7 +14,7 @@ def bounds(scene, name):
     data = mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
     geom = data.geom(name)
-    points = corners(scene.model, geom.id) @ geom.xmat.reshape(3, 3).T + geom.xpos
+    points = bounding_points(scene.model, geom.id) @ geom.xmat.reshape(3, 3).T + geom.xpos
     return points.min(axis=0), points.max(axis=0)
 
 

@@ -1,1 +1,1 @@
-"""The planners, one file each; each is registered by its name in ``core.planning``."""
+"""The built-in planners, one file each, registered by name in ``core.planning``."""

@@ -1,8 +1,8 @@
-"""Closed-form planner: the smallest overlap whose predicted error meets epsilon.
+"""Fisher planner: the smallest overlap whose closed-form error prediction meets epsilon.
 
-The prediction (``forecast``) takes no draws and no registration, and so sees no wrong basins. With
-``planning.checks`` the overlap it chooses must also stand simulated registrations (``simulate``);
-where they contradict it, the next larger overlap is tried.
+The prediction (``error_prediction``) needs no sampling and no registration, but does not notice
+wrong basins. With ``planning.checks``, simulated registrations (``simulated_registration``) check
+the overlap that it chooses; where they fail, the next larger overlap is tried.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_views import termination_plan
-from scan3d_twin.core.planning.planners.siicp import smallest_overlap
-from scan3d_twin.core.planning.simulated_registration import Simulation
+from scan3d_twin.core.planning.overlap_search import plan_smallest_overlap
+from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 
@@ -29,20 +29,22 @@ class FisherPlanner:
         context, config = PlanningContext(session), session.config.planning
         if plan := termination_plan(context):
             return plan
+
+        # Prepare prediction and simulation
         seed = int(rng.integers(2**63))
         try:
-            forecast = ErrorPrediction.of(context)
+            prediction = ErrorPrediction.of(context)
         except RegistrationError:
-            return smallest_overlap(context, lambda eta, O2: math.inf)
-        simulation = Simulation(
-            forecast.grid, forecast.on_target, session.config, seed, forecast.scale
+            return plan_smallest_overlap(context, lambda eta, O2: math.inf)
+        simulation = SimulatedRegistration(
+            prediction.grid, prediction.on_target, session.config, seed, prediction.scale
         )
 
         def error(_: float, viewpoint: Pose2) -> float:
-            predicted = forecast.error(viewpoint)
+            predicted = prediction.error(viewpoint)
             if config.checks == 0 or predicted > config.epsilon:
                 return predicted
             simulated = simulation.error(viewpoint, config.checks)
             return max(predicted, simulated) if simulated > config.epsilon else predicted
 
-        return smallest_overlap(context, error)
+        return plan_smallest_overlap(context, error)

@@ -1,4 +1,4 @@
-"""A fixed overlap: what people do who have no planner."""
+"""Fixed planner: always the same overlap, as people do without a planner."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.hidden_views import termination_plan
-from scan3d_twin.core.planning.overlap_step import plan_with_overlap
+from scan3d_twin.core.planning.overlap_search import plan_with_overlap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 
@@ -15,7 +15,7 @@ class FixedPlanner:
     """The overlap `baselines.fixed_overlap`, always."""
 
     def __init__(self, overlap: float | None = None) -> None:
-        """Choose the overlap; None leaves it to ``config.baselines.fixed_overlap``."""
+        """Set the overlap; None for ``config.baselines.fixed_overlap``."""
         self._overlap = overlap
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:

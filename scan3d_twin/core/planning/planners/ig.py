@@ -1,4 +1,4 @@
-"""Volumetric information gain.
+"""Information-gain planner: the most volumetric information gain for the travel.
 
 S. Isler et al., An information gain formulation for active volumetric 3D reconstruction, ICRA 2016,
 and J. Delmerico et al., A comparison of volumetric information gain metrics for active 3D object
@@ -22,16 +22,17 @@ from collections.abc import Callable
 import numpy as np
 
 from scan3d_twin.core.config import Gain
-from scan3d_twin.core.planning.context import finish
+from scan3d_twin.core.planning.context import stop_plan
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.voxels import OCCUPIED, UNKNOWN, Rays, VoxelMap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan
 
 OCCUPANCY = np.array([0.5, 0.1192, 0.971])
-"""Of unknown, free and occupied voxels; OctoMap clamps at the latter two (Hornung et al. 2013)."""
+"""Occupancy p of unknown, free and occupied voxels; the latter two are the clamping thresholds of
+OctoMap (Hornung et al. 2013)."""
 ENTROPY = -OCCUPANCY * np.log(OCCUPANCY) - (1 - OCCUPANCY) * np.log(1 - OCCUPANCY)
-"""[nat]."""
+"""Entropy H(p) of unknown, free and occupied voxels [nat]."""
 KNOWN_SHARE, NEW_SHARE = 0.2, 0.8
 """Desired shares of the area factor; the overlap of 20 % is that of Vasquez-Gomez et al."""
 
@@ -43,35 +44,39 @@ class IgPlanner:
         """Return the candidate of the largest utility."""
         candidates, config = PoseCandidates.of(session), session.config.baselines
         if reason := candidates.termination_reason():
-            return finish(reason)
+            return stop_plan(reason)
         if not candidates.worthwhile:
             return candidates.nothing_new()
-        gains = np.array([gain(rays, candidates.space, config.gain) for rays in candidates.rays])
-        values = utility(gains, candidates.travel, config.travel_weight)
+        gains = np.array(
+            [compute_gain(rays, candidates.space, config.gain) for rays in candidates.rays]
+        )
+        values = compute_utility(gains, candidates.travel, config.travel_weight)
         few = np.setdiff1d(np.arange(len(values)), candidates.worthwhile)
         values[few] = -np.inf
         return candidates.best(values, f"most information gain ({config.gain}) for the travel")
 
 
-def utility(gains: FloatArray, travel: FloatArray, weight: float) -> FloatArray:
+def compute_utility(gains: FloatArray, travel: FloatArray, weight: float) -> FloatArray:
     """Return each candidate's share of all gain less ``weight`` times its share of all travel."""
     return np.asarray(
         gains / max(float(gains.sum()), 1e-12) - weight * travel / max(float(travel.sum()), 1e-12)
     )
 
 
-def gain(rays: Rays, space: VoxelMap, which: Gain) -> float:
+def compute_gain(rays: Rays, space: VoxelMap, which: Gain) -> float:
     """Return the information gain of one candidate's rays."""
     return _GAINS[which](rays, space)
 
 
 def _occlusion_aware(rays: Rays, space: VoxelMap) -> float:
+    """Return the sum over all voxels of all rays."""
     return float(np.sum(_weighted_entropy(rays)))
 
 
 def _rear_side_entropy(rays: Rays, space: VoxelMap) -> float:
-    """Sum over those unknown voxels of each ray after which only unknown ones lead to a surface."""
-    H, unknown, occupied = _weighted_entropy(rays), *_parts(rays)
+    """Return the sum over the unknown voxels of each ray in the run that ends in a surface."""
+    # Run backwards along the rays
+    H, unknown, occupied = _weighted_entropy(rays), *_unknown_and_occupied(rays)
     behind = np.zeros(len(H), dtype=bool)
     total = 0.0
     for k in range(H.shape[1] - 1, -1, -1):
@@ -81,6 +86,7 @@ def _rear_side_entropy(rays: Rays, space: VoxelMap) -> float:
 
 
 def _area_factor(rays: Rays, space: VoxelMap) -> float:
+    """Return the desirability of the shares of known surface and of the unknown beside it."""
     first = rays.first
     hit = first[first >= 0]
     if len(hit) == 0:
@@ -88,7 +94,7 @@ def _area_factor(rays: Rays, space: VoxelMap) -> float:
     known = int(np.count_nonzero(space.target.ravel()[hit]))
     new = int(np.count_nonzero(space.may_hold_more.ravel()[hit]))
     both = max(1, known + new)
-    return wish(known / both, KNOWN_SHARE) + wish(new / both, NEW_SHARE)
+    return rate_share(known / both, KNOWN_SHARE) + rate_share(new / both, NEW_SHARE)
 
 
 _GAINS: dict[Gain, Callable[[Rays, VoxelMap], float]] = {
@@ -98,11 +104,8 @@ _GAINS: dict[Gain, Callable[[Rays, VoxelMap], float]] = {
 }
 
 
-def wish(share: float, desired: float) -> float:
-    """Return f(share) of the area factor: 0 at 0 and 1, 1 with slope 0 where it is as ``desired``.
-
-    Two cubics that meet at ``desired``.
-    """
+def rate_share(share: float, desired: float) -> float:
+    """Return f(share) of the area factor: two cubics from 0 at both ends to 1 at ``desired``."""
     x, a = share, desired
     if x <= a:
         return -2 * x**3 / a**3 + 3 * x**2 / a**2
@@ -118,6 +121,6 @@ def _weighted_entropy(rays: Rays) -> FloatArray:
     return np.asarray(np.concatenate([np.ones((len(p), 1)), reached[:, :-1]], axis=1) * H)
 
 
-def _parts(rays: Rays) -> tuple[FloatArray, FloatArray]:
+def _unknown_and_occupied(rays: Rays) -> tuple[FloatArray, FloatArray]:
     inside = rays.index >= 0
     return inside & (rays.labels == UNKNOWN), inside & (rays.labels == OCCUPIED)

@@ -1,11 +1,11 @@
-"""The bound for all others: the fewest views, planned on the true surface.
+"""Oracle planner, the bound for all others: the fewest views, planned on the true surface.
 
 W. R. Scott, G. Roth and J.-F. Rivest, View planning with a registration constraint, 3DIM 2001: set
-cover as an integer program in which the views taken must overlap. Here consecutive ones must, by at
-least ``baselines.min_overlap``: the views form a chain in the order in which the tour passes them,
-from the latest view on, and cover ``baselines.coverage`` of the coverable surface together with
-what was seen before. Only the twin knows the truth; a planner's views over the oracle's are its
-regret.
+cover as an integer program in which views must overlap. Here consecutive views must overlap by at
+least ``baselines.min_overlap``: they form a chain in the order of the tour, starting from the
+latest view, and cover ``baselines.coverage`` of the coverable surface together with all earlier
+views. Only the twin knows the truth. The regret of a planner is its number of views beyond the
+oracle's.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.evaluation import (
     EYE_HEIGHT,
     Truth,
-    coverable_surface,
-    feasible_places,
-    map_of_world,
-    true_pose,
-    visible,
+    find_coverable_surface,
+    find_feasible_places,
+    find_true_pose,
+    find_visible,
+    lay_on_truth,
 )
-from scan3d_twin.core.neighbours import nearest
-from scan3d_twin.core.planning.context import PlanningContext, blocked, finish
-from scan3d_twin.core.planning.overlap_step import predicted_error
-from scan3d_twin.core.planning.pose_candidates import FAR, NEAR
-from scan3d_twin.core.planning.set_cover import Cover, fewest, fewest_chain
+from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, stop_plan
+from scan3d_twin.core.planning.overlap_search import predict_error
+from scan3d_twin.core.planning.pose_candidates import MAX_STANDOFFS, MIN_STANDOFFS
+from scan3d_twin.core.planning.set_cover import Cover, solve_chain_cover, solve_set_cover
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, Candidate, FloatArray, IntArray, Plan, Pose2
-from scan3d_twin.core.viewpoints import FRONT_SIDE, angle_between
+from scan3d_twin.core.viewpoints import MAX_FRONT_ANGLE, measure_angle
 
-SPACING = 0.03
-"""Between the samples of the true surface [m]: a twentieth of what a sweep sees across."""
-MOST_POSES = 60
-"""More candidates are thinned out evenly: the arcs of the chain grow with their square."""
+TRUTH_SPACING = 0.03
+"""Spacing of the samples of the true surface [m]: a twentieth of the width of a sweep."""
+MAX_POSES = 60
+"""Largest number of candidates; more are thinned out evenly, as arcs grow with their square."""
 
 
 class OraclePlanner:
@@ -55,23 +55,31 @@ class OraclePlanner:
         """Return the first view of a smallest chain that completes the coverage."""
         context, config = PlanningContext(session), session.config
         if len(session.views) >= config.max_views:
-            return finish(f"max_views: {len(session.views)} views taken")
+            return stop_plan(f"max_views: {len(session.views)} views taken")
+
+        # Stop when enough is covered
         world = self._worlds.setdefault(config, TrueWorld(self._truth, config))
-        taken = [true_pose(view, self._truth) for view in session.views]
+        taken = [find_true_pose(view, self._truth) for view in session.views]
         seen = np.stack([world.sees(pose) for pose in taken])
         if float(np.mean(seen.any(axis=0))) >= config.baselines.coverage:
-            return finish(f"{config.tour} complete: {np.mean(seen.any(axis=0)):.0%} is covered")
-        T_map_world = map_of_world(session, self._truth)
+            return stop_plan(f"{config.tour} complete: {np.mean(seen.any(axis=0)):.0%} is covered")
+
+        # Find the chain of further views
+        T_map_world = lay_on_truth(session, self._truth)
         T_scan_map = session.views[-1].T_world_scan.inverse() @ T_map_world.inverse()
-        free = np.array([context.feasible(T_scan_map @ pose) for pose in world.poses], dtype=bool)
+        free = np.array(
+            [context.is_feasible(T_scan_map @ pose) for pose in world.poses], dtype=bool
+        )
         chain, chained = world.rest(seen, free)
-        if not context.looked and not chained:
-            return blocked(context)
+        if not context.has_panorama and not chained:
+            return blocked_plan(context)
         if len(chain) == 0:
-            return finish("no viewpoint left: nothing that is missing can be seen")
+            return stop_plan("no viewpoint left: nothing that is missing can be seen")
+
+        # Describe its first view
         pose = world.poses[chain[0]]
         overlap = float(np.mean(world.visible[chain[0]][seen[-1]])) if seen[-1].any() else 0.0
-        error = predicted_error(context, T_scan_map @ pose)
+        error = predict_error(context, T_scan_map @ pose)
         viewpoint = T_map_world.inverse() @ pose
         reason = f"first of {len(chain)} more views on the true surface"
         if not chained:
@@ -90,35 +98,41 @@ class TrueWorld:
     @cached_property
     def _surface(self) -> tuple[FloatArray, FloatArray]:
         """Samples (n, 3) of the coverable surface and their normals (n, 3)."""
-        points, normals = self.truth.surface(SPACING)
-        kept = coverable_surface(points, normals, self.truth, self.config)
+        points, normals = self.truth.surface(TRUTH_SPACING)
+        kept = find_coverable_surface(points, normals, self.truth, self.config)
         return points[kept], normals[kept]
 
     @cached_property
     def poses(self) -> tuple[Pose2, ...]:
         """Candidates that face the nearest surface, in the order in which a tour passes them."""
+        # Choose places about a standoff away
         points, _ = self._surface
-        places = feasible_places(points, self.truth, self.config)
+        places = find_feasible_places(points, self.truth, self.config)
         standoff = self.config.planning.standoff
-        distance, index = nearest(cKDTree(points[:, :2]), places)
-        ring = (distance >= NEAR * standoff) & (distance <= FAR * standoff)
+        distance, index = find_nearest(cKDTree(points[:, :2]), places)
+        ring = (distance >= MIN_STANDOFFS * standoff) & (distance <= MAX_STANDOFFS * standoff)
+
+        # Face the nearest surface
         towards = points[index[ring], :2] - places[ring]
         yaws = np.arctan2(towards[:, 1], towards[:, 0])
         poses = [Pose2(x, y, yaw) for (x, y), yaw in zip(places[ring], yaws, strict=True)]
-        poses = sorted((p for p in poses if self._on_tour(p)), key=self._progress)
-        step = max(1.0, len(poses) / MOST_POSES)
+
+        # Order and thin them out
+        poses = sorted((p for p in poses if self._is_on_tour(p)), key=self._progress)
+        step = max(1.0, len(poses) / MAX_POSES)
         return tuple(poses[int(k * step)] for k in range(int(len(poses) / step)))
 
-    def _on_tour(self, pose: Pose2) -> bool:
+    def _is_on_tour(self, pose: Pose2) -> bool:
+        """Return whether ``pose`` looks at the part of the target that the tour wants."""
         front = self.truth.front
         if self.config.tour != "front" or front is None:
             return True
         outward = np.array([math.cos(front.yaw), math.sin(front.yaw)])
         back = np.array([-math.cos(pose.yaw), -math.sin(pose.yaw)])
-        return abs(angle_between(outward, back)) <= FRONT_SIDE + 1e-6
+        return abs(measure_angle(outward, back)) <= MAX_FRONT_ANGLE + 1e-6
 
     def _progress(self, pose: Pose2) -> float:
-        """Return how far along the tour ``pose`` lies: to the right, or counter-clockwise."""
+        """Return the position of ``pose`` along the tour: to the right, or counter-clockwise."""
         front = self.truth.front
         if self.config.tour == "front" and front is not None:
             return (front.inverse() @ pose).y
@@ -127,14 +141,14 @@ class TrueWorld:
         return (math.atan2(pose.y - middle[1], pose.x - middle[0]) - start) % math.tau
 
     def sees(self, pose: Pose2) -> BoolArray:
-        """Tell which samples (n,) a sweep at ``pose`` sees, its margins included."""
+        """Return which samples (n,) a sweep at ``pose`` sees, its margins included."""
         points, normals = self._surface
         half = self.config.sweep.width / 2 + self.config.sweep.margin
         local = pose.inverse().apply(points)
         inside = np.flatnonzero(np.abs(np.arctan2(local[:, 1], local[:, 0])) <= half)
         seen = np.zeros(len(points), dtype=bool)
         eye = np.array([pose.x, pose.y, EYE_HEIGHT])
-        seen[inside] = visible(eye, points[inside], normals[inside], self.truth, self.config)
+        seen[inside] = find_visible(eye, points[inside], normals[inside], self.truth, self.config)
         return seen
 
     @cached_property
@@ -152,25 +166,30 @@ class TrueWorld:
         return np.asarray(shared >= self.config.baselines.min_overlap)
 
     def rest(self, seen: BoolArray, free: BoolArray) -> tuple[IntArray, bool]:
-        """Return the fewest further poses, in order, and whether they overlap as they should.
+        """Return the fewest further poses, in order, and whether they form an overlapping chain.
 
         Args:
-            seen: What each view so far has seen (k, n); the last one is where the robot is.
-            free: Poses that can be reached as far as is known (m,).
+            seen: Samples that each view has seen (k, n); the robot is at the last view.
+            free: Poses that are reachable by the costmap (m,).
         """
+        # Measure what is missing
         already: BoolArray = np.asarray(seen.any(axis=0))
         new = self.visible & ~already
         goal = self.config.baselines.coverage * len(already) - np.count_nonzero(already)
         needed = min(goal, float(np.count_nonzero(new.any(axis=0))))
         if needed < 1.0:
             return np.zeros(0, dtype=np.int64), True
+
+        # Look for a chain
         cover = Cover(new, np.ones(len(already)), needed, np.zeros(len(new)))
         shared = self.visible[:, seen[-1]].sum(axis=1) / max(1, int(seen[-1].sum()))
         starts = free & (shared >= self.config.baselines.min_overlap)
-        chain = fewest_chain(cover, self._follows, starts)
+        chain = solve_chain_cover(cover, self._follows, starts)
         if chain is not None:
             return chain, True
+
+        # Settle for any views
         cover = Cover(new & free[:, None], cover.weights, 0.0, cover.cost)
         cover = replace(cover, needed=min(goal, float(np.count_nonzero(cover.sees.any(axis=0)))))
-        loose = fewest(cover)
+        loose = solve_set_cover(cover)
         return (np.zeros(0, dtype=np.int64) if loose is None else loose), False

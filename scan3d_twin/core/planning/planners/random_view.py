@@ -1,10 +1,10 @@
-"""A viewpoint drawn at random: what any planner has to beat."""
+"""Random planner: a viewpoint drawn at random, which any planner should beat."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.planning.context import finish
+from scan3d_twin.core.planning.context import stop_plan
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
@@ -14,10 +14,10 @@ class RandomPlanner:
     """Any feasible viewpoint around the target, drawn at random."""
 
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
-        """Return a candidate drawn by ``rng``, as long as one of them would show something new."""
+        """Return a candidate drawn by ``rng``, while one of them would show something new."""
         candidates = PoseCandidates.of(session)
         if reason := candidates.termination_reason():
-            return finish(reason)
+            return stop_plan(reason)
         if not candidates.worthwhile:
             return candidates.nothing_new()
         drawn = candidates.poses[int(rng.integers(len(candidates.poses)))]

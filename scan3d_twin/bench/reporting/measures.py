@@ -1,4 +1,4 @@
-"""Every figure of an experiment, once: what it is, its unit, and how records make it."""
+"""The measures of an experiment: name, unit, meaning, and how they follow from records."""
 
 from __future__ import annotations
 
@@ -11,19 +11,24 @@ from typing import Any
 import numpy as np
 
 from scan3d_twin.bench.record import Record
-from scan3d_twin.bench.reporting.statistics import Estimate, clustered_rate, median, rate
+from scan3d_twin.bench.reporting.statistics import (
+    Estimate,
+    estimate_clustered_rate,
+    estimate_median,
+    estimate_rate,
+)
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A figure of several runs.
+    """A measure over several runs.
 
     Attributes:
-        name: With its unit, for programs.
-        title: For people.
-        form: How a value is written.
-        of: Makes it from runs of one scene and variant.
-        meaning: In a sentence.
+        name: Name with its unit, for programs.
+        title: Title for readers.
+        form: Format of a value.
+        of: Computes it from the runs of one scene and variant.
+        meaning: Its meaning in a sentence.
     """
 
     name: str
@@ -34,15 +39,15 @@ class Measure:
 
 
 @dataclass(frozen=True)
-class Row:
-    """The figures of one scene and variant.
+class SummaryRow:
+    """The measures of one scene and variant.
 
     Attributes:
-        scene, variant, scope: Which.
-        runs: How many were begun, whatever came of them.
-        failed: Of them, ended by an error of the scan.
-        lost: Of them, without a result because their worker was lost; in no figure.
-        figures: By the name of the measure.
+        scene, variant, scope: The group of runs.
+        runs: Number of runs, including failed and lost ones.
+        failed: Number of runs that an error of the scan ended.
+        lost: Number of runs whose worker was lost; they enter no measure.
+        figures: Estimates by the name of the measure.
     """
 
     scene: str
@@ -54,8 +59,8 @@ class Row:
     figures: dict[str, Estimate]
 
 
-def summarise(records: Iterable[Record]) -> list[Row]:
-    """Return a row per scene and variant."""
+def summarise(records: Iterable[Record]) -> list[SummaryRow]:
+    """Return one row per scene and variant."""
     return [_row(list(group)) for _, group in groupby(sorted(records, key=_place), key=_group)]
 
 
@@ -67,9 +72,9 @@ def _group(record: Record) -> tuple[str, str]:
     return record.scene, record.variant
 
 
-def _row(records: list[Record]) -> Row:
+def _row(records: list[Record]) -> SummaryRow:
     known = [record for record in records if record.status != "lost"]
-    return Row(
+    return SummaryRow(
         scene=records[0].scene,
         variant=records[0].variant,
         scope=records[0].scope,
@@ -81,24 +86,24 @@ def _row(records: list[Record]) -> Row:
 
 
 def _share(wanted: Callable[[Record], bool]) -> Callable[[Sequence[Record]], Estimate]:
-    return lambda records: rate(sum(map(wanted, records)), len(records))
+    return lambda records: estimate_rate(sum(map(wanted, records)), len(records))
 
 
 def _median(value: Callable[[Record], float | None]) -> Callable[[Sequence[Record]], Estimate]:
     def of(records: Sequence[Record]) -> Estimate:
         values = [value(record) for record in records]
-        return median([math.nan if each is None else each for each in values])
+        return estimate_median([math.nan if each is None else each for each in values])
 
     return of
 
 
-def violations(record: Record) -> list[bool]:
+def exceeds_epsilon(record: Record) -> list[bool]:
     """Return for each registered view whether its error exceeds epsilon."""
     errors = [step.error for step in record.steps if step.error is not None]
     return [error > record.epsilon for error in errors]
 
 
-def ratios(record: Record) -> list[float]:
+def error_ratios(record: Record) -> list[float]:
     """Return realised over predicted error of each view that has both."""
     return [
         step.error / step.predicted
@@ -108,8 +113,10 @@ def ratios(record: Record) -> list[float]:
 
 
 def _calibration(records: Sequence[Record]) -> Estimate:
-    medians = [median(ratios(record)).value for record in records if ratios(record)]
-    return median(medians)
+    medians = [
+        estimate_median(error_ratios(record)).value for record in records if error_ratios(record)
+    ]
+    return estimate_median(medians)
 
 
 def _mm(value: float | None) -> float | None:
@@ -127,7 +134,7 @@ MEASURES: tuple[Measure, ...] = (
         "success",
         "{:.0%}",
         _share(lambda r: r.success),
-        "Runs with at least two views of which every registration error is at most epsilon.",
+        "Runs with at least two views in which every registration error is at most epsilon.",
     ),
     Measure(
         "complete",
@@ -148,7 +155,7 @@ MEASURES: tuple[Measure, ...] = (
         "violations",
         "above \N{GREEK SMALL LETTER EPSILON}",
         "{:.1%}",
-        lambda records: clustered_rate([violations(record) for record in records]),
+        lambda records: estimate_clustered_rate([exceeds_epsilon(record) for record in records]),
         "Registrations with an error above epsilon; the interval draws whole runs.",
     ),
     Measure(
@@ -184,34 +191,34 @@ MEASURES: tuple[Measure, ...] = (
         "Processor time of a decision: the median of a run's, and of the runs.",
     ),
 )
-"""In the order of the table."""
+"""All measures, in the order of the table."""
 
 
-def table(rows: Sequence[Row]) -> list[list[str]]:
-    """Return the table as cells, with its heading: values, and intervals in brackets."""
+def format_table(rows: Sequence[SummaryRow]) -> list[list[str]]:
+    """Return the table as text cells with a heading: values, and intervals in brackets."""
     heading = ["scene", "variant", "runs", *(measure.title for measure in MEASURES)]
     return [heading, *([*_names(row), *(_cell(row, m) for m in MEASURES)] for row in rows)]
 
 
-def _names(row: Row) -> list[str]:
+def _names(row: SummaryRow) -> list[str]:
     bad = [f"{n} {word}" for n, word in ((row.failed, "failed"), (row.lost, "lost")) if n]
     return [row.scene, row.variant, f"{row.runs} ({', '.join(bad)})" if bad else str(row.runs)]
 
 
-def _cell(row: Row, measure: Measure) -> str:
-    return words(row.figures[measure.name], measure.form)
+def _cell(row: SummaryRow, measure: Measure) -> str:
+    return format_estimate(row.figures[measure.name], measure.form)
 
 
-def words(estimate: Estimate, form: str) -> str:
-    """Return a value and its interval as people read them."""
+def format_estimate(estimate: Estimate, form: str) -> str:
+    """Return a value with its interval in brackets; a dash without runs."""
     if estimate.n == 0:
         return "-"
     low, high = form.format(estimate.low), form.format(estimate.high)
     return f"{form.format(estimate.value)} [{low}, {high}]"
 
 
-def as_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the rows for programs: each figure as value, low, high and n."""
+def rows_as_dicts(rows: Sequence[SummaryRow]) -> list[dict[str, Any]]:
+    """Return the rows as dicts: each measure as value, low, high and n."""
     return [
         {
             "scene": row.scene,

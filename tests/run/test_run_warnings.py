@@ -7,58 +7,64 @@ from paper import paper_config
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, read_only
-from scan3d_twin.run.findings import findings
+from scan3d_twin.run.run_warnings import find_warnings
 
 
 def of_pairs(*pairs):
+    """Return an evaluation with these registration errors and nothing else."""
     none = Distances(0.0, 0.0, 0.0)
     return Evaluation(1.0, (1.0,), none, none, {}, 1.0, pairs)
 
 
 def with_registration(session, **changes):
+    """Return ``session`` with another registration of its last view."""
     last = session.views[-1]
     changed = replace(last, registration=replace(last.registration, **changes))
     return replace(session, views=(*session.views[:-1], changed))
 
 
 def planned(session, **changes):
+    """Return ``session`` whose first plan has a viewpoint, with ``changes``."""
     plan = replace(session.plans[0], fell_back=False, viewpoint=Pose2())
     return replace(session, plans=(replace(plan, **changes), *session.plans[1:-1], plan))
 
 
-def told(session, *words, evaluation=None):
-    return [line for line in findings(session, evaluation) if all(w in line for w in words)]
+def warns(session, *words, evaluation=None):
+    """Return the warnings that contain all ``words``."""
+    return [line for line in find_warnings(session, evaluation) if all(w in line for w in words)]
 
 
 def test_a_good_run_has_nothing_to_tell(session):
     good = with_registration(planned(session), converged=True, predicted_rmse=0.004)
-    assert findings(good, of_pairs(PairError(1, 0.009, 0.02, 0.03))) == []
+    assert find_warnings(good, of_pairs(PairError(1, 0.009, 0.02, 0.03))) == []
 
 
 def test_a_default_overlap_is_told_with_the_view_it_led_to(session):
     fallen = planned(session, fell_back=True, overlap=0.8)
-    assert told(fallen, "View 1:", "10 mm", "default of 80%")
+    assert warns(fallen, "View 1:", "10 mm", "default of 80%")
 
 
 def test_an_unregistered_view_is_told(session):
-    assert told(with_registration(session, converged=False), "View 1 is not registered", "converge")
+    assert warns(
+        with_registration(session, converged=False), "View 1 is not registered", "converge"
+    )
     apart = with_registration(session, converged=False, num_inliers=0)
-    assert told(apart, "do not overlap", "odometry alone")
+    assert warns(apart, "do not overlap", "odometry alone")
 
 
 def test_an_ambiguous_and_an_undetermined_registration_are_told(session):
-    assert told(with_registration(session, ambiguity_gap=0.02), "View 1", "fits almost as well")
+    assert warns(with_registration(session, ambiguity_gap=0.02), "View 1", "fits almost as well")
     open_ones = with_registration(session, degenerate_directions=read_only(np.eye(6)[:2]))
-    assert told(open_ones, "View 1", "2 direction(s) open")
+    assert warns(open_ones, "View 1", "2 direction(s) open")
 
 
 def test_a_large_error_is_told_as_it_is_known(session):
     known = of_pairs(PairError(1, 0.0171, 0.02, 0.03))
-    assert told(session, "View 1", "17.1 mm off", evaluation=known)
+    assert warns(session, "View 1", "17.1 mm off", evaluation=known)
     expected = with_registration(session, converged=True, predicted_rmse=0.0234)
-    assert told(expected, "expected to be off by 23.4 mm")
+    assert warns(expected, "expected to be off by 23.4 mm")
     unknown = with_registration(session, converged=True, predicted_rmse=math.nan)
-    assert not told(unknown, "expected")
+    assert not warns(unknown, "expected")
 
 
 def test_a_blind_sweep_is_told(session):
@@ -72,14 +78,14 @@ def test_a_blind_sweep_is_told(session):
         target=view.target.select(np.arange(len(view.target)) < 40),
     )
     dark = replace(session, views=(blind, *session.views[1:]))
-    assert told(dark, "View 0", "of the readings came back")
-    assert told(dark, "View 0", "only 40 points")
+    assert warns(dark, "View 0", "of the readings came back")
+    assert warns(dark, "View 0", "only 40 points")
 
 
 def test_no_view_at_all_is_told():
     empty = Session(paper_config(), 0, np.zeros((1, 2)), np.array([-1.0, 0.0]))
-    assert findings(empty) == ["Nothing was scanned: there is no view."]
+    assert find_warnings(empty) == ["Nothing was scanned: there is no view."]
 
 
 def test_a_view_that_does_not_fit_is_told(session):
-    assert told(replace(session, misfits=(1,)), "View 1 does not fit", "alignment.misfits")
+    assert warns(replace(session, misfits=(1,)), "View 1 does not fit", "alignment.misfits")

@@ -1,4 +1,4 @@
-"""What people should know about a run before they trust its model, in words."""
+"""The warnings of a report: what a reader must know before trusting the model."""
 
 from __future__ import annotations
 
@@ -10,42 +10,42 @@ import numpy as np
 from scan3d_twin.core.model.evaluation import Evaluation
 from scan3d_twin.core.session import Session, View
 
-FEW_RETURNS = 0.3
-"""Beams within the window that came back; fewer are dark, shiny or far surfaces (assumption)."""
-FEW_POINTS = 500
-"""A view with fewer target points shows little: 2 % of what a sweep of 60 deg can (assumption)."""
-AMBIGUOUS = 0.1
-"""Two basins whose scores differ by less are hard to tell apart (assumption)."""
+MIN_RETURN_SHARE = 0.3
+"""Share of readings with a return below which surfaces are dark, shiny or far (assumption)."""
+MIN_TARGET_POINTS = 500
+"""Fewest target points of a useful view: 2 % of what a sweep of 60 deg can show (assumption)."""
+MIN_AMBIGUITY_GAP = 0.1
+"""Least difference of score between two basins for a unique registration (assumption)."""
 
 
-def findings(session: Session, evaluation: Evaluation | None = None) -> list[str]:
-    """Return one sentence for each thing that is not as it should be; none for a good run."""
+def find_warnings(session: Session, evaluation: Evaluation | None = None) -> list[str]:
+    """Return one sentence for each problem of a run; an empty list for a good run."""
     if not session.views:
         return ["Nothing was scanned: there is no view."]
-    found = [*_returns(session), *_fallbacks(session), *_registrations(session)]
-    return [*found, *_misfits(session), *_errors(session, evaluation)]
+    found = [*_check_returns(session), *_check_fallbacks(session), *_check_registrations(session)]
+    return [*found, *_check_misfits(session), *_check_errors(session, evaluation)]
 
 
-def _returns(session: Session) -> Iterator[str]:
+def _check_returns(session: Session) -> Iterator[str]:
     for k, view in enumerate(session.views):
-        share = _returned(view, session.config.target.window)
-        if share < FEW_RETURNS:
+        share = _returned_share(view, session.config.target.window)
+        if share < MIN_RETURN_SHARE:
             yield (
                 f"View {k}: only {share:.0%} of the readings came back. Dark, shiny or transparent "
                 "surfaces, or nothing within reach?"
             )
-        if len(view.target) < FEW_POINTS:
+        if len(view.target) < MIN_TARGET_POINTS:
             yield f"View {k}: only {len(view.target)} points are of the target."
 
 
-def _returned(view: View, window: float) -> float:
+def _returned_share(view: View, window: float) -> float:
     """Return the share of the readings in the vertical ``window`` [rad] that are distances."""
     image = view.observation.image
     inside = np.abs(image.spec.elevations) <= window / 2
     return float(np.mean(np.isfinite(image.ranges[:, inside])))
 
 
-def _fallbacks(session: Session) -> Iterator[str]:
+def _check_fallbacks(session: Session) -> Iterator[str]:
     for k, plan in enumerate(session.plans):
         if plan.fell_back and plan.viewpoint is not None:
             known = [c.predicted_rmse for c in plan.candidates if math.isfinite(c.predicted_rmse)]
@@ -53,37 +53,37 @@ def _fallbacks(session: Session) -> Iterator[str]:
             yield (
                 f"View {k + 1}: no overlap was predicted to meet "
                 f"{1e3 * session.config.planning.epsilon:g} mm{best}; the default of "
-                f"{plan.overlap:.0%} was taken. The surface has little to hold on to."
+                f"{plan.overlap:.0%} was taken. The surface has few features."
             )
 
 
-def _registrations(session: Session) -> Iterator[str]:
+def _check_registrations(session: Session) -> Iterator[str]:
     for k, view in enumerate(session.views):
         result = view.registration
         if result is None:
             continue
         if not result.converged:
             why = "they do not overlap" if result.num_inliers == 0 else "it did not converge"
-            yield f"View {k} is not registered ({why}): odometry alone placed it."
+            yield f"View {k} is not registered ({why}): its pose is that of the odometry alone."
             continue
-        if result.ambiguity_gap < AMBIGUOUS:
+        if result.ambiguity_gap < MIN_AMBIGUITY_GAP:
             yield f"View {k}: another place fits almost as well; compare it with its neighbours."
         if len(result.degenerate_directions):
             yield (
                 f"View {k}: the surfaces leave {len(result.degenerate_directions)} direction(s) "
-                "open, along which odometry decides. A bare wall or a round thing?"
+                "open, in which only odometry determines the pose. A bare wall or a round object?"
             )
 
 
-def _misfits(session: Session) -> Iterator[str]:
+def _check_misfits(session: Session) -> Iterator[str]:
     for k in session.misfits:
         yield (
-            f"View {k} does not fit the others: most of its links contradict them. Look at it, or "
-            "leave it out (alignment.misfits = drop)."
+            f"View {k} does not fit the others: most of its links contradict them. Inspect it, or "
+            "drop it (alignment.misfits = drop)."
         )
 
 
-def _errors(session: Session, evaluation: Evaluation | None) -> Iterator[str]:
+def _check_errors(session: Session, evaluation: Evaluation | None) -> Iterator[str]:
     epsilon = session.config.planning.epsilon
     if evaluation is not None:
         for pair in evaluation.pairs:

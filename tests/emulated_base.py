@@ -1,4 +1,4 @@
-"""An emulated base for other processes to drive."""
+"""Test helper: an emulated base on a pseudo-terminal for other processes to drive."""
 
 import time
 
@@ -25,6 +25,7 @@ class Road:
         started = time.monotonic()
 
         def ended():
+            """Return whether it holds; fail after the timeout."""
             assert time.monotonic() - started < timeout
             return until()
 

@@ -1,4 +1,4 @@
-"""Short experiments, and the processes they run in."""
+"""Test helper: short experiments for `twin bench`, and the processes they run in."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from scan3d_twin.bench.spec import experiment_of, tasks
+from scan3d_twin.bench.spec import list_tasks, make_experiment
 from scan3d_twin.bench.task import Task
 
 
 def quick_tasks(seeds: int, views: int = 1) -> list[Task]:
     """Return tasks of about a second each, without pictures."""
-    experiment = experiment_of(["shiny_cylinder"], [], ["paper"]).with_seeds(seeds, 0)
-    chosen = tasks(experiment.with_options({"max_views": views}))
+    experiment = make_experiment(["shiny_cylinder"], [], ["paper"]).with_seeds(seeds, 0)
+    chosen = list_tasks(experiment.with_options({"max_views": views}))
     return [replace(task, picture=False) for task in chosen]
 
 

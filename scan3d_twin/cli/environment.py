@@ -1,0 +1,55 @@
+"""The variables ``TWIN_*``: each option that can be saved may also be set in the environment."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from typing import Any, get_args, get_type_hints
+
+from scan3d_twin.core.errors import ConfigError
+
+PREFIX = "TWIN_"
+
+
+def refuse_unknown_variables(*_: Any) -> None:
+    """Refuse a variable TWIN_* that sets no option of any command.
+
+    A hook that cyclopts calls before each command, with arguments that are of no use here.
+
+    Raises:
+        ConfigError: There is one; the message names the option that was probably meant.
+    """
+    present = sorted(name for name in os.environ if name.startswith(PREFIX))
+    if not present:
+        return
+    from difflib import get_close_matches
+
+    known = known_variables()
+    for name in present:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            cure = f"did you mean {near[0]}?" if near else "unset it, or see `twin options`"
+            raise ConfigError(f"the variable {name} sets no option; {cure}")
+
+
+def known_variables() -> frozenset[str]:
+    """Return the variables that set an option of some command."""
+    from scan3d_twin.cli.dotted import dotted_fields
+    from scan3d_twin.cli.options import PortOptions, ScanOptions, SceneOptions
+    from scan3d_twin.cli.viewing import ViewOptions
+    from scan3d_twin.core.config import Config
+    from scan3d_twin.sim.config import TwinConfig
+
+    dotted = (option.variable for option in dotted_fields(Config, TwinConfig))
+    return frozenset([*dotted, *_variables((SceneOptions, ScanOptions, PortOptions, ViewOptions))])
+
+
+def _variables(classes: Iterable[type]) -> Iterator[str]:
+    """Yield the variables that the annotated fields of option ``classes`` name."""
+    from cyclopts import Parameter
+
+    for cls in classes:
+        for hint in get_type_hints(cls, include_extras=True).values():
+            for each in get_args(hint)[1:]:
+                if isinstance(each, Parameter):
+                    yield from each.env_var or ()

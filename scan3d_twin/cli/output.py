@@ -1,0 +1,26 @@
+"""What the program prints, and what happens when its reader is gone (``twin planners | head``)."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import IO
+
+
+def say(text: str, stream: IO[str] | None = None, end: str = "\n") -> None:
+    """Print ``text`` at once, by default on standard error; a reader that is gone is no error.
+
+    For what is said during a run, which goes on whether anybody reads or not.
+    """
+    stream = sys.stderr if stream is None else stream
+    try:
+        print(text, file=stream, end=end, flush=True)
+    except BrokenPipeError:
+        discard(stream)
+
+
+def discard(stream: IO[str]) -> None:
+    """Send what is written to ``stream`` from now on, and what it still holds, nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)

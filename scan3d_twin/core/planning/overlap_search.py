@@ -1,0 +1,113 @@
+"""The overlap of the next view: the smallest one that meets epsilon, else the default of 80 %.
+
+Paper section 5, eq. (4) and the pseudo-code. All planners that choose an overlap, and not a pose,
+build their plans here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+from scan3d_twin.core.config import PlanningConfig
+from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, to_world
+from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.types import Candidate, Plan, Pose2
+
+
+def list_overlaps(config: PlanningConfig) -> list[float]:
+    """Return the overlaps eta to try, smallest first."""
+    steps = math.floor((config.eta_max - config.eta_min) / config.eta_step + 1e-9)
+    return [round(config.eta_min + k * config.eta_step, 9) for k in range(steps + 1)]
+
+
+def plan_smallest_overlap(context: PlanningContext, error: Callable[[float, Pose2], float]) -> Plan:
+    """Return the plan for the smallest overlap whose error meets epsilon, eq. (4).
+
+    Args:
+        context: A tour that is not finished.
+        error: Returns the error [m] of an overlap and its viewpoint in frame ``scan``.
+    """
+    config = context.session.config.planning
+    candidates: list[Candidate] = []
+    for eta in list_overlaps(config):
+        # Find the viewpoint of this overlap
+        placement = context.find_placement(eta)
+        if not placement.is_wanted and not context.has_panorama:
+            return blocked_plan(context)
+        if placement.viewpoint is None:
+            continue
+
+        # Accept it if it meets epsilon
+        viewpoint, E = to_world(context, placement.viewpoint), error(eta, placement.viewpoint)
+        candidates.append(Candidate(viewpoint, eta, E, feasible=True))
+        if config.epsilon >= E:
+            return _plan_for(candidates[-1], candidates, fell_back=False)
+    return _plan_default_overlap(context, candidates, config)
+
+
+def plan_with_overlap(
+    context: PlanningContext, overlap: float, reason: str, tried: Iterable[Candidate] = ()
+) -> Plan:
+    """Return the plan to go on with a given ``overlap``.
+
+    Args:
+        context: A tour that is not finished.
+        overlap: The paper's eta.
+        reason: Why this overlap, in words.
+        tried: Candidates that were considered before.
+    """
+    placement = context.find_placement(overlap)
+    if placement.viewpoint is None or not (placement.is_wanted or context.has_panorama):
+        return blocked_plan(context)
+    error = predict_error(context, placement.viewpoint)
+    viewpoint = to_world(context, placement.viewpoint)
+    candidate = Candidate(viewpoint, overlap, error, feasible=True)
+    return Plan(viewpoint, overlap, error, False, (*tried, candidate), reason)
+
+
+def predict_error(context: PlanningContext, viewpoint: Pose2) -> float:
+    """Return the closed-form prediction [m] for ``viewpoint``, given in ``scan``.
+
+    It judges the viewpoints of planners that ignore registration, too.
+
+    Returns:
+        Infinity without overlap, NaN where the latest view shows too little surface.
+    """
+    try:
+        return ErrorPrediction.of(context).error(viewpoint)
+    except RegistrationError:
+        return math.nan
+
+
+def _plan_default_overlap(
+    context: PlanningContext, candidates: list[Candidate], config: PlanningConfig
+) -> Plan:
+    """Return the plan for a featureless surface: the default overlap (80 %), whatever its error."""
+    placement = context.find_placement(config.default_overlap)
+    if placement.viewpoint is None:
+        return blocked_plan(context)
+    error = next(
+        (c.predicted_rmse for c in candidates if c.overlap == config.default_overlap), math.nan
+    )
+    viewpoint = to_world(context, placement.viewpoint)
+    default = Candidate(viewpoint, config.default_overlap, error, feasible=True)
+    return _plan_for(default, candidates, fell_back=True)
+
+
+def _plan_for(candidate: Candidate, candidates: list[Candidate], fell_back: bool) -> Plan:
+    """Return the plan to go to ``candidate``."""
+    reason = (
+        f"no overlap meets epsilon: default {candidate.overlap:.0%}"
+        if fell_back
+        else f"smallest overlap that meets epsilon: {candidate.overlap:.0%}"
+    )
+    return Plan(
+        candidate.viewpoint,
+        candidate.overlap,
+        candidate.predicted_rmse,
+        fell_back,
+        tuple(candidates),
+        reason,
+    )

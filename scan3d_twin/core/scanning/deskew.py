@@ -1,0 +1,48 @@
+"""De-skewing: every beam gets the heading that the base had when that beam was measured.
+
+The base turns on while the mirror of the lidar turns, so that a line is not a plane. Odometry is
+interpolated at the time of each beam.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.types import FloatArray, ScanLine, wrap
+
+MAX_ODOMETRY_GAP = 10
+"""Sample periods without odometry after which the heading is unknown: lines in the gap are lost."""
+
+Lines = list[tuple[ScanLine, FloatArray]]
+"""Lines with each beam's heading relative to the middle of the sweep (n_beams,) [rad]."""
+
+
+def deskew_lines(
+    robot: Robot, lines: list[ScanLine], started: float, yaw: float, first: float
+) -> Lines:
+    """Return ``lines`` with the heading of each beam; without those in gaps of the odometry.
+
+    Args:
+        robot: Its odometry gives the headings, its lidar the beams' times.
+        lines: As they were read, in order.
+        started: When the turn began, on the robot's clock [s].
+        yaw: Heading in ``odom`` of the middle of the sweep, to which headings are relative [rad].
+        first: Relative heading near which the turn began; it settles the number of turns [rad].
+    """
+    # Unwrap the headings of the turn
+    odometry = robot.base.odometry_since(started)
+    stamps = np.array([sample.stamp for sample in odometry])
+    headings = np.unwrap([sample.T_odom_base.yaw for sample in odometry])
+    headings += first + wrap(float(headings[0]) - yaw - first) - headings[0]
+
+    if not lines:
+        return []
+
+    # Interpolate outside of odometry gaps
+    times = np.array([line.stamp for line in lines])[:, None] + robot.lidar.spec.beam_times
+    gaps = np.flatnonzero(np.diff(stamps) > MAX_ODOMETRY_GAP * robot.base.spec.sample_period)
+    after, before = times[:, :1] < stamps[gaps + 1], times[:, -1:] > stamps[gaps]
+    whole = ~np.any(after & before, axis=1)
+    yaws = np.interp(times, stamps, headings)
+    return [pair for pair, kept in zip(zip(lines, yaws, strict=True), whole, strict=True) if kept]
