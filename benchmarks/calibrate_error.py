@@ -38,7 +38,7 @@ from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 ALPHA = 0.10
 """Share of the steps whose error may exceed k times the prediction."""

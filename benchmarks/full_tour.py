@@ -28,7 +28,7 @@ from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 EPSILON = 0.010
 """Wanted registration error [m], as in the paper."""

@@ -33,11 +33,16 @@ from scan3d_twin.core.mapping.scan_matching import motion_prior
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.types import FloatArray, Pose2, wrap
-from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, TURN_CREEP, apply_motion_errors
-from scan3d_twin.sim.base.profiles import CREATE2
+from scan3d_twin.devices.create.model import CREATE2
+from scan3d_twin.sim.base.motion_errors import (
+    SLIP_XY,
+    SLIP_YAW,
+    TURN_CREEP,
+    apply_motion_errors,
+)
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.robot import draw_robot, open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.world import RobotErrors
 
 MOVES_PER_ROBOT = 4

@@ -25,7 +25,7 @@ from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 SCENES = ("three_boxes", "sine_box", "plain_wall", "shiny_cylinder")
 BOOTSTRAP = 2000

@@ -30,7 +30,7 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 PEER, SHARED = "siicp8", "place"
 TWICE = ("fixed", "fixed50", "fixed80")

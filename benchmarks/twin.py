@@ -27,12 +27,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import mujoco
 import numpy as np
 
+from scan3d_twin.devices.urg.device import URG04LX
 from scan3d_twin.sim.config import LidarModelConfig, TwinConfig
 from scan3d_twin.sim.lidar.noise import Draws
-from scan3d_twin.sim.lidar.scanner import CHUNK, Scanner, lidar_spec
+from scan3d_twin.sim.lidar.scanner import CHUNK, Scanner
 from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import Scene, load_scene
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.scene import Scene
 
 LINES = 40
 """Lines per turn of the closed loops; 4 s of simulated time."""
@@ -88,9 +90,9 @@ def images(scene: Scene) -> dict[str, Task]:
     for rays in (1, 5):
         config = LidarModelConfig(sub_rays=rays)
         rng = np.random.default_rng(0)
-        scanner = Scanner(
-            scene.model, "create2", lidar_spec("usb"), config, choose_caster(scene.model), rng
-        )
+        caster = choose_caster(scene.model)
+        spec, sensor = URG04LX.spec("usb"), URG04LX.sensor
+        scanner = Scanner(scene.model, "create2", spec, config, caster, rng, sensor)
         tasks[f"image_{rays}ray"] = lambda scanner=scanner: image(scanner)
     tasks["image_multiray"] = multiray(scene, scanner)
     return tasks
@@ -137,10 +139,11 @@ def casters(scene: Scene) -> dict[str, Task]:
     scanner = Scanner(
         scene.model,
         "create2",
-        lidar_spec("usb"),
+        URG04LX.spec("usb"),
         LidarModelConfig(),
         choose_caster(scene.model),
         np.random.default_rng(0),
+        URG04LX.sensor,
     )
     positions, rotations = poses(scanner.spec.beam_times)
     directions = np.einsum("nij,nj->ni", rotations, scanner.beams)

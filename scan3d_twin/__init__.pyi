@@ -56,7 +56,7 @@ from .envs.policy import rollout as rollout
 from .real.robot import open_real as open_real
 from .sim.config import TwinConfig as TwinConfig
 from .sim.robot import open_sim as open_sim
-from .sim.scenes.scene import load_scene as load_scene
-from .sim.scenes.scene import scene_names as scene_names
+from .sim.scenes.load import load_scene as load_scene
+from .sim.scenes.load import scene_names as scene_names
 
 __version__: str

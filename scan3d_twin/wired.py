@@ -7,12 +7,9 @@ from contextlib import contextmanager, suppress
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import Clock, Robot
-from scan3d_twin.devices.create import codec as oi
-from scan3d_twin.devices.create.emulator import CreateEmulator
+from scan3d_twin.devices.device import Wiring
 from scan3d_twin.devices.links.line_model import Wire
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
-from scan3d_twin.devices.urg.emulator import UrgEmulator
-from scan3d_twin.devices.urg.model import LINKS
+from scan3d_twin.devices.registry import base_device, lidar_device
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
@@ -51,9 +48,9 @@ def open_wired(
     config = TwinConfig() if config is None else config
     with open_sim(scene, seed, config) as (twin, truth):
         clock = HazardFreeClock(twin.clock)
-        profile = UrgProfile(usb=config.lidar_link == "usb")
-        firmware = oi.MODELS[twin.base.spec.name]
-        base, lidar = CreateEmulator(twin.base, firmware), UrgEmulator(twin.lidar, profile)
-        mode = LINKS[config.lidar_link]
-        with open_over(Wire(base, clock), lambda: Wire(lidar, clock), clock, mode) as robot:
+        base = base_device(config.robot).emulate(twin.base)
+        wiring = Wiring(usb=config.lidar_link == "usb")
+        lidar = lidar_device(config.lidar_model).emulate(twin.lidar, wiring)
+        links = Wire(base, clock), lambda: Wire(lidar, clock)
+        with open_over(*links, clock, config.devices) as robot:
             yield robot, truth

@@ -16,6 +16,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("hardware")
     group.addoption("--port", help="Serial port of the real base: run the contract on the robot.")
     group.addoption("--lidar-port", help="Serial port of the real lidar.")
+    group.addoption("--robot", help="Base that the contract is run on, instead of both Creates.")
+    group.addoption("--lidar", help="Lidar that the contract is run on.")
     parser.addini("cpu_limit", "Processor time that one test may take [s].", default="120")
 
 

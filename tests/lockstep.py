@@ -19,7 +19,6 @@ from scan3d_twin.cli.memory import give_back_memory
 from scan3d_twin.cli.run import run
 from scan3d_twin.core.config import preset_options
 from scan3d_twin.devices.links.transport import Tapped
-from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.recording.recorder import SerialTaps
 from scan3d_twin.run.folder import claim_folder
@@ -147,7 +146,7 @@ def opening(clock, taps):
         """Return the lidar's serial line, tapped."""
         return Tapped(FarLine("lidar", clock), clock, taps.lidar)
 
-    with open_over(base, open_lidar, clock, LINKS["usb"]) as robot:
+    with open_over(base, open_lidar, clock) as robot:
         yield robot, None
 
 

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import cast
 
 from scan3d_twin.api.resume import MovedCheck, ResumedRun
 from scan3d_twin.api.save import save_run
@@ -25,7 +24,6 @@ from scan3d_twin.run.folder import release_folder
 from scan3d_twin.run.report import Effort, Report, failure_reason
 from scan3d_twin.run.settings import Settings
 from scan3d_twin.run.versions import collect_versions
-from scan3d_twin.sim.config import RobotName
 
 
 @dataclass(frozen=True)
@@ -134,9 +132,7 @@ def _digitize_and_save(
     """Digitise, save the files and return the result."""
     started, folder = time.perf_counter(), recorder.path.parent
     with opening as (robot, truth):
-        # Describe the run
-        name_of_base = cast(RobotName, robot.base.spec.name)
-        settings = replace(settings, twin=replace(settings.twin, robot=name_of_base))
+        settings = replace(settings, twin=replace(settings.twin, robot=robot.base.spec.name))
         recorder.describe(name, settings)
         watching: Observer = Observers(recorder, ViewSaver(folder, settings), observer)
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording import load
-from scan3d_twin.recording.export import export_cloud, pieces
+from scan3d_twin.recording.export import find_format
+from scan3d_twin.recording.export.clouds import export_cloud, pieces
+from scan3d_twin.recording.export.format import CloudFormat
 
 
 def load_session(place: str | Path) -> Session:
@@ -41,14 +44,15 @@ def export_model(
     Args:
         session: With at least one view.
         path: The file, or the folder of files where each view has its own.
-        format: ``ply``, ``pcd``, ``xyz``, ``las``, ``laz``, ``e57`` or ``uos``.
+        format: ``ply``, ``pcd``, ``xyz``, ``las``, ``laz``, ``e57`` or ``uos``, or a format of
+            clouds of another package.
         voxel: Side of the voxels in which the views are fused [m]; 0 keeps every point.
         per_view: Each view on its own, in its frame ``scan``, instead of one cloud in ``world``.
 
     Raises:
         UnknownNameError: There is no such format.
-        ConfigError: Its library is missing (the message says what to install), or views are to be
-            fused and to stay apart.
+        ConfigError: It is no format of clouds, its library is missing (the message says what to
+            install), or views are to be fused and to stay apart.
         FileError: A file cannot be written.
 
     >>> with s3d.open_sim("three_boxes", seed=0) as (robot, truth):
@@ -58,5 +62,8 @@ def export_model(
     >>> written.name
     'model.xyz'
     """
+    kind = find_format(format)
+    if not isinstance(kind, CloudFormat):
+        raise ConfigError(f"{format} is no format of clouds: use twin export or twin mesh")
     parts = pieces(session, per_view=per_view, voxel=voxel)
-    return export_cloud(parts, format, Path(path), per_view=per_view)
+    return export_cloud(parts, kind, Path(path), per_view=per_view)

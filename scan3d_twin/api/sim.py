@@ -15,7 +15,7 @@ from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.run.folder import claim_folder, default_folder
 from scan3d_twin.run.resolve import resolve_sim
 from scan3d_twin.run.settings import absolute_scene, merge_options
-from scan3d_twin.sim.config import DEFAULT_WORLD, RobotName
+from scan3d_twin.sim.config import DEFAULT_WORLD
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.pictures import render_scene
 from scan3d_twin.sim.scenes.scene import Scene
@@ -75,7 +75,7 @@ def run_sim(
     return result
 
 
-def draw_scene(scene: Scene, robot: RobotName) -> bytes | str:
+def draw_scene(scene: Scene, robot: str) -> bytes | str:
     """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
     try:
         return encode_png(render_scene(scene, robot))

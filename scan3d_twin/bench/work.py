@@ -21,7 +21,7 @@ from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
 from scan3d_twin.run.closed_loop import LoopOutcome, close_loop
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.viz.top_view import draw_top_view
 
 COMPLETE_REASONS = ("front complete", "contour complete")

@@ -36,6 +36,7 @@ COMMANDS = {
     "bench": ("bench:app", "Compare planners on many seeds in the twin."),
     "scenes": ("listing:scenes", "List the scenes."),
     "planners": ("listing:planners", "List the planners."),
+    "devices": ("listing:devices", "List the lidars and bases."),
     "options": ("options:options", "List the options of the configuration, by section."),
     "doctor": ("doctor:doctor", "Check the robot, its ports and the libraries."),
     "calibrate": ("calibrate:calibrate", "Estimate the lidar's extrinsics from scans."),

@@ -6,6 +6,9 @@ from functools import cache
 
 from scan3d_twin.run.settings import Settings
 
+PREFIX = "TWIN_"
+"""Prefix of the variables that set options."""
+
 
 @cache
 def default_settings() -> Settings:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from cyclopts import Group, Parameter
 
-from scan3d_twin.cli.environment import PREFIX
+from scan3d_twin.cli.defaults import PREFIX
 from scan3d_twin.core.options import Bounds
 from scan3d_twin.run.settings import option_key
 

@@ -6,9 +6,8 @@ import os
 from collections.abc import Iterable, Iterator
 from typing import Any, get_args, get_type_hints
 
+from scan3d_twin.cli.defaults import PREFIX
 from scan3d_twin.core.errors import ConfigError
-
-PREFIX = "TWIN_"
 
 
 def refuse_unknown_variables(*_: Any) -> None:

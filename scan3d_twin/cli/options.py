@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from scan3d_twin.cli.defaults import default_text
-from scan3d_twin.cli.environment import PREFIX
+from scan3d_twin.cli.defaults import PREFIX, default_text
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.run.settings import Options, absolute_scene, merge_options, read_settings
 
@@ -39,7 +38,9 @@ class SceneOptions:
     mesh_scale: Annotated[float | None, env("MESH_SCALE", "{run.mesh_scale:g}")] = None
     """Metres per unit of a mesh file."""
     robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
-    """Robot profile: create1 or create2."""
+    """Name of the base (`twin devices`)."""
+    lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
+    """Name of the lidar (`twin devices`)."""
     world: Annotated[str | None, env("WORLD", "{run.world}")] = None
     """Level of the twin's errors: ideal, typical or harsh."""
 
@@ -90,8 +91,12 @@ class ScanOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PortOptions:
-    """Where the robot is plugged in."""
+    """What the robot is made of, and where it is plugged in."""
 
+    robot: Annotated[str | None, env("ROBOT", "create2")] = None
+    """Name of the base (`twin devices`); create2 finds a Create 1 as well."""
+    lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
+    """Name of the lidar (`twin devices`)."""
     port: Annotated[str | None, env("PORT", "found by its USB id")] = None
     """Serial port of the base, such as /dev/ttyUSB0."""
     lidar_port: Annotated[str | None, env("LIDAR_PORT", "found by its USB id")] = None
@@ -114,6 +119,8 @@ def _flat(options: ScanOptions, sections: Options) -> Options:
             run[name] = value
         elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
             top[name] = value
+        elif name == "lidar":
+            top["lidar_model"] = value
     planning = {}
     if options.epsilon is not None:
         if "epsilon" in sections.get("planning", {}):

@@ -6,12 +6,12 @@ Importing this module costs nothing (no numpy), so that ``twin --help`` can list
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
 
 T = TypeVar("T")
 
@@ -119,3 +119,41 @@ def _check(name: str, value: Any, hint: Any, bounds: Bounds | None) -> None:
 _WORDS: Mapping[Any, str] = {
     float: "a number", int: "a whole number", str: "text", bool: "true or false"
 }  # fmt: skip
+
+
+def parse_options(cls: type[T], words: Iterable[str], section: str) -> T:
+    """Return the dataclass ``cls`` with the values that ``words`` such as ``step=40`` state.
+
+    Args:
+        cls: Every field has a default; numbers, texts and ``true`` or ``false``.
+        words: One option each.
+        section: What the options belong to, for messages.
+
+    Raises:
+        ConfigError: A word is no option, or its value is of the wrong type or out of bounds.
+    """
+    hints, values = get_type_hints(cls), {}
+    for word in words:
+        name, found, text = word.partition("=")
+        if not found:
+            raise ConfigError(f"{section}: an option is NAME=VALUE, got {word!r}")
+        if name not in hints:
+            raise UnknownNameError(f"option of {section}", name, hints)
+        values[name] = _parse(f"{section}.{name}", text, hints[name])
+    options = cls(**values)
+    check_options(options, section)
+    return options
+
+
+def _parse(name: str, text: str, hint: Any) -> Any:
+    """Return ``text`` as a value of the type ``hint``."""
+    if hint is bool:
+        if text not in ("true", "false"):
+            raise ConfigError(f"{name} must be true or false, got {text!r}")
+        return text == "true"
+    if hint not in (int, float):
+        return text
+    try:
+        return hint(text)
+    except ValueError:
+        raise ConfigError(f"{name} must be {_WORDS[hint]}, got {text!r}") from None

@@ -10,6 +10,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.devices.registry import lidar_device
 from scan3d_twin.envs.prepared_scenes import (
     PreparedScene,
     prepare_named_scene,
@@ -21,9 +22,8 @@ from scan3d_twin.run.resolve import settings_for_scene
 from scan3d_twin.run.settings import Options, build_settings, merge_options
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import Thinning, thin_config, thin_spec
-from scan3d_twin.sim.lidar.scanner import lidar_spec
-from scan3d_twin.sim.scenes.random_scenes import SceneRanges
-from scan3d_twin.sim.scenes.scene import scene_names
+from scan3d_twin.sim.scenes.load import scene_names
+from scan3d_twin.sim.scenes.random_ranges import SceneRanges
 from scan3d_twin.sim.world import Solver
 
 Fidelity = Literal["physics", "lite", "kinematic"]
@@ -132,7 +132,7 @@ class EnvOptions:
             config = _with_fast_icp(thin_config(effective.config, THINNING))
             return KinematicScanSource(prepared, seed, config, twin, THINNING), seed
         if self.fidelity == "lite":
-            spec = thin_spec(lidar_spec(twin.lidar_link), THINNING)
+            spec = thin_spec(lidar_device(twin.lidar_model).spec(twin.lidar_link), THINNING)
             config, twin = thin_config(effective.config, THINNING), _without_vibration(twin)
             return PhysicsScanSource(
                 prepared, seed, config, twin, solver=LITE_SOLVER, spec=spec

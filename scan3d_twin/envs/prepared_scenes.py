@@ -12,8 +12,10 @@ from scan3d_twin.core.model.evaluation import Surface, find_coverable_surface
 from scan3d_twin.core.types import BoolArray
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import RayCaster, choose_caster
-from scan3d_twin.sim.scenes.random_scenes import SceneRanges, draw_scene
-from scan3d_twin.sim.scenes.scene import Scene, load_scene
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.random_ranges import SceneRanges
+from scan3d_twin.sim.scenes.random_scenes import draw_scene
+from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.truth import Truth
 
 MAX_CACHED_SCENES = 4

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from scan3d_twin.core.errors import LinkError
-
-LIDARS = {"15d1": "Hokuyo"}
-"""Makers of lidars by USB vendor id."""
-ADAPTERS = {"0403": "FTDI", "067b": "Prolific", "10c4": "Silicon Labs", "1a86": "WCH"}
-"""Makers of USB serial adapters by USB vendor id; the Create 2's own cable holds an FTDI."""
+from scan3d_twin.devices.registry import Devices, base_device, lidar_device
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +24,9 @@ class Port:
     usb_id: str
     product: str
 
-    @property
-    def vendor(self) -> str:
-        """The USB vendor id."""
-        return self.usb_id.partition(":")[0]
+    def is_one_of(self, usb_ids: Mapping[str, str]) -> bool:
+        """Return whether ``usb_ids`` name the port by its vendor, or by vendor and product."""
+        return self.usb_id in usb_ids or self.usb_id.partition(":")[0] in usb_ids
 
     def __str__(self) -> str:
         return f"{self.path} ({self.usb_id} {self.product})"
@@ -51,27 +47,37 @@ def usb_ports(root: Path = Path("/")) -> list[Port]:
 
 
 def choose_ports(
-    base: str | None, lidar: str | None, ports: list[Port] | None = None
+    base: str | None,
+    lidar: str | None,
+    devices: Devices | None = None,
+    ports: list[Port] | None = None,
 ) -> tuple[str, str]:
     """Return the ports of the base and the lidar; those not given are found by their USB ids.
+
+    Args:
+        base: Port of the base; None is to be found.
+        lidar: Port of the lidar; None is to be found.
+        devices: What is to be found; None is the robot of the paper.
+        ports: Where to look; None are the serial ports on USB.
 
     Raises:
         LinkError: There is none, or more than one that may be it.
     """
     if base and lidar:
         return base, lidar
+    devices = Devices() if devices is None else devices
     free = usb_ports() if ports is None else ports
     free = [port for port in free if port.path not in (base, lidar)]
     return (
-        base or _only(free, ADAPTERS, "base", "--port"),
-        lidar or _only(free, LIDARS, "lidar", "--lidar-port"),
+        base or _only(free, base_device(devices.base).usb_ids, "base", "--port"),
+        lidar or _only(free, lidar_device(devices.lidar).usb_ids, "lidar", "--lidar-port"),
     )
 
 
-def _only(ports: list[Port], vendors: dict[str, str], what: str, option: str) -> str:
-    found = [port for port in ports if port.vendor in vendors]
+def _only(ports: list[Port], usb_ids: Mapping[str, str], what: str, option: str) -> str:
+    found = [port for port in ports if port.is_one_of(usb_ids)]
     if not found:
-        makers = ", ".join(vendors.values())
+        makers = ", ".join(usb_ids.values())
         raise LinkError(
             f"no {what} found on USB ({makers}): plug it in, or name its port with {option}"
         )

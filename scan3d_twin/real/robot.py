@@ -8,12 +8,10 @@ from typing import Literal, Protocol
 
 from scan3d_twin.core.errors import LinkTimeoutError
 from scan3d_twin.core.hal import Clock, Robot
-from scan3d_twin.devices.create.driver import STOP, Guard, open_create
-from scan3d_twin.devices.create.guard import PortGuard
-from scan3d_twin.devices.create.link import HALF_DRIVE
+from scan3d_twin.devices.device import LidarDriver
+from scan3d_twin.devices.links.guard import Guard, PortGuard
 from scan3d_twin.devices.links.transport import Reopening, SerialTransport, Tapped, Transport
-from scan3d_twin.devices.urg.driver import UrgLidar
-from scan3d_twin.devices.urg.model import LINKS, ScanMode
+from scan3d_twin.devices.registry import Devices, base_device, lidar_device
 from scan3d_twin.real.clock import RealClock
 
 SLICE = 0.005
@@ -72,7 +70,7 @@ def open_over(
     base_link: Transport,
     open_lidar_link: Callable[[], Transport],
     clock: Clock,
-    mode: ScanMode,
+    devices: Devices | None = None,
     guard: Guard | None = None,
 ) -> Iterator[Robot]:
     """Open the drivers on two lines; on every way out the wheels are stopped first.
@@ -81,24 +79,27 @@ def open_over(
         base_link: To the base; stays open.
         open_lidar_link: Opens the line to the lidar; called again after it was unplugged.
         clock: Passes the time without servicing anything.
-        mode: Which lines the lidar is to send.
+        devices: What is on the lines; None is the robot of the paper.
         guard: Stops the wheels if this process cannot.
 
     Raises:
         LinkError: A device does not answer, or cannot do what is asked.
     """
+    devices = Devices() if devices is None else devices
+    open_lidar = lidar_device(devices.lidar).open_driver
+    open_base = base_device(devices.base).open_driver
     serviced = ServicedClock(clock)
     with ExitStack() as stack:
         # The base comes last, so that it is the first to be closed.
-        lidar = stack.enter_context(closing(UrgLidar(open_lidar_link, serviced, mode)))
+        lidar = stack.enter_context(closing(open_lidar(open_lidar_link, serviced, devices.link)))
         serviced.attach(lidar)
-        base = stack.enter_context(closing(open_create(base_link, serviced, guard)))
+        base = stack.enter_context(closing(open_base(base_link, serviced, guard)))
         serviced.attach(base)
         _forget_lines(lidar)
         yield Robot(base, lidar, serviced)
 
 
-def _forget_lines(lidar: UrgLidar) -> None:
+def _forget_lines(lidar: LidarDriver) -> None:
     """Drop the lines that came in while the base was looked for."""
     with suppress(LinkTimeoutError):
         while True:
@@ -109,15 +110,15 @@ def _forget_lines(lidar: UrgLidar) -> None:
 def open_real(
     base_port: str,
     lidar_port: str,
-    mode: ScanMode = LINKS["usb"],
+    devices: Devices | None = None,
     taps: Taps | None = None,
 ) -> Iterator[Robot]:
     """Open the robot on two serial ports; it does not move, and is stopped on every way out.
 
     Args:
-        base_port: Of the Create, such as ``/dev/ttyUSB0``.
-        lidar_port: Of the URG-04LX, such as ``/dev/ttyACM0``.
-        mode: Which lines the lidar is to send.
+        base_port: Of the base, such as ``/dev/ttyUSB0``.
+        lidar_port: Of the lidar, such as ``/dev/ttyACM0``.
+        devices: What is on the ports; None is the robot of the paper.
         taps: Are told of every byte that passes.
 
     Raises:
@@ -128,8 +129,9 @@ def open_real(
     Traceback (most recent call last):
     scan3d_twin.core.errors.LinkError: ...
     """
-    clock = RealClock()
-    guard = PortGuard(clock)
+    devices = Devices() if devices is None else devices
+    base, clock = base_device(devices.base), RealClock()
+    guard = PortGuard(base.farewell, clock)
 
     def open_base_link() -> Transport:
         port = SerialTransport(base_port)
@@ -143,6 +145,6 @@ def open_real(
     with ExitStack() as stack:
         stack.callback(guard.close)
         link = stack.enter_context(
-            closing(Reopening(open_base_link, clock, HALF_DRIVE + STOP, guard.close))
+            closing(Reopening(open_base_link, clock, base.halt, guard.close))
         )
-        yield stack.enter_context(open_over(link, open_lidar_link, clock, mode, guard))
+        yield stack.enter_context(open_over(link, open_lidar_link, clock, devices, guard))

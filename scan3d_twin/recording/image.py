@@ -19,8 +19,9 @@ def image_bytes(observation: Observation) -> bytes:
     """Return a sweep as a compressed .npz; equal sweeps give equal bytes.
 
     Its arrays, by the names and with the units of ``RangeImage`` and ``LidarSpec``: ``stamps, yaws,
-    ranges, codes, elevations, beam_times, T_base_lidar``, and ``points`` (n_lines, n_beams, 3) in
-    frame ``scan`` with NaN where there is no return.
+    ranges, codes, elevations, beam_times, T_base_lidar``, ``range_limits`` (the shortest and the
+    longest distance of the lidar [m]), and ``points`` (n_lines, n_beams, 3) in frame ``scan`` with
+    NaN where there is no return.
     """
     image = observation.image
     return npz_bytes(**image_arrays(image), points=image.points)
@@ -45,5 +46,6 @@ def image_arrays(image: RangeImage) -> dict[str, npt.NDArray[Any]]:
         "codes": image.codes.astype(np.int16),
         "elevations": image.spec.elevations,
         "beam_times": image.spec.beam_times,
+        "range_limits": np.array([image.spec.min_range, image.spec.max_range]),
         "T_base_lidar": image.T_base_lidar,
     }

@@ -50,6 +50,11 @@ class RecordedRun:
     provenance: Mapping[str, str]
 
 
+def run_folder(run: Path) -> Path:
+    """Return the folder of a ``run`` that is named by its folder or its session file."""
+    return run if run.is_dir() else run.parent
+
+
 def find_session_file(place: Path) -> Path:
     """Return the session file of the run in the folder ``place``, or ``place`` if it is a file.
 

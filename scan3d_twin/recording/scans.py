@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.core.types import LidarSpec, RangeImage, read_only
-from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.core.types import FloatArray, LidarSpec, RangeImage, read_only
+from scan3d_twin.devices.registry import DEFAULT_LIDAR, lidar_device
 
 SCAN_FILE, BACK_SCAN_FILE = "scan.npz", "scan_back.npz"
 """Files of ``twin scan``: a sweep, and with --back the sweep in the other direction."""
@@ -23,6 +24,7 @@ def read_image(path: Path) -> RangeImage:
     """
     try:
         with np.load(path, allow_pickle=False) as arrays:
+            low, high = _range_limits(arrays)
             return RangeImage(
                 stamps=read_only(arrays["stamps"]),
                 yaws=read_only(arrays["yaws"]),
@@ -32,8 +34,8 @@ def read_image(path: Path) -> RangeImage:
                     elevations=read_only(arrays["elevations"]),
                     beam_times=read_only(arrays["beam_times"]),
                     line_period=float(np.median(np.abs(np.diff(arrays["stamps"])))),
-                    min_range=urg04lx.MIN_RANGE_MM / 1000,
-                    max_range=urg04lx.MAX_RANGE_MM / 1000,
+                    min_range=low,
+                    max_range=high,
                 ),
                 T_base_lidar=read_only(arrays["T_base_lidar"]),
             )
@@ -43,8 +45,17 @@ def read_image(path: Path) -> RangeImage:
         raise FileError(f"{path} is no sweep of twin scan, sim or real: {error}") from error
 
 
+def _range_limits(arrays: Mapping[str, FloatArray]) -> tuple[float, float]:
+    """Return the lidar's shortest and longest distance [m]; old files do not hold them."""
+    if "range_limits" in arrays:
+        low, high = arrays["range_limits"].tolist()
+        return low, high
+    sensor = lidar_device(DEFAULT_LIDAR).sensor
+    return sensor.min_range_mm / 1000, sensor.max_range_mm / 1000
+
+
 def read_places(folder: Path) -> list[list[RangeImage]]:
-    """Return all sweeps in ``folder`` and its subfolders, grouped by the place of the robot.
+    """Return all sweeps in ``folder`` and the folders in it, grouped by the place of the robot.
 
     A sweep and the one back come from one place; all others count as different places.
 

@@ -10,10 +10,12 @@ from scan3d_twin.run.settings import (
     Options,
     Settings,
     build_settings,
+    device_options,
     parse_place,
     world_options,
 )
-from scan3d_twin.sim.scenes.scene import Scene, load_scene
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.scene import Scene
 
 
 def resolve_sim(given: Options) -> tuple[Settings, Scene]:
@@ -44,9 +46,10 @@ def _check_target(text: str, scene: Scene) -> None:
 
 
 def _named_options(given: Options) -> list[Options]:
-    """Return the options behind the names of the world and the preset."""
-    run = build_settings([given]).run
-    return [world_options(run.world), preset_options(run.preset)]
+    """Return what the devices, the world and the preset stand for."""
+    stated = build_settings([given])
+    run, devices = stated.run, stated.twin.devices
+    return [device_options(devices), world_options(run.world), preset_options(run.preset)]
 
 
 def _scene_options(scene: Scene) -> Options:

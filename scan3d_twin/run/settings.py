@@ -21,6 +21,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, FileError, UnknownNameError
 from scan3d_twin.core.options import check_options, former_names, number
 from scan3d_twin.core.presets import DEFAULT_PRESET
+from scan3d_twin.devices.registry import Devices, base_device, lidar_device
 from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
 
 Options = Mapping[str, Any]
@@ -97,9 +98,24 @@ def build_settings(sources: Iterable[Options]) -> Settings:
 
 
 def world_options(name: str) -> Options:
-    """Return the options of the twin's world called ``name``."""
+    """Return the options that the twin's named world stands for: where it is not typical."""
     lidar, errors = WORLDS[name]
-    return {"lidar": _to_plain(lidar), "errors": _to_plain(errors)}
+    typical_lidar, typical_errors = WORLDS[DEFAULT_WORLD]
+    return {
+        "lidar": _differences(lidar, typical_lidar),
+        "errors": _differences(errors, typical_errors),
+    }
+
+
+def _differences(value: Any, default: Any) -> Options:
+    """Return the fields of ``value`` that are not those of ``default``, by key."""
+    usual = _to_plain(default)
+    return {name: each for name, each in _to_plain(value).items() if each != usual[name]}
+
+
+def device_options(devices: Devices) -> Options:
+    """Return the options that the robot's base and lidar stand for."""
+    return merge_options([base_device(devices.base).options, lidar_device(devices.lidar).options])
 
 
 def read_settings(path: Path) -> Options:

@@ -11,14 +11,17 @@ from typing import Literal
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import check_options, number
-from scan3d_twin.devices.urg.model import LINKS
+from scan3d_twin.devices.registry import (
+    DEFAULT_BASE,
+    DEFAULT_LIDAR,
+    DEFAULT_LINK,
+    Devices,
+)
 from scan3d_twin.sim.lidar.config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelConfig
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
 
 Reckoning = Literal["driver", "wheels"]
-RobotName = Literal["create1", "create2"]
-ROBOTS: tuple[RobotName, ...] = ("create1", "create2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,26 +107,33 @@ class TwinConfig:
     Pose2(x=0.0, y=0.0, yaw=0.0)
     """
 
-    robot: RobotName = "create2"
-    """Robot profile."""
-    lidar_link: str = "usb"
-    """How the lidar is connected: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
-    (682 steps, 5 Hz)."""
+    robot: str = DEFAULT_BASE
+    """Name of the base."""
+    lidar_model: str = DEFAULT_LIDAR
+    """Name of the lidar."""
+    lidar_link: str = DEFAULT_LINK
+    """How the lidar is connected: one of its links."""
     lidar: LidarModelConfig = field(default_factory=LidarModelConfig)
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
 
     def __post_init__(self) -> None:
         check_options(self)
-        if self.lidar_link not in LINKS:
-            raise UnknownNameError("lidar link", self.lidar_link, LINKS)
+        _ = self.devices
+
+    @property
+    def devices(self) -> Devices:
+        """What the robot is made of."""
+        return Devices(self.robot, self.lidar_model, self.lidar_link)
 
     @classmethod
-    def ideal(cls, lidar_link: str = "usb") -> TwinConfig:
+    def ideal(cls, lidar_link: str = DEFAULT_LINK) -> TwinConfig:
         """Return a robot and a lidar without errors, for tests."""
         return cls.of("ideal", lidar_link=lidar_link)
 
     @classmethod
-    def of(cls, world: str, robot: RobotName = "create2", lidar_link: str = "usb") -> TwinConfig:
+    def of(
+        cls, world: str, robot: str = DEFAULT_BASE, lidar_link: str = DEFAULT_LINK
+    ) -> TwinConfig:
         """Return the twin in the named ``world``: ideal, typical or harsh.
 
         Raises:
@@ -132,7 +142,7 @@ class TwinConfig:
         if world not in WORLDS:
             raise UnknownNameError("world", world, WORLDS)
         lidar, errors = WORLDS[world]
-        return cls(robot, lidar_link, lidar, errors)
+        return cls(robot, lidar_link=lidar_link, lidar=lidar, errors=errors)
 
 
 DEFAULT_WORLD = "typical"

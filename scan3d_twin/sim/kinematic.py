@@ -25,11 +25,16 @@ from scan3d_twin.core.types import (
     read_only,
     wrap,
 )
-from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, apply_motion_errors, turn_scale
-from scan3d_twin.sim.base.profiles import PROFILES
+from scan3d_twin.devices.registry import base_device, lidar_device
+from scan3d_twin.sim.base.motion_errors import (
+    SLIP_XY,
+    SLIP_YAW,
+    apply_motion_errors,
+    turn_scale,
+)
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.lidar.noise import Draws
-from scan3d_twin.sim.lidar.scanner import Scanner, lidar_spec
+from scan3d_twin.sim.lidar.scanner import Scanner
 from scan3d_twin.sim.ray_casting import RayCaster
 from scan3d_twin.sim.robot import Stream, draw_robot, stream
 from scan3d_twin.sim.scenes.scene import Scene
@@ -137,16 +142,17 @@ class KinematicRobot:
         # Skipped beams leave no correlation and no repeats between the others; a beam of one ray
         # has no mixed pixels.
         lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1, line_loss=0.0)
-        spec = thin_spec(lidar_spec(twin.lidar_link), thinning)
-
-        # Build the scanner
+        device = lidar_device(twin.lidar_model)
+        spec = thin_spec(device.spec(twin.lidar_link), thinning)
         surfaces = stream(seed, Stream.SURFACE)
-        self._scanner = Scanner(scene.model, twin.robot, spec, lidar, caster, surfaces)
+        self._scanner = Scanner(
+            scene.model, twin.robot, spec, lidar, caster, surfaces, device.sensor
+        )
         self._rng, self._config, self._thinning = stream(seed, Stream.LIDAR), config, thinning
 
         # Draw the robot, open the truth
         self._errors = draw_robot(scene, seed, twin.errors)
-        self._spec = PROFILES[twin.robot]
+        self._spec = base_device(twin.robot).spec
         self.world = KinematicWorld(scene.spawn)
         self.here = Pose2()
         self.truth = Truth(scene, self.world, caster, lambda: None)

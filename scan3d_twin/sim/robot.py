@@ -10,14 +10,15 @@ import numpy as np
 
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.types import LidarSpec
+from scan3d_twin.devices.registry import base_device, lidar_device
 from scan3d_twin.sim.base.drive_base import SimBase
-from scan3d_twin.sim.base.profiles import PROFILES
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.lidar.lidar import SimLidar
-from scan3d_twin.sim.lidar.scanner import Scanner, lidar_spec
+from scan3d_twin.sim.lidar.scanner import Scanner
 from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
-from scan3d_twin.sim.scenes.scene import Scene, load_scene
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.trace import PoseTrace
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
@@ -81,7 +82,7 @@ def open_sim(
 
 
 @contextmanager
-def open_robot(scene: Scene | str, seed: int) -> Iterator[Robot]:
+def open_robot(scene: Scene | str, seed: int, config: TwinConfig | None = None) -> Iterator[Robot]:
     """Open the twin as ``open_sim`` does, but without its truth, which grows with time.
 
     Nothing does then, however long the robot runs.
@@ -90,7 +91,7 @@ def open_robot(scene: Scene | str, seed: int) -> Iterator[Robot]:
         ConfigError, SceneError: See ``open_sim``.
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
-    with _open_twin(scene, seed, None, None, None) as (_, base, lidar, clock):
+    with _open_twin(scene, seed, config, None, None) as (_, base, lidar, clock):
         yield Robot(base, lidar, clock)
 
 
@@ -107,11 +108,14 @@ def _open_twin(
     errors = draw_robot(scene, seed, config.errors)
     world = World(scene, build_model(scene, config.robot, errors, solver))
     clock = SimClock(world)
-    base = SimBase(world, PROFILES[config.robot], config.errors)
+    base = SimBase(world, base_device(config.robot), config.errors)
     caster = choose_caster(scene.model)
     surfaces = stream(seed, Stream.SURFACE)
-    spec = lidar_spec(config.lidar_link) if spec is None else spec
-    scanner = Scanner(scene.model, config.robot, spec, config.lidar, caster, surfaces)
+    device = lidar_device(config.lidar_model)
+    spec = device.spec(config.lidar_link) if spec is None else spec
+    scanner = Scanner(
+        scene.model, config.robot, spec, config.lidar, caster, surfaces, device.sensor
+    )
     lidar = SimLidar(world, clock, scanner, [seed, Stream.LIDAR])
     clock.attach(lidar, base)
     try:

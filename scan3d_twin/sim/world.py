@@ -11,9 +11,9 @@ import numpy as np
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import FloatArray, IntArray, read_only
-from scan3d_twin.sim.base.profiles import PROFILES
+from scan3d_twin.devices.registry import base_device
 from scan3d_twin.sim.base.uneven_floor import draw_uneven_floor, lay_floor
-from scan3d_twin.sim.config import RobotErrorConfig, RobotName
+from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.scenes.scene import Scene
 
@@ -68,14 +68,12 @@ class RobotErrors:
         return self if scene.friction is None else replace(self, friction=scene.friction)
 
 
-def robot_spec(robot: RobotName) -> Any:
-    """Return the ``MjSpec`` of a robot by its data sheet.
-
-    The generations differ in their wheels; the file describes the Create 2.
-    """
-    spec = mujoco.MjSpec.from_file(str(find_resource_dir("assets") / "mjcf" / "create2.xml"))
-    profile = PROFILES[robot]
-    radius, half = profile.wheel_diameter / 2, profile.wheel_base / 2
+def robot_spec(robot: str) -> Any:
+    """Return the robot's own ``MjSpec``, with the wheels of its data sheet."""
+    device = base_device(robot)
+    path = device.mjcf or find_resource_dir("assets") / "mjcf" / "create2.xml"
+    spec = mujoco.MjSpec.from_file(str(path))
+    radius, half = device.spec.wheel_diameter / 2, device.spec.wheel_base / 2
     for side, sign in (("left", 1), ("right", -1)):
         tyre = spec.geom(f"{side}_tyre")
         tyre.size = [radius, tyre.size[1], radius]
@@ -99,9 +97,7 @@ class Solver:
     impratio: float = 10.0
 
 
-def build_model(
-    scene: Scene, robot: RobotName, errors: RobotErrors, solver: Solver | None = None
-) -> Any:
+def build_model(scene: Scene, robot: str, errors: RobotErrors, solver: Solver | None = None) -> Any:
     """Return the compiled model of ``scene`` with a robot of these ``errors`` at its spawn.
 
     Raises:

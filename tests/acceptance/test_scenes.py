@@ -17,7 +17,7 @@ from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.sim.config import LidarModelConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 SCENES = {"three_boxes": 20, "sine_box": 20, "plain_wall": 6, "shiny_cylinder": 20}
 """Scenes and the most views to take; the wall is the same for 10 m."""

@@ -6,7 +6,7 @@ import pytest
 
 from scan3d_twin.cli.exit_codes import exit_code
 from scan3d_twin.core import errors
-from scan3d_twin.sim.scenes.scene import scene_names
+from scan3d_twin.sim.scenes.load import scene_names
 
 OPTION, FILE = 2, 3
 

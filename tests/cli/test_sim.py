@@ -8,7 +8,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from scan3d_twin.run.report import TIMING_FIELDS, report_schema
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 SCAN = ("sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100")
 

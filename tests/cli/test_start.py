@@ -10,7 +10,7 @@ import pytest
 
 from scan3d_twin import __version__
 from scan3d_twin.core.planning import list_planners
-from scan3d_twin.sim.scenes.scene import scene_names
+from scan3d_twin.sim.scenes.load import scene_names
 
 HEAVY = ("numpy", "scipy", "mujoco", "trimesh", "open3d")
 TWIN = [sys.executable, "-m", "scan3d_twin.cli"]

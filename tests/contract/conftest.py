@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 import pytest
 
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.devices.urg.model import LINKS
+from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, Devices
 from scan3d_twin.real.ports import choose_ports
 from scan3d_twin.real.robot import open_real
 from scan3d_twin.sim.config import TwinConfig
@@ -16,33 +16,36 @@ from scan3d_twin.wired import open_wired
 Opener = Callable[[str], AbstractContextManager[Robot]]
 
 
-@contextmanager
-def _sim(scene: str) -> Iterator[Robot]:
-    with open_sim(scene, seed=7) as (robot, _):
-        yield robot
+def openers(robot: str, lidar: str) -> tuple[Opener, Opener]:
+    """Return what opens these devices in the twin, and their drivers on their emulators."""
+
+    @contextmanager
+    def sim(scene: str) -> Iterator[Robot]:
+        with open_sim(scene, 7, TwinConfig(robot, lidar)) as (opened, _):
+            yield opened
+
+    @contextmanager
+    def wired(scene: str) -> Iterator[Robot]:
+        with open_wired(scene, 7, TwinConfig(robot, lidar)) as (opened, _):
+            yield opened
+
+    return sim, wired
 
 
-@contextmanager
-def _wired(scene: str) -> Iterator[Robot]:
-    with open_wired(scene, seed=7) as (robot, _):
-        yield robot
-
-
-@contextmanager
-def _wired_create1(scene: str) -> Iterator[Robot]:
-    with open_wired(scene, seed=7, config=TwinConfig(robot="create1")) as (robot, _):
-        yield robot
-
-
-BACKENDS: dict[str, Opener] = {"sim": _sim, "wired": _wired, "wired_create1": _wired_create1}
+def backends(config: pytest.Config) -> dict[str, Opener]:
+    """Return what to hold to the contract: by default our own bases, else what is asked for."""
+    robot, lidar = config.getoption("--robot"), config.getoption("--lidar") or DEFAULT_LIDAR
+    sim, wired = openers(robot or DEFAULT_BASE, lidar)
+    both = {"sim": sim, "wired": wired}
+    return both if robot else {**both, "wired_create1": openers("create1", lidar)[1]}
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run everything on each backend; on the real robot too if its port is given."""
     if "open_in" in metafunc.fixturenames:
         real = [pytest.param("hardware", marks=pytest.mark.hardware)]
-        backends = [*BACKENDS, *(real if metafunc.config.getoption("--port") else [])]
-        metafunc.parametrize("open_in", backends, indirect=True)
+        names = [*backends(metafunc.config), *(real if metafunc.config.getoption("--port") else [])]
+        metafunc.parametrize("open_in", names, indirect=True)
 
 
 @pytest.fixture
@@ -51,12 +54,14 @@ def open_in(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Robot]]:
 
     The real robot stands where it stands: give it 1.4 m of free floor, and a wall behind that.
     """
-    given = [request.config.getoption(name) for name in ("--port", "--lidar-port")]
+    option = request.config.getoption
+    devices = Devices(option("--robot") or DEFAULT_BASE, option("--lidar") or DEFAULT_LIDAR)
 
     def real(_: str) -> AbstractContextManager[Robot]:
-        return open_real(*choose_ports(*given), LINKS["usb"])
+        ports = choose_ports(option("--port"), option("--lidar-port"), devices)
+        return open_real(*ports, devices)
 
-    opener = {**BACKENDS, "hardware": real}[request.param]
+    opener = {**backends(request.config), "hardware": real}[request.param]
     with ExitStack() as stack:
         yield lambda scene: stack.enter_context(opener(scene))
 

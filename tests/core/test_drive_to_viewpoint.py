@@ -24,7 +24,7 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Hazards, Observation, Pose2
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 CONFIG = paper_config()
 GLASS_HOUSE = """

@@ -1,12 +1,13 @@
 """Every option of a configuration is checked where it is built."""
 
 import math
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import pytest
 
 from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.options import number, parse_options
 from scan3d_twin.run.settings import Settings, build_settings
 
 
@@ -48,3 +49,37 @@ def test_names_of_older_files_are_read_as_those_of_today():
     assert read.optimize_for == "speed"
     assert read.planning.corner_model == "silhouette"
     assert read.alignment.mode == "loop_closure"
+
+
+@dataclass(frozen=True)
+class Taste:
+    """Options of each kind that a word can state."""
+
+    share: float = number(0.5)
+    count: int = number(3, 1, 9)
+    careful: bool = False
+    name: str = ""
+    way: Literal["left", "right"] = "left"
+
+
+def test_options_are_parsed_from_words_by_their_types():
+    words = ["share=0.25", "count=4", "careful=true", "name=a=b", "way=right"]
+    assert parse_options(Taste, words, "taste") == Taste(0.25, 4, True, "a=b", "right")
+    assert parse_options(Taste, [], "taste") == Taste()
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("share", "an option is NAME=VALUE, got 'share'"),
+        ("speed=1", "no option of taste 'speed'; known: careful, count"),
+        ("share=much", "taste.share must be a number, got 'much'"),
+        ("share=2", "taste.share must be <= 1, got 2"),
+        ("count=4.5", "taste.count must be a whole number, got '4.5'"),
+        ("careful=yes", "taste.careful must be true or false, got 'yes'"),
+        ("way=up", "taste.way must be one of left, right"),
+    ],
+)
+def test_a_word_that_is_no_option_says_what_would_be(word, message):
+    with pytest.raises(ConfigError, match=message):
+        parse_options(Taste, [word], "taste")

@@ -11,7 +11,7 @@ from scan3d_twin.core.planning import make_planner
 from scan3d_twin.envs import PlannerPolicy, rollout
 from scan3d_twin.run.resolve import settings_for_scene
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 QUICK = {"sweep": {"width": 0.7, "yaw_rate": 0.35, "look_rate": 0.7}, "max_views": 3}
 

@@ -43,21 +43,21 @@ def test_no_usb_at_all(tmp_path):
 
 
 def test_both_are_found_by_their_makers():
-    assert choose_ports(None, None, [MODEM, LIDAR, BASE]) == (BASE.path, LIDAR.path)
+    assert choose_ports(None, None, ports=[MODEM, LIDAR, BASE]) == (BASE.path, LIDAR.path)
 
 
 def test_a_given_port_is_taken_as_it_is_and_not_given_twice():
-    assert choose_ports("/dev/pts/1", "/dev/pts/2", []) == ("/dev/pts/1", "/dev/pts/2")
-    assert choose_ports(None, OTHER.path, [OTHER, BASE]) == (BASE.path, OTHER.path)
+    assert choose_ports("/dev/pts/1", "/dev/pts/2", ports=[]) == ("/dev/pts/1", "/dev/pts/2")
+    assert choose_ports(None, OTHER.path, ports=[OTHER, BASE]) == (BASE.path, OTHER.path)
 
 
 def test_nothing_found_says_what_to_do():
     with pytest.raises(LinkError, match=r"no base found .* --port"):
-        choose_ports(None, "x", [LIDAR, MODEM])
+        choose_ports(None, "x", ports=[LIDAR, MODEM])
     with pytest.raises(LinkError, match=r"no lidar found on USB \(Hokuyo\).* --lidar-port"):
-        choose_ports("x", None, [BASE])
+        choose_ports("x", None, ports=[BASE])
 
 
 def test_several_are_listed():
     with pytest.raises(LinkError, match=r"2 ports may be the base: .*FT231X.*ttyUSB3.* --port"):
-        choose_ports(None, "x", [BASE, OTHER])
+        choose_ports(None, "x", ports=[BASE, OTHER])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan3d_twin.sim.config import IDEAL_ROBOT, RobotErrorConfig
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.world import RobotErrors, World, build_model
 
 BARE = """<mujoco>

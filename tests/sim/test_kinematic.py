@@ -12,8 +12,14 @@ from scan3d_twin.core.model.evaluation import (
 )
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.types import Pose2, wrap
-from scan3d_twin.sim.base.motion_errors import SLIP_XY, SLIP_YAW, TURN_CREEP, apply_motion_errors
-from scan3d_twin.sim.base.profiles import CREATE2
+from scan3d_twin.devices.create.model import CREATE2
+from scan3d_twin.devices.urg.lines import link_spec
+from scan3d_twin.sim.base.motion_errors import (
+    SLIP_XY,
+    SLIP_YAW,
+    TURN_CREEP,
+    apply_motion_errors,
+)
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import (
     KinematicRobot,
@@ -22,10 +28,9 @@ from scan3d_twin.sim.kinematic import (
     thin_config,
     thin_spec,
 )
-from scan3d_twin.sim.lidar.scanner import lidar_spec
 from scan3d_twin.sim.ray_casting import choose_caster
 from scan3d_twin.sim.robot import draw_robot, open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 SCENE = load_scene("three_boxes")
 CASTER = choose_caster(SCENE.model)
@@ -141,7 +146,7 @@ def test_the_world_remembers_where_it_was():
 
 
 def test_thinning_leaves_every_third_beam_and_fewer_points_to_ask_for():
-    spec = lidar_spec("usb")
+    spec = link_spec("usb")
     thin = thin_spec(spec, Thinning())
     assert thin.n_beams < spec.n_beams / 3
     assert np.diff(thin.elevations) == pytest.approx(3 * (spec.elevations[1] - spec.elevations[0]))

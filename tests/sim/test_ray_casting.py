@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from scan3d_twin.sim.ray_casting import EmbreeCaster, MujocoCaster, choose_caster
-from scan3d_twin.sim.scenes.scene import load_scene, scene_names
+from scan3d_twin.sim.scenes.load import load_scene, scene_names
 
 
 def rays(rng, count):

@@ -14,7 +14,6 @@ from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.links.line_model import Wire
 from scan3d_twin.devices.urg.emulated_profile import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
-from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.recording.load import load_session, read_last_odometry
 from scan3d_twin.recording.recorder import Recorder
@@ -53,7 +52,7 @@ def gone_on(tmp_path_factory):
         base = CreateEmulator(twin.base, oi.MODELS[twin.base.spec.name])
         lidar = UrgEmulator(twin.lidar, UrgProfile(usb=True))
         opening = lambda: open_over(  # noqa: E731
-            Wire(base, clock), lambda: Wire(lidar, clock), clock, LINKS["usb"]
+            Wire(base, clock), lambda: Wire(lidar, clock), clock
         )
         with opening() as robot:
             recorder = Recorder(folder, lambda: 0.0, {})

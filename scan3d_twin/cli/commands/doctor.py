@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,9 +17,18 @@ from cyclopts import Parameter
 
 from scan3d_twin.cli.options import PortOptions
 from scan3d_twin.core.errors import LinkError, TwinError
+from scan3d_twin.devices.device import Finding
+from scan3d_twin.devices.registry import (
+    DEFAULT_BASE,
+    DEFAULT_LIDAR,
+    Devices,
+    base_device,
+    lidar_device,
+)
 
 if TYPE_CHECKING:
     from scan3d_twin.core.hal import Clock
+    from scan3d_twin.devices.device import BaseDevice, BaseDriver, LidarDevice, LidarDriver
 
 LIBRARIES = ("numpy", "scipy", "serial", "mujoco", "trimesh")
 WATCHED = 1.0
@@ -29,29 +39,16 @@ LOW_BATTERY = 0.25
 """Below this the base should be charged before a run of some 20 minutes."""
 
 
+Look = Callable[[str, "Clock"], Iterator[Finding]]
+"""Yields what there is to say about the device on a port."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions(PortOptions):
     """What is checked."""
 
     json: bool = False
     """Print one JSON document."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """The result of one check.
-
-    Attributes:
-        what: What was checked.
-        ok: Whether it passed.
-        found: What was found.
-        cure: What to do about it; empty if nothing.
-    """
-
-    what: str
-    ok: bool
-    found: str
-    cure: str = ""
 
 
 def doctor(*, options: Annotated[DoctorOptions, Parameter(name="*")] = DoctorOptions()) -> None:
@@ -88,13 +85,16 @@ def examine(options: PortOptions) -> Iterator[Finding]:
     yield from _modem_manager()
     listed = ", ".join(map(str, usb_ports())) or "none"
     yield Finding("serial ports on USB", True, listed)
-    clock = RealClock()
-    for what, index, look in (("base", 0, _base), ("lidar", 1, _lidar)):
+    base = base_device(options.robot or DEFAULT_BASE)
+    lidar = lidar_device(options.lidar or DEFAULT_LIDAR)
+    devices, clock = Devices(base.name, lidar.name, lidar.links[0]), RealClock()
+    looks: tuple[Look, ...] = (partial(_base, base), partial(_lidar, lidar))
+    for what, index, look in (("base", 0, looks[0]), ("lidar", 1, looks[1])):
         given = (options.port, options.lidar_port)[index]
         try:
             # The other one's name does not matter here, so it is made up.
-            pair = (given, "-") if index == 0 else ("-", given)
-            port = choose_ports(*pair)[index]
+            names = (given, "-") if index == 0 else ("-", given)
+            port = choose_ports(names[0], names[1], devices)[index]
         except LinkError as error:
             yield Finding(what, False, "not found", str(error))
             continue
@@ -153,73 +153,69 @@ def _port(what: str, port: str) -> Iterator[Finding]:
         yield Finding(f"{what} port is free", False, f"in use by {', '.join(others)}", "end it")
 
 
-def _answers(
-    what: str, port: str, clock: Clock, look: Callable[[str, Clock], Iterator[Finding]]
-) -> Iterator[Finding]:
+def _answers(what: str, port: str, clock: Clock, look: Look) -> Iterator[Finding]:
     try:
         yield from look(port, clock)
     except TwinError as error:
         yield Finding(what, False, "does not work", str(error))
 
 
-def _base(port: str, clock: Clock) -> Iterator[Finding]:
-    """Yield the state of the base, which stays in mode Passive."""
-    from scan3d_twin.devices.create.driver import open_create
+def _base(device: BaseDevice, port: str, clock: Clock) -> Iterator[Finding]:
+    """Yield what the base says; it stays at rest."""
     from scan3d_twin.devices.links.transport import SerialTransport
 
     with (
         closing(SerialTransport(port)) as link,
-        closing(open_create(link, clock)) as base,
+        closing(device.open_driver(link, clock, None)) as base,
     ):
+        # Listen for a while.
         until, start = clock.now() + WATCHED, len(base.odometry_since(0.0))
         while clock.now() < until:
             clock.sleep(0.005)
             base.service(clock.now())
-        contact, hazards = base.contact, base.hazards()
         heard = len(base.odometry_since(0.0)) - start
+
+        # What it is, and whether it speaks as often as it should.
+        yield Finding("base", True, _described(device, base))
         expected = WATCHED / base.spec.sample_period
-        offset = ", mode reported one too high" if contact.mode_offset else ""
-        mode = base.mode.name.title()
-        found = f"{contact.model.name} at {contact.baud} baud, mode {mode}{offset}"
-        yield Finding("base", True, found)
         yield Finding(
             "base readings",
             heard > 0.9 * expected,
             f"{heard / WATCHED:.0f} per second of {expected:.0f}, {base.bad} dropped",
             "" if heard > 0.9 * expected else "check the cable; route it away from the motors",
         )
-        charge = f"{hazards.battery:.0%}"
+
+        # What it says about itself.
+        hazards = base.hazards()
         low = hazards.battery < LOW_BATTERY
+        charge = f"{hazards.battery:.0%}"
         yield Finding("base battery", not low, charge, "charge the base" if low else "")
-        if base.charging:
-            yield Finding("base charger", False, "plugged in", "unplug it to drive")
+        if device.inspect is not None:
+            yield from device.inspect(base)
         names = ", ".join(hazards.active())
         cure = "put it on the floor, free its bumper" if names else ""
         yield Finding("base sensors", not names, names or "nothing pressed, no cliff", cure)
 
 
-def _lidar(port: str, clock: Clock) -> Iterator[Finding]:
-    """Yield the state of the lidar, and its measured scan rate."""
+def _lidar(device: LidarDevice, port: str, clock: Clock) -> Iterator[Finding]:
+    """Yield what the lidar says, and how fast it really scans."""
     from scan3d_twin.devices.links.transport import SerialTransport
-    from scan3d_twin.devices.urg.driver import UrgLidar
 
     started = clock.now()
-    with closing(UrgLidar(lambda: SerialTransport(port), clock)) as lidar:
-        version, state = lidar.info.version, lidar.info.state
-        yield Finding(
-            "lidar",
-            True,
-            f"{version.get('PROD', 'unknown')}, firmware {version.get('FIRM', 'unknown')}, "
-            f"{version.get('PROT', 'unknown')}, ready in {clock.now() - started:.1f} s",
-        )
-        if "STAT" in state:
-            yield Finding("lidar state", True, state["STAT"])
+    with closing(device.open_driver(lambda: SerialTransport(port), clock, None)) as lidar:
+        ready = clock.now() - started
+        yield Finding("lidar", True, f"{_described(device, lidar)}, ready in {ready:.1f} s")
         lines = [lidar.read_line(2.0) for _ in range(LINES)]
         rate = (LINES - 1) / (lines[-1].stamp - lines[0].stamp)
         wanted = 1 / lidar.spec.line_period
         good = rate > 0.95 * wanted
-        cure = "" if good else "use USB, or --lidar-link 115200-full; check the cable"
-        found = f"{rate:.2f} Hz of {wanted:.0f}, {lidar.stats.bad} dropped"
+        others = " or ".join(f"--lidar-link {link}" for link in device.links[1:])
+        cure = "" if good else f"check the cable; try USB{others and ' or '}{others}"
+        found = f"{rate:.2f} Hz of {wanted:.0f}, {lidar.bad} dropped"
         yield Finding("lidar rate", good, found, cure)
         seen = sum(float((line.ranges > 0).mean()) for line in lines) / LINES
-        yield Finding("lidar view", seen > 0.1, f"{seen:.0%} of the beams return")
+        yield Finding("lidar view", seen > 0.1, f"{seen:.0%} of the beams see something")
+
+
+def _described(device: BaseDevice | LidarDevice, driver: BaseDriver | LidarDriver) -> str:
+    return device.name if device.describe is None else device.describe(driver)

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR
 
 if TYPE_CHECKING:
     from scan3d_twin.core.hal import Clock
+    from scan3d_twin.devices.device import LidarDevice, Wiring
     from scan3d_twin.devices.links.line_model import Line
     from scan3d_twin.devices.links.serve import Port
 
@@ -28,14 +30,16 @@ class EmulateOptions:
 
     scene: str = "three_boxes"
     """Name of a scene (`twin scenes`), or an .xml, .stl, .ply, .obj or .glb file."""
-    base: Literal["create1", "create2"] = "create2"
-    """Model of the base."""
+    robot: Annotated[str, Parameter(name=("--robot", "--base"))] = DEFAULT_BASE
+    """Name of the base, see `twin devices`."""
+    lidar: str = DEFAULT_LIDAR
+    """Name of the lidar, see `twin devices`."""
     lidar_cable: Literal["usb", "serial"] = "usb"
-    """Cable of the lidar; the bit rate matters over serial only."""
-    lidar_baud: int = 19200
-    """Bit rate of the lidar after power-up."""
-    scip: Literal["1.1", "2.0"] = "2.0"
-    """Protocol of the lidar after power-up."""
+    """How the lidar is connected: over usb bit rates do not matter, over serial they do."""
+    lidar_baud: int | None = None
+    """Bit rate of the lidar when powered up (default: the lidar's own)."""
+    lidar_protocol: Annotated[str | None, Parameter(name=("--lidar-protocol", "--scip"))] = None
+    """Protocol of the lidar when powered up (default: the lidar's own)."""
     corrupt: Annotated[float, Parameter(allow_leading_hyphen=True)] = 0.0
     """Probability of losing a byte, of inserting one and of altering one, 0 to 0.1."""
     seed: int = 0
@@ -71,6 +75,21 @@ def _raise_priority() -> None:
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
 
 
+def _wiring(options: EmulateOptions, lidar: LidarDevice) -> Wiring:
+    """Return how the emulated ``lidar`` is connected and powered up."""
+    from scan3d_twin.devices.device import Wiring
+
+    stated = (
+        ("--lidar-baud", options.lidar_baud, lidar.bauds),
+        ("--lidar-protocol", options.lidar_protocol, lidar.protocols),
+    )
+    for name, value, choices in stated:
+        if value is not None and value not in choices:
+            known = ", ".join(map(str, choices)) or f"left out for {lidar.name}"
+            raise ConfigError(f"{name} must be one of {known}, got {value}")
+    return Wiring(options.lidar_cable == "usb", options.lidar_baud, options.lidar_protocol)
+
+
 @contextmanager
 def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
     """Open the twin and its two ports; yields its clock, the base's port and the lidar's.
@@ -78,33 +97,27 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
     Raises:
         TwinError: See ``emulate``.
     """
-    from scan3d_twin.devices.create import codec as oi
-    from scan3d_twin.devices.create.emulator import CreateEmulator
     from scan3d_twin.devices.links.line_model import Faults, Line
     from scan3d_twin.devices.links.pty import PtyPort
     from scan3d_twin.devices.links.tcp import TcpPort
-    from scan3d_twin.devices.urg import codec as scip
-    from scan3d_twin.devices.urg.emulated_profile import UrgProfile
-    from scan3d_twin.devices.urg.emulator import UrgEmulator
+    from scan3d_twin.devices.registry import base_device, lidar_device
+    from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
     from scan3d_twin.sim.robot import open_robot
 
-    if options.lidar_baud not in scip.BAUDS:
-        known = ", ".join(map(str, scip.BAUDS))
-        raise ConfigError(f"--lidar-baud must be one of {known}, got {options.lidar_baud}")
+    base_model, lidar_model = base_device(options.robot), lidar_device(options.lidar)
+    wiring = _wiring(options, lidar_model)
     if not 0 <= options.corrupt <= 0.1:
         raise ConfigError(f"--corrupt must be within 0 and 0.1, got {options.corrupt:g}")
     p = options.corrupt
     faults = Faults(drop=p, insert=p, flip=p)
-    profile = UrgProfile(
-        usb=options.lidar_cable == "usb", baud=options.lidar_baud, scip1=options.scip == "1.1"
-    )
-    model = {"create1": oi.CREATE1, "create2": oi.CREATE2}[options.base]
+    errors = RobotErrorConfig(reckoning="wheels")
+    config = TwinConfig(options.robot, options.lidar, lidar_model.links[0], errors=errors)
 
     def port(line: Line) -> PtyPort | TcpPort:
         opened = TcpPort(line) if options.tcp else PtyPort(line)
         return stack.enter_context(closing(opened))
 
-    with open_robot(options.scene, options.seed) as robot, ExitStack() as stack:
-        base = port(Line(CreateEmulator(robot.base, model), faults, options.seed))
-        lidar = port(Line(UrgEmulator(robot.lidar, profile), faults, options.seed + 1))
+    with open_robot(options.scene, options.seed, config) as robot, ExitStack() as stack:
+        base = port(Line(base_model.emulate(robot.base), faults, options.seed))
+        lidar = port(Line(lidar_model.emulate(robot.lidar, wiring), faults, options.seed + 1))
         yield robot.clock, base, lidar

@@ -4,78 +4,83 @@ from __future__ import annotations
 
 import json as json_module
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
+
+from scan3d_twin.recording.export import list_formats
+
+if TYPE_CHECKING:
+    from scan3d_twin.recording.export.format import CloudFormat, RecordingFormat
 
 
 def export(
     run: Path,
     /,
     *,
-    to: str,
+    to: Annotated[str, Parameter(help=f"Format: {', '.join(list_formats())}.")],
     per_view: bool = False,
     voxel: float = 0.0,
     out: Annotated[Path | None, Parameter(show_default="in the run's folder")] = None,
     json: bool = False,
 ) -> None:
-    """Write the model of a run for other programs; meshes as `twin mesh` makes them.
+    """Write the model of a run for other programs.
+
+    Point clouds: ply, pcd, xyz, las, laz, e57 or uos (3DTK); meshes: obj, stl or glb, as
+    `twin mesh` makes them; rosbag2: everything that was recorded. Other packages may add formats
+    (docs/extending.md).
 
     Args:
-        run: Folder of a run, or its session file.
-        to: Format: ply, pcd, xyz, las, laz, e57 or uos (3DTK) for points; obj, stl or glb for a
-            mesh; rosbag2 for all that was recorded.
+        run: The run's folder, or its session file.
+        to: Format; the help lists those that are installed.
         per_view: Keep the views apart, each in its own frame, with their poses.
         voxel: Voxel size at which the views are fused, weighted by their uncertainty [mm]; 0 keeps
             all points.
         out: File or folder to write.
         json: Print the paths of the files as JSON.
     """
-    from scan3d_twin.core.errors import ConfigError, UnknownNameError
-    from scan3d_twin.recording.export import CLOUDS
-    from scan3d_twin.recording.export.meshes import MESH_FORMATS
+    from scan3d_twin.core.errors import ConfigError
+    from scan3d_twin.recording.export import find_format
+    from scan3d_twin.recording.export.format import CloudFormat, MeshFormat
 
-    known = {*CLOUDS, *MESH_FORMATS, "rosbag2"}
-    if to not in known:
-        raise UnknownNameError("format", to, known)
+    # Refuse what the format cannot do
+    kind = find_format(to)
     if not voxel >= 0:
         raise ConfigError(f"--voxel must be >= 0 mm, got {voxel:g}")
-    if (per_view or voxel) and to not in CLOUDS:
-        raise ConfigError(f"--per-view and --voxel are for point clouds; {to} is none")
-    if to == "rosbag2":
-        files = _bag(run, out)
-    elif to in CLOUDS:
-        files = _cloud(run, to, out, per_view=per_view, voxel=voxel / 1e3)
-    else:
+    if (per_view or voxel) and not isinstance(kind, CloudFormat):
+        raise ConfigError(f"--per-view and --voxel are for clouds; {to} is none")
+
+    # Write it
+    if isinstance(kind, MeshFormat):
         from scan3d_twin.cli.commands.mesh import mesh
 
         mesh(run, to=to, out=out, json=json)
         return
+    if isinstance(kind, CloudFormat):
+        files = _cloud(run, to, kind, out, per_view=per_view, voxel=voxel / 1e3)
+    else:
+        files = _recording(run, to, kind, out)
     if json:
         print(json_module.dumps({"format": to, "files": [str(path) for path in files]}, indent=2))
     else:
         print("\n".join(str(path) for path in files))
 
 
-def folder_of(run: Path) -> Path:
-    """Return the folder of a run that is named by its folder or its session file."""
-    return run if run.is_dir() else run.parent
-
-
-def _cloud(run: Path, name: str, out: Path | None, *, per_view: bool, voxel: float) -> list[Path]:
-    from scan3d_twin.recording.export import export_cloud, file_name, pieces
-    from scan3d_twin.recording.load import load_session
+def _cloud(
+    run: Path, name: str, kind: CloudFormat, out: Path | None, *, per_view: bool, voxel: float
+) -> list[Path]:
+    from scan3d_twin.recording.export.clouds import export_cloud, file_name, pieces
+    from scan3d_twin.recording.load import load_session, run_folder
 
     session = load_session(run).session
-    path = out or folder_of(run) / file_name(name, per_view=per_view)
+    path = out or run_folder(run) / file_name(name, kind, per_view=per_view)
     parts = pieces(session, per_view=per_view, voxel=voxel)
-    return export_cloud(parts, name, path, per_view=per_view)
+    return export_cloud(parts, kind, path, per_view=per_view)
 
 
-def _bag(run: Path, out: Path | None) -> list[Path]:
-    from scan3d_twin.recording.export import rosbag2
-    from scan3d_twin.recording.load import find_session_file
+def _recording(run: Path, name: str, kind: RecordingFormat, out: Path | None) -> list[Path]:
+    from scan3d_twin.recording.load import find_session_file, run_folder
 
-    path = out or folder_of(run) / "rosbag2"
-    rosbag2.write(find_session_file(run), path)
+    path = out or run_folder(run) / name
+    kind.write(find_session_file(run), path)
     return [path]

@@ -1,4 +1,4 @@
-"""``twin scenes`` and ``twin planners``: the choices, one line each."""
+"""``twin scenes``, ``planners`` and ``devices``: the choices, one line each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def scenes(
         out: File for the picture.
         json: Print one JSON document instead of lines.
     """
-    from scan3d_twin.sim.scenes.scene import load_scene, scene_names
+    from scan3d_twin.sim.scenes.load import load_scene, scene_names
 
     if show is not None:
         _draw(show, out, json)
@@ -37,8 +37,8 @@ def scenes(
 
 def _draw(name: str, out: Path | None, as_json: bool) -> None:
     """Write the picture of a scene and say where."""
+    from scan3d_twin.sim.scenes.load import load_scene
     from scan3d_twin.sim.scenes.pictures import render_scene, write_png
-    from scan3d_twin.sim.scenes.scene import load_scene
 
     scene = load_scene(name)
     path = Path(f"{scene.name}.png") if out is None else out
@@ -55,6 +55,19 @@ def planners(*, json: bool = False) -> None:
     from scan3d_twin.core.planning import list_planners, summarise_planner
 
     _show({name: summarise_planner(name) for name in list_planners()}, json)
+
+
+def devices(*, json: bool = False) -> None:
+    """List the lidars and bases.
+
+    Args:
+        json: Print one JSON document instead of lines.
+    """
+    from scan3d_twin.devices.registry import base_device, base_names, lidar_device, lidar_names
+
+    bases = {name: f"[base] {base_device(name).summary}" for name in base_names()}
+    lidars = {name: f"[lidar] {lidar_device(name).summary}" for name in lidar_names()}
+    _show({**bases, **lidars}, json)
 
 
 def _show(lines: dict[str, str], as_json: bool) -> None:

@@ -37,18 +37,17 @@ def mesh(
         out: File to write.
         json: Print the size of the mesh as JSON.
     """
-    from scan3d_twin.cli.commands.export import folder_of
-    from scan3d_twin.core.errors import ScanError, UnknownNameError
-    from scan3d_twin.recording.export.meshes import MESH_FORMATS, write_mesh
-    from scan3d_twin.recording.load import load_session
+    from scan3d_twin.core.errors import ScanError
+    from scan3d_twin.recording.export import find_mesh_format
+    from scan3d_twin.recording.load import load_session, run_folder
+    from scan3d_twin.run.folder import write_file
 
-    if to not in MESH_FORMATS:
-        raise UnknownNameError("mesh format", to, MESH_FORMATS)
+    kind = find_mesh_format(to)
     surface = _surface(load_session(run).session, method)
     if len(surface.faces) == 0:
         raise ScanError(f"the views in {run} show no surface; nothing is written")
-    path = out or folder_of(run) / f"mesh.{to}"
-    write_mesh(surface, to, path)
+    path = out or run_folder(run) / f"mesh.{to}"
+    write_file(path, kind.encode(surface))
     found = {
         "file": str(path),
         "vertices": len(surface.vertices),

@@ -17,13 +17,20 @@ from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import HazardError, ScanError
-from scan3d_twin.run.settings import REAL_SCENE, Options, Settings, build_settings
+from scan3d_twin.run.settings import (
+    REAL_SCENE,
+    Options,
+    Settings,
+    build_settings,
+    device_options,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from scan3d_twin.api.resume import ResumedRun
     from scan3d_twin.core.hal import Robot
+    from scan3d_twin.devices.registry import Devices
     from scan3d_twin.recording.recorder import SerialTaps
 
     DottedOptions = Any
@@ -71,7 +78,7 @@ def real(
     resume = None if options.resume is None else _going_on(options, options.resume, given)
     effective = resolve(options, given) if resume is None else resume.settings
     taps = SerialTaps()
-    opening = open_robot(options, effective.twin.lidar_link, taps)
+    opening = open_robot(options, effective.twin.devices, taps)
     if options.dry_run:
         with opening as (robot, _):
             rehearse(robot, as_json=options.json)
@@ -106,10 +113,9 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
     from scan3d_twin.core.planning import check_planner
 
     given = stated_options(options, sections)
-    name = build_settings([given]).run.preset
-    effective = build_settings(
-        [preset_options(name), SMALL_COMPUTER, given, {"run": {"scene": REAL_SCENE}}]
-    )
+    named = build_settings([given])
+    stands_for = [device_options(named.twin.devices), preset_options(named.run.preset)]
+    effective = build_settings([*stands_for, SMALL_COMPUTER, given, {"run": {"scene": REAL_SCENE}}])
     check_planner(effective.config.planner, truth_known=False)
     return effective
 
@@ -124,17 +130,16 @@ def _going_on(options: RealOptions, folder: Path, sections: Options) -> ResumedR
 
 
 def open_robot(
-    options: PortOptions, lidar_link: str, taps: SerialTaps | None = None
+    options: PortOptions, devices: Devices, taps: SerialTaps | None = None
 ) -> AbstractContextManager[tuple[Robot, None]]:
-    """Return what opens the robot on the ports that are given or found; there is no truth."""
-    from scan3d_twin.devices.urg.model import LINKS
+    """Return what opens the robot on the ports that are given or found; nobody knows the truth."""
     from scan3d_twin.real.ports import choose_ports
     from scan3d_twin.real.robot import open_real
 
     @contextmanager
     def opened() -> Iterator[tuple[Robot, None]]:
-        base, lidar = choose_ports(options.port, options.lidar_port)
-        with open_real(base, lidar, LINKS[lidar_link], taps) as robot:
+        base, lidar = choose_ports(options.port, options.lidar_port, devices)
+        with open_real(base, lidar, devices, taps) as robot:
             yield robot, None
 
     return opened()

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from scan3d_twin.cli.options import PortOptions, env
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, DEFAULT_LINK, Devices
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -30,8 +31,8 @@ class OneScanOptions(PortOptions):
     width: float = 60.0
     """Horizontal angle of the image, centred on the robot's heading [deg]."""
     rate: float = 5.0
-    """Turn rate [deg/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
-    lidar_link: Annotated[str, env("LIDAR_LINK")] = "usb"
+    """Speed of the turn [deg/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
+    lidar_link: Annotated[str, env("LIDAR_LINK")] = DEFAULT_LINK
     """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
     (682 steps, 5 Hz)."""
     back: bool = False
@@ -56,13 +57,13 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     """
     from scan3d_twin.core.config import Config, SweepConfig
     from scan3d_twin.core.scanning.sweep import sweep
-    from scan3d_twin.devices.urg.model import LINKS
     from scan3d_twin.run.folder import claim_folder, find_free_folder, release_folder
 
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
-    if options.lidar_link not in LINKS:
-        raise UnknownNameError("lidar link", options.lidar_link, LINKS)
+    devices = Devices(
+        options.robot or DEFAULT_BASE, options.lidar or DEFAULT_LIDAR, options.lidar_link
+    )
     if options.scene and (options.port or options.lidar_port):
         raise ConfigError("--scene is for the twin, --port and --lidar-port for the real robot")
     wanted = SweepConfig(
@@ -71,7 +72,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     default = Path("runs") / f"scan-{datetime.now():%Y%m%d-%H%M%S}"
     folder = claim_folder(find_free_folder(default) if options.out is None else options.out)
     try:
-        with _opening(options) as (robot, _):
+        with _opening(options, devices) as (robot, _):
             observations = [
                 sweep(robot, 0.0, replace(Config(), sweep=wanted), lambda line: None)
                 for _ in range(2 if options.back else 1)
@@ -81,15 +82,18 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
         release_folder(folder)
 
 
-def _opening(options: OneScanOptions) -> AbstractContextManager[tuple[Robot, object]]:
+def _opening(
+    options: OneScanOptions, devices: Devices
+) -> AbstractContextManager[tuple[Robot, object]]:
     from scan3d_twin.cli.commands.real import open_robot
 
     if options.scene is None:
-        return open_robot(options, options.lidar_link)
+        return open_robot(options, devices)
     from scan3d_twin.sim.config import TwinConfig
     from scan3d_twin.sim.robot import open_sim
 
-    return open_sim(options.scene, options.seed, TwinConfig(lidar_link=options.lidar_link))
+    config = TwinConfig(devices.base, devices.lidar, devices.link)
+    return open_sim(options.scene, options.seed, config)
 
 
 def _save(observations: list[Observation], folder: Path, *, as_json: bool) -> None:

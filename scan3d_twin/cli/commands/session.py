@@ -156,7 +156,7 @@ def _save_again(recorded: RecordedRun) -> Report:
             progress.on_event("saving")
             return save_run(folder, *what)
         from scan3d_twin.sim.robot import open_sim
-        from scan3d_twin.sim.scenes.scene import load_scene
+        from scan3d_twin.sim.scenes.load import load_scene
 
         progress.on_event(f"driving through {mark.stamp:.0f} s again for the truth")
         scene = load_scene(run.scene, run.mesh_scale)

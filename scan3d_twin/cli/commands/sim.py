@@ -15,7 +15,7 @@ from scan3d_twin.cli.options import ScanOptions, SceneOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
-from scan3d_twin.sim.config import RobotName, TwinConfig
+from scan3d_twin.sim.config import TwinConfig
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,7 +86,7 @@ def sim(
         )
 
 
-def _picture(scene: Scene, robot: RobotName) -> bytes | str:
+def _picture(scene: Scene, robot: str) -> bytes | str:
     """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
     from scan3d_twin.api.sim import draw_scene
 
@@ -111,7 +111,7 @@ def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Res
     """Return how the run in ``folder`` goes on, and its scene."""
     from scan3d_twin.api.resume import resume_sim
     from scan3d_twin.cli.multi_target import refuse_resume
-    from scan3d_twin.sim.scenes.scene import load_scene
+    from scan3d_twin.sim.scenes.load import load_scene
 
     refuse_resume(folder, options.targets)
     resume = resume_sim(folder, options.out, stated_options(options, sections))

@@ -1,19 +1,22 @@
 """Viewpoint planning: the ``Planner`` protocol, the planners by name, and what they share.
 
-Other packages add planners through the entry point group ``scan3d_twin.planners``: a name and a
-class or factory that is called without arguments and returns a ``Planner``. One with a true
-attribute ``needs_truth`` is called with the truth instead, and refused where there is none.
+Other packages add planners by the entry point group ``scan3d_twin.planners``: a name, and something
+that is called without arguments and returns a ``Planner`` (docs/extending.md). What has a true
+attribute ``needs_truth`` is called with the truth, and is refused where nobody knows it. What has
+options of its own has a frozen dataclass as its attribute ``Options``, and is called with one of
+those last; they are stated with the name, as in ``patient:overlap=0.9:rest=true``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.metadata import entry_points
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Protocol
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.options import parse_options
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,21 +54,37 @@ class Entry:
     """One planner that can be chosen by name.
 
     Attributes:
-        build: Its class or factory; called with the truth if ``needs_truth``, else without
-            arguments.
-        summary: One line about it.
+        build: Makes it; called with the truth if it ``needs_truth``, then with its options if it
+            has any.
+        summary: One line.
         needs_truth: Whether it plans on the truth, which only the twin knows.
+        options: Dataclass of its own options; None if it has none.
     """
 
     build: Callable[..., Planner]
     summary: str
     needs_truth: bool = False
+    options: type | None = None
 
     @staticmethod
     def of(build: Callable[..., Planner]) -> Entry:
         """Return the entry of a class or factory, with the first line of its docstring."""
         summary = (build.__doc__ or "").strip().split("\n")[0]
-        return Entry(build, summary, bool(getattr(build, "needs_truth", False)))
+        needs_truth = bool(getattr(build, "needs_truth", False))
+        return Entry(build, summary, needs_truth, getattr(build, "Options", None))
+
+    def options_of(self, planner: str) -> tuple[Any, ...]:
+        """Return the options that are stated with ``planner``'s name: one object, or none.
+
+        Raises:
+            ConfigError: There is no such option or value.
+        """
+        name, words = _split(planner)
+        if self.options is not None:
+            return (parse_options(self.options, words, f"planner {name}"),)
+        if words:
+            raise ConfigError(f"planner {name} has no options of its own, got {':'.join(words)}")
+        return ()
 
 
 _BUILT_IN = {
@@ -98,7 +117,11 @@ def list_planners() -> tuple[str, ...]:
 
 def summarise_planner(name: str) -> str:
     """Return one line about the planner ``name``; errors as for ``make_planner``."""
-    return _load_entry(name).summary
+    entry = _load_entry(name)
+    if entry.options is None:
+        return entry.summary
+    options = (f"{f.name}={f.default}" for f in fields(entry.options))
+    return f"{entry.summary} Options: {', '.join(options)}."
 
 
 def check_planner(name: str, *, truth_known: bool) -> None:
@@ -109,12 +132,14 @@ def check_planner(name: str, *, truth_known: bool) -> None:
         truth_known: Whether there is a truth that it could plan on.
 
     Raises:
-        UnknownNameError: There is no planner of this name.
-        ConfigError: It needs the truth and there is none, or it cannot be loaded.
+        UnknownNameError: There is none of this name.
+        ConfigError: It needs the truth, has no such option, or cannot be loaded.
     """
     if truth_known and name in _BUILT_IN:
         return
-    if _load_entry(name).needs_truth and not truth_known:
+    entry = _load_entry(name)
+    entry.options_of(name)
+    if entry.needs_truth and not truth_known:
         raise ConfigError(
             f"planner {name} plans on the truth, which only the twin knows; "
             "use it with twin sim, or choose another one"
@@ -125,12 +150,14 @@ def make_planner(name: str, truth: Truth | None = None) -> Planner:
     """Return the planner ``name``.
 
     Args:
-        name: One of ``list_planners()``, or ``module:attribute`` of a class or factory of your own.
+        name: One of ``list_planners()``, or ``module:attribute`` of a class or factory of your own;
+            its options follow, as in ``patient:overlap=0.9``.
         truth: The truth, for planners that are bounds on the others, such as ``oracle``.
 
     Raises:
-        UnknownNameError: There is no planner of this name.
-        ConfigError: It needs the truth and there is none, or it cannot be loaded.
+        UnknownNameError: There is none of this name.
+        ConfigError: It needs the truth and there is none, it has no such option, or it cannot be
+            loaded.
 
     >>> plan = s3d.make_planner("siicp").plan(session, np.random.default_rng(0))
     >>> plan.viewpoint is None or plan.overlap > 0.0
@@ -138,11 +165,20 @@ def make_planner(name: str, truth: Truth | None = None) -> Planner:
     """
     check_planner(name, truth_known=truth is not None)
     entry = _load_entry(name)
-    return entry.build(truth) if entry.needs_truth else entry.build()
+    arguments = (truth,) if entry.needs_truth else ()
+    return entry.build(*arguments, *entry.options_of(name))
 
 
-def _load_entry(name: str) -> Entry:
-    """Return the entry of the planner ``name``; errors as for ``make_planner``."""
+def _split(planner: str) -> tuple[str, list[str]]:
+    """Return the name in ``planner``, and the options that follow it."""
+    parts = planner.split(":")
+    words = [part for part in parts if "=" in part]
+    return ":".join(part for part in parts if part not in words), words
+
+
+def _load_entry(planner: str) -> Entry:
+    """Return the entry of a planner named with its options; errors as for ``make_planner``."""
+    name, _ = _split(planner)
     if name in _BUILT_IN:
         return Entry.of(resolve_name(f"{__name__}.planners.{_BUILT_IN[name]}"))
     others = _find_external()

@@ -11,7 +11,6 @@ import math
 from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import replace
-from typing import Protocol
 
 from scan3d_twin.core.errors import HazardError, LinkError
 from scan3d_twin.core.hal import Clock
@@ -44,6 +43,7 @@ from scan3d_twin.devices.create.link import (
 )
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.create.reading_filter import ReadingFilter
+from scan3d_twin.devices.links.guard import Guard, NoGuard
 from scan3d_twin.devices.links.transport import Transport, is_away
 
 log = logging.getLogger(__name__)
@@ -83,21 +83,6 @@ SURPLUS = 2_000
 STOP = oi.drive_direct(0, 0)
 FAREWELL = STOP + oi.command(Op.PAUSE_RESUME, 0) + oi.command(Op.START)
 """Wheels stopped, line silent, mode Passive: the base may charge and sleep again."""
-
-
-class Guard(Protocol):
-    """Stops the wheels if this process no longer can."""
-
-    def beat(self, moving: bool) -> None:
-        """Tell that the process is alive, and whether it drives."""
-        ...
-
-
-class NoGuard:
-    """No guard, where time is not real."""
-
-    def beat(self, moving: bool) -> None:
-        """See ``Guard.beat``."""
 
 
 def open_create(transport: Transport, clock: Clock, guard: Guard | None = None) -> CreateBase:

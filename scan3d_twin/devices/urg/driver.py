@@ -138,6 +138,11 @@ class UrgLidar:
             self.close()
             raise
 
+    @property
+    def bad(self) -> int:
+        """Scans and other blocks that were dropped."""
+        return self.stats.bad
+
     def service(self, now: float | None = None) -> None:
         """Take in what has arrived, without waiting.
 

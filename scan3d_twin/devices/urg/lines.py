@@ -7,8 +7,20 @@ import numpy as np
 from scan3d_twin.core.types import VALID, IntArray, LidarSpec, ScanLine, read_only
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.devices.urg.codec import ScanRequest
-from scan3d_twin.devices.urg.model import step_angle, step_time
+from scan3d_twin.devices.urg.model import LINKS, step_angle, step_time
 from scan3d_twin.devices.urg.scan_modes import period
+
+
+def link_spec(link: str) -> LidarSpec:
+    """Return the geometry of the lines that come over the named ``link``."""
+    mode = LINKS[link]
+    return LidarSpec(
+        elevations=read_only([step_angle(step) for step in mode.steps]),
+        beam_times=read_only([step_time(step) for step in mode.steps]),
+        line_period=mode.line_period,
+        min_range=urg04lx.MIN_RANGE_MM / 1000,
+        max_range=urg04lx.MAX_RANGE_MM / 1000,
+    )
 
 
 def line_spec(request: ScanRequest) -> LidarSpec:

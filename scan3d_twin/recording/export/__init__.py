@@ -1,108 +1,101 @@
-"""The model in the formats of other programs: one fused cloud, or view by view with poses."""
+"""The one registry of export formats: our own by name, and those of other packages.
+
+Other packages add formats by the entry point group ``scan3d_twin.exporters``: a name, and a
+``CloudFormat``, ``MeshFormat`` or ``RecordingFormat`` (docs/extending.md). Importing this package
+costs nothing (no numpy), so that ``twin export --help`` can list the formats.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from importlib.metadata import EntryPoint, entry_points
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_cloud
-from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Pose2
-from scan3d_twin.recording.export import e57, las, pcd, ply, text
-from scan3d_twin.recording.export.piece import Piece
-from scan3d_twin.run.folder import write_file
 
-__all__ = ["CLOUDS", "Piece", "export_cloud", "file_name", "pieces"]
+if TYPE_CHECKING:
+    from scan3d_twin.recording.export.format import Format, MeshFormat
 
+ENTRY_POINTS = "scan3d_twin.exporters"
+"""Entry point group in which other packages offer formats."""
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """How a cloud is written.
-
-    Attributes:
-        suffix: Of its files.
-        encode: Returns a piece as the bytes of a file; None where a format has a writer.
-        write: Writes all pieces to a file or folder.
-        folder: Whether even a fused cloud is a folder.
-    """
-
-    suffix: str
-    encode: Callable[[Piece], bytes] | None = None
-    write: Callable[[Sequence[Piece], Path], list[Path]] | None = None
-    folder: bool = False
-
-
-CLOUDS: Mapping[str, Format] = {
-    "ply": Format(".ply", ply.encode),
-    "pcd": Format(".pcd", pcd.encode),
-    "xyz": Format(".xyz", text.encode_xyz),
-    "las": Format(".las", las.encode_las),
-    "laz": Format(".laz", las.encode_laz),
-    "e57": Format(".e57", write=e57.write),
-    "uos": Format("", write=text.write_uos, folder=True),
+_BUILT_IN = {
+    "e57": "e57:E57",
+    "glb": "meshes:GLB",
+    "las": "las:LAS",
+    "laz": "las:LAZ",
+    "obj": "meshes:OBJ",
+    "pcd": "pcd:PCD",
+    "ply": "ply:PLY",
+    "rosbag2": "rosbag2:ROSBAG2",
+    "stl": "meshes:STL",
+    "uos": "uos:UOS",
+    "xyz": "xyz:XYZ",
 }
-"""The formats of point clouds by name."""
+"""Built-in formats by name, loaded on demand: module in this package, and its attribute."""
+_BUILT_IN_MESHES = {
+    **{name: _BUILT_IN[name] for name in ("glb", "obj", "stl")},
+    "ply": "meshes:PLY",
+}
+"""Our own formats of meshes by name; ``ply`` holds clouds as well."""
 
 
-def pieces(session: Session, *, per_view: bool, voxel: float) -> list[Piece]:
-    """Return the model as one piece in ``world``, or one for each view in its frame ``scan``.
-
-    Raises:
-        ConfigError: Views are to be fused in voxels of side ``voxel`` [m] and to stay apart.
-    """
-    if not per_view:
-        return [Piece("cloud", build_model(session, voxel), Pose2())]
-    if voxel:
-        raise ConfigError("--voxel fuses the views and --per-view keeps them apart; give one")
-    result = []
-    for index, view in enumerate(session.views):
-        model = build_view_cloud(view, index).cleaned
-        result.append(
-            Piece(f"view_{index:03d}", _in_scan(model, view.T_world_scan), view.T_world_scan)
-        )
-    return result
+def list_formats() -> tuple[str, ...]:
+    """Return the names that ``find_format`` knows."""
+    return tuple(sorted({*_BUILT_IN, *_find_external()}))
 
 
-def _in_scan(model: Model, T_world_scan: Pose2) -> Model:
-    back = T_world_scan.inverse()
-    return Model(back.apply(model.points), back.rotate(model.normals), model.sigma, model.view)
+def list_mesh_formats() -> tuple[str, ...]:
+    """Return the names that ``find_mesh_format`` knows."""
+    from scan3d_twin.recording.export.format import MeshFormat
+
+    others = (name for name in _find_external() if isinstance(find_format(name), MeshFormat))
+    return tuple(sorted({*_BUILT_IN_MESHES, *others}))
 
 
-def file_name(name: str, *, per_view: bool) -> str:
-    """Return what the exported file or folder is called by default."""
-    kind = CLOUDS.get(name)
-    if kind is None:
-        raise UnknownNameError("format", name, CLOUDS)
-    if kind.folder or (per_view and kind.write is None):
-        return f"{name}_views" if per_view else name
-    return f"views{kind.suffix}" if per_view else f"cloud{kind.suffix}"
-
-
-def export_cloud(parts: Sequence[Piece], name: str, path: Path, *, per_view: bool) -> list[Path]:
-    """Write ``parts`` in the format ``name`` to the file or folder ``path``; return the files.
-
-    A folder of views holds ``poses.csv`` with each view's pose in ``world`` too.
+def find_format(name: str) -> Format:
+    """Return the format called ``name``.
 
     Raises:
-        UnknownNameError: There is no such format.
-        ConfigError: Its library is missing; the message says what to install.
-        FileError: A file cannot be written.
+        UnknownNameError: There is none.
+        ConfigError: The package that offers it cannot be loaded.
     """
-    if name not in CLOUDS:
-        raise UnknownNameError("format", name, CLOUDS)
-    kind = CLOUDS[name]
-    if kind.write is not None:
-        return kind.write(parts, path)
-    assert kind.encode is not None
-    if not per_view:
-        write_file(path, kind.encode(parts[0]))
-        return [path]
-    written = []
-    for part in parts:
-        written.append(path / (part.name + kind.suffix))
-        write_file(written[-1], kind.encode(part))
-    written.append(path / "poses.csv")
-    write_file(written[-1], text.poses_csv(parts))
-    return written
+    if name in _BUILT_IN:
+        return _load_built_in(_BUILT_IN[name])
+    others = _find_external()
+    if name not in others:
+        raise UnknownNameError("format", name, list_formats())
+    try:
+        found: Format = others[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            f"format {name} ({others[name].value}) cannot be loaded: {error}"
+        ) from None
+    return found
+
+
+def find_mesh_format(name: str) -> MeshFormat:
+    """Return the format of meshes called ``name``; errors as ``find_format``."""
+    from scan3d_twin.recording.export.format import MeshFormat
+
+    if name not in list_mesh_formats():
+        raise UnknownNameError("format of meshes", name, list_mesh_formats())
+    found = (
+        _load_built_in(_BUILT_IN_MESHES[name]) if name in _BUILT_IN_MESHES else find_format(name)
+    )
+    assert isinstance(found, MeshFormat)
+    return found
+
+
+def _load_built_in(place: str) -> Format:
+    found: Format = resolve_name(f"{__name__}.{place}")
+    return found
+
+
+def _find_external() -> dict[str, EntryPoint]:
+    """Return the entry points of other packages by name; they do not replace our own."""
+    return {
+        point.name: point
+        for point in entry_points(group=ENTRY_POINTS)
+        if point.name not in _BUILT_IN
+    }

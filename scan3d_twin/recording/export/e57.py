@@ -11,6 +11,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
 
 
@@ -55,3 +56,6 @@ def _write_scan(file: Any, part: Piece) -> None:
         rotation=np.array([math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2)]),
         translation=np.array([pose.x, pose.y, 0.0]),
     )
+
+
+E57 = CloudFormat(suffix=".e57", write=write)

@@ -8,6 +8,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
 
 COORDINATE_STEP = 1e-4
@@ -49,3 +50,7 @@ def _encode(piece: Piece, *, compressed: bool) -> bytes:
     buffer = io.BytesIO()
     cloud.write(buffer, do_compress=compressed)
     return buffer.getvalue()
+
+
+LAS = CloudFormat(suffix=".las", encode=encode_las)
+LAZ = CloudFormat(suffix=".laz", encode=encode_laz)

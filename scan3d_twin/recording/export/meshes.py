@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.recording.colours import view_colours_rgb
-from scan3d_twin.run.folder import write_file
+from scan3d_twin.recording.export.format import MeshFormat
 
-MESH_FORMATS = ("glb", "obj", "ply", "stl")
-"""The formats of meshes by name."""
 OCTREE_DEPTH = 8
 """Depth of the octree: 256 cells along 2 m are 8 mm, the spacing of the readings."""
 MAX_POISSON_DISTANCE = 0.015
@@ -26,17 +24,11 @@ GREY = (150, 150, 150)
 """Colour of a vertex that belongs to no single view."""
 
 
-def write_mesh(mesh: Mesh, name: str, path: Path) -> None:
-    """Write ``mesh`` in the format ``name`` to ``path``; its vertices have the views' colours.
+def encode_mesh(mesh: Mesh, name: str) -> bytes:
+    """Return ``mesh`` as a file of trimesh's format ``name``; vertices have the views' colours.
 
     In metres, z up; in glTF (glb) y is up, by definition of the format.
-
-    Raises:
-        UnknownNameError: There is no such format.
-        FileError: It cannot be written.
     """
-    if name not in MESH_FORMATS:
-        raise UnknownNameError("format of meshes", name, MESH_FORMATS)
     import trimesh
 
     colours = np.where(mesh.view[:, None] >= 0, view_colours_rgb(np.maximum(mesh.view, 0)), GREY)
@@ -46,8 +38,14 @@ def write_mesh(mesh: Mesh, name: str, path: Path) -> None:
     solid = trimesh.Trimesh(
         vertices, mesh.faces, vertex_colors=colours.astype(np.uint8), process=False
     )
-    content = solid.export(file_type=name)
-    write_file(path, content)
+    content: bytes | str = solid.export(file_type=name)
+    return content.encode() if isinstance(content, str) else content
+
+
+GLB = MeshFormat(encode=partial(encode_mesh, name="glb"))
+OBJ = MeshFormat(encode=partial(encode_mesh, name="obj"))
+PLY = MeshFormat(encode=partial(encode_mesh, name="ply"))
+STL = MeshFormat(encode=partial(encode_mesh, name="stl"))
 
 
 def reconstruct_poisson(model: Model) -> Mesh:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
 
 _POINT = np.dtype(
@@ -43,3 +44,6 @@ def encode(piece: Piece) -> bytes:
         "DATA binary",
     ]
     return "\n".join(header).encode("ascii") + b"\n" + points.tobytes()
+
+
+PCD = CloudFormat(suffix=".pcd", encode=encode)

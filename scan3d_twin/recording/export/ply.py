@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
 
 _VERTEX = np.dtype(
@@ -38,3 +39,6 @@ def encode(piece: Piece) -> bytes:
         "end_header",
     ]
     return "\n".join(header).encode("ascii") + b"\n" + vertices.tobytes()
+
+
+PLY = CloudFormat(suffix=".ply", encode=encode)

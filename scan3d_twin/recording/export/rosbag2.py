@@ -17,6 +17,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 
 from scan3d_twin.core.errors import FileError
+from scan3d_twin.recording.export.format import RecordingFormat
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.reader import RawMessage, read_contents
 
@@ -87,3 +88,6 @@ def _rename_inside(folder: Path, name: str) -> None:
     final = folder / f"{name}.mcap"
     metadata.write_text(metadata.read_text().replace(data.name, final.name))
     data.rename(final)
+
+
+ROSBAG2 = RecordingFormat(write=write)

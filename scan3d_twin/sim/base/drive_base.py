@@ -1,4 +1,4 @@
-"""The simulated iRobot Create: drive commands, odometry and safety sensors every 15 ms."""
+"""The simulated base: drive commands, odometry and safety sensors with every packet."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import math
 from bisect import bisect_right
 
 from scan3d_twin.core.errors import HazardError
-from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.core.navigation.wheel_kinematics import WHEEL_ACCELERATION, split_velocity
+from scan3d_twin.core.navigation.wheel_kinematics import (
+    WHEEL_ACCELERATION,
+    split_velocity,
+)
 from scan3d_twin.core.types import Hazards, Odometry
+from scan3d_twin.devices.device import BaseDevice
 from scan3d_twin.sim.base.odometers import Sample, make_odometer
-from scan3d_twin.sim.base.profiles import CREATE2
 from scan3d_twin.sim.base.safety_sensors import SafetySensors
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.world import PREFIX, World
-
-__all__ = ["CREATE2", "MIN_HISTORY", "SimBase"]
 
 MIN_HISTORY = 20_000
 """Number of latest odometry samples that are always kept: 5 minutes."""
@@ -30,11 +30,11 @@ class SimBase:
     """
 
     def __init__(
-        self, world: World, spec: BaseSpec = CREATE2, errors: RobotErrorConfig | None = None
+        self, world: World, device: BaseDevice, errors: RobotErrorConfig | None = None
     ) -> None:
         # Find its parts in the model
         errors = RobotErrorConfig() if errors is None else errors
-        self.spec = spec
+        self.spec = spec = device.spec
         self._world = world
         model, data = world.model, world.data
         names = [f"{PREFIX}{side}" for side in ("left", "right")]
@@ -52,7 +52,7 @@ class SimBase:
         self._samples = 0
         self.next_step = self._due(1)
         self._zero = [float(data.qpos[wheel]) for wheel in self._wheels]
-        self._odometer = make_odometer(spec, errors)
+        self._odometer = make_odometer(device, errors)
         self._pending: list[Sample] = []
         self._history = [self._odometer.update(Sample(0.0, (0.0, 0.0), (0.0, 0.0)))]
         self._hazards = Hazards()

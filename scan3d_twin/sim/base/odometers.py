@@ -9,6 +9,7 @@ from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.navigation.odometry import DeadReckoning
 from scan3d_twin.core.navigation.wheel_kinematics import correct_reading
 from scan3d_twin.core.types import Odometry
+from scan3d_twin.devices.device import BaseDevice
 from scan3d_twin.sim.config import RobotErrorConfig
 
 REST_TIME = 0.3
@@ -37,10 +38,10 @@ class Odometer(Protocol):
         ...
 
 
-def make_odometer(spec: BaseSpec, errors: RobotErrorConfig) -> Odometer:
+def make_odometer(device: BaseDevice, errors: RobotErrorConfig) -> Odometer:
     """Return the odometer of a base."""
-    by_command = spec.name == "create1" and errors.reckoning == "driver"
-    return CommandOdometer(spec, errors) if by_command else EncoderOdometer(spec)
+    by_command = not device.counts and errors.reckoning == "driver"
+    return CommandOdometer(device.spec, errors) if by_command else EncoderOdometer(device.spec)
 
 
 class EncoderOdometer:

@@ -14,7 +14,7 @@ from scan3d_twin.core.options import check_options, number
 
 @dataclass(frozen=True, slots=True)
 class LidarModelConfig:
-    """The URG-04LX: light, noise, bias, error codes, timing, losses."""
+    """Light, noise, bias, error codes, timing and losses; the defaults are the URG-04LX."""
 
     line_loss: float = number(0.0, 0.0, 0.99)
     """Probability that a line is lost on its way, 0..1."""

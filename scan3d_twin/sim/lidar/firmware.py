@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
-from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.devices.device import LidarSensor
 from scan3d_twin.sim.lidar.config import LidarModelConfig
 from scan3d_twin.sim.lidar.noise import Draws, cyclic_bias, range_sigma, repeat_readings
 
@@ -40,47 +40,37 @@ Broken = tuple[tuple[IntArray, IntArray], IntArray]
 
 
 def read(
-    light: Light, broken: Broken, draws: Draws, drift: FloatArray, config: LidarModelConfig
+    light: Light,
+    broken: Broken,
+    draws: Draws,
+    drift: FloatArray,
+    config: LidarModelConfig,
+    sensor: LidarSensor,
 ) -> tuple[FloatArray, IntArray]:
-    """Return ranges [m], NaN without a measurement, and codes, both (m, n_beams).
-
-    Args:
-        light: The received light.
-        broken: Beams at a depth edge with the codes of their mixed pixels.
-        draws: Random draws of the lines.
-        drift: Warm-up error of each line (m,) [m].
-        config: Error model.
-    """
-    # Detect the returns
-    power = light.power
+    """Return ranges [m], NaN where there is none, and codes, both (m, n_beams)."""
+    power, known = light.power, sensor.codes
     seen = _is_detected(power, draws.seen, config)
     distances = np.where(seen, light.distances, 0.0)
-
-    # Add bias and noise
     sigma = range_sigma(distances, power, light.cosines, config)
-    readings = cyclic_bias(distances, config)
+    readings = cyclic_bias(distances, config, sensor)
     readings += distances + light.bias + drift[:, None] + sigma * draws.noise
     readings = repeat_readings(readings, sigma, draws.chance, config)
 
     # Round and check the range
     millimetres = np.rint(readings * 1000)
-    valid = seen & (millimetres >= urg04lx.MIN_RANGE_MM) & (millimetres <= urg04lx.MAX_RANGE_MM)
-    codes = np.where(valid, VALID, urg04lx.NO_RETURN)
-
-    # Set error codes by cause
+    valid = seen & (millimetres >= sensor.min_range_mm) & (millimetres <= sensor.max_range_mm)
+    codes = np.where(valid, VALID, known.no_return)
     if config.threshold > 0:
-        codes[~seen & (power > config.threshold / 2)] = urg04lx.WEAK_RETURN
+        codes[~seen & (power > config.threshold / 2)] = known.weak_return
     at, mixed = broken
     if len(mixed):
         codes[at] = np.where(codes[at] == VALID, mixed, codes[at])
     if config.glitch > 0:
-        codes[valid & (draws.chance > 1 - config.glitch)] = urg04lx.GLITCH
+        codes[valid & (draws.chance > 1 - config.glitch)] = known.glitch
     if power.max() > config.saturation:
-        codes[power > config.saturation] = urg04lx.TOO_STRONG
-
-    # Drop isolated readings
+        codes[power > config.saturation] = known.too_strong
     valid = codes == VALID
-    codes[_is_isolated(valid)] = urg04lx.NEIGHBOURS_INVALID
+    codes[_is_isolated(valid)] = known.neighbours_invalid
     return np.where(codes == VALID, millimetres / 1000, np.nan), codes
 
 

@@ -17,15 +17,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
-from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.devices.device import ErrorCodes, LidarSensor
 from scan3d_twin.sim.lidar.config import LidarModelConfig
 
 SPEED_OF_LIGHT = 299_792_458.0
-WAVE_NUMBERS = tuple(4 * math.pi * f / SPEED_OF_LIGHT for f in urg04lx.MODULATIONS)
-"""Phase per distance of the two modulations [rad/m]."""
 MIN_EDGE_DEPTH = 0.02
 """Spread of distances over a footprint beyond which it straddles a depth edge [m]; below it phasors
 and the mean weighted by power agree within 1e-5 m."""
+
+
+def wave_numbers(modulations: tuple[float, float]) -> tuple[float, float]:
+    """Return the phase per distance of two ``modulations`` [Hz], in [rad/m]."""
+    first, second = (4 * math.pi * f / SPEED_OF_LIGHT for f in modulations)
+    return first, second
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +64,15 @@ def offsets(config: LidarModelConfig) -> FloatArray:
     return np.vstack([np.zeros((1, 2)), np.stack([along, across], axis=1)])
 
 
-def mix(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> Mixed:
-    """Return the received light of sub-rays at ``distances`` (K, n) [m] with ``power`` (K, n).
+def mix(
+    distances: FloatArray, power: FloatArray, config: LidarModelConfig, sensor: LidarSensor
+) -> Mixed:
+    """Return what the receiver gets of sub-rays at ``distances`` (K, n) [m] with ``power`` (K, n).
 
     Misses have infinite distance and zero power.
     """
+    none = np.empty(0, np.int64)
     if len(distances) == 1:
-        none = np.empty(0, np.int64)
         return Mixed(distances[0], power[0], none, none)
 
     # Find beams at a depth edge
@@ -80,18 +86,18 @@ def mix(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> M
     mean /= np.maximum(total, 1e-300)
     mean[near == np.inf] = np.inf
     total /= len(distances)
-
-    # Add phasors at the edges
-    if len(edge) == 0:
-        return Mixed(mean, total, edge, edge)
-    phasors = _phasors(safe[:, edge], power[:, edge])
+    if len(edge) == 0 or sensor.modulations is None:
+        return Mixed(mean, total, none, none)
+    phasors = _phasors(safe[:, edge], power[:, edge], sensor.modulations)
     (mean[edge], _), (total[edge], _) = phasors
-    return Mixed(mean, total, edge, _codes(*phasors, config))
+    return Mixed(mean, total, edge, _codes(*phasors, config, sensor.codes))
 
 
-def _phasors(distances: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _phasors(
+    distances: FloatArray, power: FloatArray, modulations: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
     """Return distance (2, n) [m] and power (2, n) of the sum of the sub-rays, by modulation."""
-    waves = np.array(WAVE_NUMBERS)[:, None]
+    waves = np.array(wave_numbers(modulations))[:, None]
     first = distances[np.argmax(power, axis=0), np.arange(distances.shape[1])]
     phases = waves[:, :, None] * (distances - first)
     count = len(distances)
@@ -99,11 +105,13 @@ def _phasors(distances: FloatArray, power: FloatArray) -> tuple[FloatArray, Floa
     return first + np.arctan2(imaginary, real) / waves, np.hypot(real, imaginary)
 
 
-def _codes(distances: FloatArray, power: FloatArray, config: LidarModelConfig) -> IntArray:
-    """Return the error codes (n,) of beams with these ``distances`` and ``power`` (2, n)."""
+def _codes(
+    distances: FloatArray, power: FloatArray, config: LidarModelConfig, known: ErrorCodes
+) -> IntArray:
+    """Return the error codes (n,) of beams whose modulations gave these (2, n)."""
     codes = np.full(distances.shape[1], VALID)
     apart: BoolArray = np.abs(distances[0] - distances[1]) > config.mixed_phase
-    codes[apart] = urg04lx.OTHER_ERROR
+    codes[apart] = known.other_error
     weak, strong = np.minimum(*power), np.maximum(*power)
-    codes[strong > config.mixed_amplitude * weak] = urg04lx.AMPLITUDES_DIFFER
+    codes[strong > config.mixed_amplitude * weak] = known.amplitudes_differ
     return codes

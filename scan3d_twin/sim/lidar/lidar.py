@@ -1,4 +1,4 @@
-"""The simulated URG-04LX: free-running revolutions, each beam cast from its own pose."""
+"""The simulated lidar: free-running revolutions, each beam cast from its own pose."""
 
 from __future__ import annotations
 

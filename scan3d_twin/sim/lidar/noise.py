@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from scan3d_twin.core.types import FloatArray
+from scan3d_twin.devices.device import LidarSensor
 from scan3d_twin.sim.lidar.config import LidarModelConfig
-from scan3d_twin.sim.lidar.footprint import WAVE_NUMBERS
+from scan3d_twin.sim.lidar.footprint import wave_numbers
 
 FAR_DISTANCE, FAR_WIDTH = 2.0, 0.2
 """Distance at which the range noise steps up, and width of the step [m]; see ``sigma_far``."""
@@ -74,9 +75,11 @@ def range_sigma(
     return result
 
 
-def cyclic_bias(distances: FloatArray, config: LidarModelConfig) -> FloatArray:
-    """Return the cyclic error of the phase measurement [m]: two cycles per turn of the phase."""
-    result: FloatArray = config.bias * np.sin(2 * WAVE_NUMBERS[0] * distances)
+def cyclic_bias(distances: FloatArray, config: LidarModelConfig, sensor: LidarSensor) -> FloatArray:
+    """Return the phase measurement's error [m]; two cycles per turn of the phase."""
+    if sensor.modulations is None:
+        return np.zeros_like(distances)
+    result: FloatArray = config.bias * np.sin(2 * wave_numbers(sensor.modulations)[0] * distances)
     return result
 
 

@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray, LidarSpec, read_only
-from scan3d_twin.devices.urg import model as urg04lx
-from scan3d_twin.sim.config import RobotName
+from scan3d_twin.devices.device import LidarSensor
 from scan3d_twin.sim.lidar.config import LidarModelConfig
 from scan3d_twin.sim.lidar.firmware import Light, read
 from scan3d_twin.sim.lidar.footprint import mix, offsets
@@ -24,25 +23,13 @@ CHUNK = 12
 """Lines computed at once; more do not fit the processor's cache."""
 
 
-def lidar_spec(link: str) -> LidarSpec:
-    """Return the geometry of the lines that come over ``link``."""
-    mode = urg04lx.LINKS[link]
-    return LidarSpec(
-        elevations=read_only([urg04lx.step_angle(step) for step in mode.steps]),
-        beam_times=read_only([urg04lx.step_time(step) for step in mode.steps]),
-        line_period=mode.line_period,
-        min_range=urg04lx.MIN_RANGE_MM / 1000,
-        max_range=urg04lx.MAX_RANGE_MM / 1000,
-    )
-
-
 def beam_directions(elevations: FloatArray) -> FloatArray:
     """Return unit beam directions (n, 3) in the lidar's frame."""
     return np.stack([np.cos(elevations), np.zeros_like(elevations), np.sin(elevations)], axis=-1)
 
 
 @cache
-def own_housing(robot: RobotName, elevations: tuple[float, ...]) -> Hits:
+def own_housing(robot: str, elevations: tuple[float, ...]) -> Hits:
     """Return what the beams see of the robot itself; it moves with the lidar, so it is constant."""
     model = robot_spec(robot).compile()
     data = mujoco.MjData(model)
@@ -100,13 +87,15 @@ class Scanner:
     def __init__(
         self,
         scene_model: Any,
-        robot: RobotName,
+        robot: str,
         spec: LidarSpec,
         config: LidarModelConfig,
         caster: RayCaster,
         rng: np.random.Generator,
+        sensor: LidarSensor,
     ) -> None:
         self.spec = spec
+        self.sensor = sensor
         self.config = config
         self.caster = caster
         self.materials = Materials.of(scene_model, config)
@@ -194,13 +183,13 @@ class Scanner:
         cosines = np.abs(np.einsum("ni,ni->n", hits.normals, directions))
         power = self.materials.power(hits.geoms, cosines, hits.distances)
         shape = (len(rays), at.shape[0] * at.shape[1])
-        mixed = mix(hits.distances.reshape(shape), power.reshape(shape), self.config)
+        mixed = mix(hits.distances.reshape(shape), power.reshape(shape), self.config, self.sensor)
         middle = slice(0, shape[1])
         bias = self.surface_bias.take(hits.geoms[middle])
         light = self._with_housing(len(at), mixed.distances, mixed.power, cosines[middle], bias)
         row, column = np.divmod(mixed.broken, at.shape[1])
         broken = (row, np.arange(self.spec.n_beams)[self._free][column])
-        ranges, codes = read(light, (broken, mixed.codes), draws, drift, self.config)
+        ranges, codes = read(light, (broken, mixed.codes), draws, drift, self.config, self.sensor)
         behind = Hits(hits.distances[middle], hits.normals[middle], hits.geoms[middle])
         return light, behind, Readings(ranges, codes, ())
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.png import Picture, encode_png
-from scan3d_twin.sim.config import RobotErrorConfig, RobotName
+from scan3d_twin.devices.registry import DEFAULT_BASE
+from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.scenes.offscreen import open_context
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.scenes.surface_samples import bounding_points
@@ -27,7 +28,7 @@ SHADOW_MAP_SIZE = 2048
 """Side of the shadow map [pixels]; MuJoCo's default of 4096 takes ten times the time."""
 
 
-def render_scene(scene: Scene, robot: RobotName = "create2") -> Picture:
+def render_scene(scene: Scene, robot: str = DEFAULT_BASE) -> Picture:
     """Return a picture (height, width, 3) of ``scene`` with the robot at its start.
 
     Raises:

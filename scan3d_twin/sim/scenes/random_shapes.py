@@ -9,16 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
+from scan3d_twin.sim.scenes.random_ranges import SceneRanges, Shape
 
-if TYPE_CHECKING:
-    from scan3d_twin.sim.scenes.random_scenes import SceneRanges
-
-Shape = Literal["box", "boxes", "cylinder", "sine", "steps", "l_shape", "u_shape", "combination"]
 FACET_WIDTH = 0.005
 """Width of a facet of a wavy side [m]; the chord of the sharpest wave is off by less than .5 mm."""
 FACET_ROWS = 7
@@ -55,17 +52,12 @@ class Solid:
         return replace(self, place=by @ self.place)
 
 
-Builder = Callable[[np.random.Generator, "SceneRanges", float], list[Solid]]
+Builder = Callable[[np.random.Generator, SceneRanges, float], list[Solid]]
 
 
 def build_shape(name: Shape, rng: np.random.Generator, ranges: SceneRanges) -> list[Solid]:
     """Return a random target of the shape ``name``, the middle of its footprint at the origin."""
     return _centred(_BUILDERS[name](rng, ranges, draw_uniform(rng, ranges.width)))
-
-
-def shape_names() -> tuple[Shape, ...]:
-    """Return the names that ``build_shape`` knows."""
-    return tuple(_BUILDERS)
 
 
 def draw_uniform(rng: np.random.Generator, interval: tuple[float, float]) -> float:

@@ -4,7 +4,7 @@ import pytest
 
 from scan3d_twin.core.navigation.odometry import DeadReckoning, drive_arc
 from scan3d_twin.core.types import Pose2
-from scan3d_twin.sim.base.drive_base import CREATE2
+from scan3d_twin.devices.create.model import CREATE2
 
 
 def test_a_full_turn_of_both_wheels_is_a_circumference():

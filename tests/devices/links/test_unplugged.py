@@ -15,9 +15,9 @@ from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.create.link import HALF_DRIVE
 from scan3d_twin.devices.links.line_model import Line, Wire
 from scan3d_twin.devices.links.transport import Reopening
+from scan3d_twin.devices.registry import Devices
 from scan3d_twin.devices.urg.emulated_profile import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
-from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
@@ -47,7 +47,7 @@ def opened(profile, link, seconds):
         line = Line(UrgEmulator(twin.lidar, profile))
         clock = Accident(twin.clock, line, seconds)
         base = Wire(CreateEmulator(twin.base), clock)
-        with open_over(base, lambda: Wire(line, clock), clock, LINKS[link]) as robot:
+        with open_over(base, lambda: Wire(line, clock), clock, Devices(link=link)) as robot:
             yield robot, clock
 
 
@@ -122,7 +122,7 @@ def base_opened(seconds, robot="create2", seed=3):
         clock = Unplugged(twin.clock, Line(firmware), seconds)
         lidar = UrgEmulator(twin.lidar)
         link = Reopening(lambda: Wire(clock.line, clock), clock, HALF_DRIVE + STOP)
-        with open_over(link, lambda: Wire(lidar, clock), clock, LINKS["usb"]) as robot:
+        with open_over(link, lambda: Wire(lidar, clock), clock) as robot:
             yield robot, truth, clock, firmware
 
 
@@ -187,7 +187,7 @@ def test_a_line_that_is_not_opened_again_ends_the_sweep_at_once():
         clock = HazardFreeClock(twin.clock)
         lidar = UrgEmulator(twin.lidar)
         wire = Wire(line, clock)
-        with open_over(wire, lambda: Wire(lidar, clock), clock, LINKS["usb"]) as robot:
+        with open_over(wire, lambda: Wire(lidar, clock), clock) as robot:
             seen = []
 
             def on_line(scan):

@@ -5,10 +5,9 @@ import pytest
 
 from scan3d_twin.core.types import VALID
 from scan3d_twin.devices.urg.codec import ScanRequest
-from scan3d_twin.devices.urg.lines import line_spec, to_line
+from scan3d_twin.devices.urg.lines import line_spec, link_spec, to_line
 from scan3d_twin.devices.urg.model import LINKS
 from scan3d_twin.devices.urg.scan_modes import scan_requests
-from scan3d_twin.sim.lidar.scanner import lidar_spec
 
 
 def test_the_geometry_of_the_whole_scan():
@@ -28,7 +27,7 @@ def test_a_cluster_is_at_its_middle():
 
 @pytest.mark.parametrize("link", LINKS)
 def test_driver_and_twin_agree(link):
-    real, twin = line_spec(scan_requests(LINKS[link])[0]), lidar_spec(link)
+    real, twin = line_spec(scan_requests(LINKS[link])[0]), link_spec(link)
     assert np.allclose(real.elevations, twin.elevations)
     assert np.allclose(real.beam_times, twin.beam_times)
     assert real.line_period == pytest.approx(twin.line_period)

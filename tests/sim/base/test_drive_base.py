@@ -6,7 +6,7 @@ import pytest
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
-from scan3d_twin.sim.base.drive_base import CREATE2
+from scan3d_twin.devices.create.model import CREATE2
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.types import VALID
+from scan3d_twin.devices.urg.device import URG04LX
 from scan3d_twin.sim.config import IDEAL_ROBOT, LidarModelConfig, TwinConfig
 from scan3d_twin.sim.lidar.config import IDEAL_LIDAR
 from scan3d_twin.sim.lidar.firmware import Light, read
@@ -21,7 +22,7 @@ def codes_of(distances, power, config=IDEAL_LIDAR, broken=NOTHING_BROKEN, chance
     one = np.ones_like(distances)
     draws = Draws(0 * one, 0 * one, chance * one)
     light = Light(distances, power, one, 0 * one)
-    ranges, codes = read(light, broken, draws, np.zeros(1), config)
+    ranges, codes = read(light, broken, draws, np.zeros(1), config, URG04LX.sensor)
     assert np.array_equal(np.isfinite(ranges), codes == VALID)
     return codes[0].tolist()
 

@@ -7,6 +7,7 @@ import pytest
 
 from scan3d_twin.core.types import VALID
 from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.devices.urg.device import URG04LX
 from scan3d_twin.sim.config import IDEAL_ROBOT, LidarModelConfig, TwinConfig
 from scan3d_twin.sim.lidar.config import IDEAL_LIDAR
 from scan3d_twin.sim.lidar.footprint import MIN_EDGE_DEPTH, mix, offsets
@@ -16,8 +17,7 @@ FIVE = LidarModelConfig(sub_rays=5)
 
 
 def mixed(distances, power):
-    """Return distance, power and codes of one beam of five sub-rays."""
-    result = mix(np.array(distances)[:, None], np.array(power)[:, None], FIVE)
+    result = mix(np.array(distances)[:, None], np.array(power)[:, None], FIVE, URG04LX.sensor)
     return float(result.distances[0]), float(result.power[0]), result.codes
 
 

@@ -6,8 +6,9 @@ import pytest
 
 from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
 from scan3d_twin.core.types import VALID
+from scan3d_twin.devices.urg.lines import link_spec
 from scan3d_twin.sim.config import IDEAL_ROBOT, LidarModelConfig, TwinConfig
-from scan3d_twin.sim.lidar.scanner import CHUNK, beam_directions, lidar_spec, own_housing
+from scan3d_twin.sim.lidar.scanner import CHUNK, beam_directions, own_housing
 from scan3d_twin.sim.robot import open_sim
 
 MOUNT = np.array([0.05, 0.0, 0.30])
@@ -48,7 +49,7 @@ def test_the_link_decides_what_comes(link, count, period):
         first, second = robot.lidar.read_line(1.0), robot.lidar.read_line(1.0)
     assert first.ranges.shape == (count,)
     assert second.stamp - first.stamp == pytest.approx(period)
-    assert lidar_spec(link).line_period == period
+    assert link_spec(link).line_period == period
 
 
 def test_each_beam_is_measured_from_its_own_pose():
@@ -134,7 +135,7 @@ def test_distances_end_at_4095_mm(scene_of, distance, seen):
 
 
 def test_it_sees_its_own_deck_below():
-    spec = lidar_spec("usb")
+    spec = link_spec("usb")
     own = own_housing("create2", tuple(spec.elevations))
     below = np.argmin(np.abs(spec.elevations + math.pi / 2))
     assert 0.15 < own.distances[below] < 0.25

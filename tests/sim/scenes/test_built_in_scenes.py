@@ -10,7 +10,7 @@ from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.types import VALID
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene, scene_names
+from scan3d_twin.sim.scenes.load import load_scene, scene_names
 
 WANTED = {
     "clutter_100",

@@ -4,7 +4,7 @@ import trimesh
 
 from scan3d_twin.core.errors import HazardError, SceneError
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
 
 
 def cup(radius=0.15, height=0.3, wall=0.01):

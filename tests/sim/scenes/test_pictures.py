@@ -8,8 +8,8 @@ import pytest
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.png import encode_png
 from scan3d_twin.sim.scenes import offscreen
+from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.pictures import HEIGHT, WIDTH, render_scene, write_png
-from scan3d_twin.sim.scenes.scene import load_scene
 
 
 def drawn(name):

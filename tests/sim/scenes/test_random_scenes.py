@@ -13,9 +13,10 @@ from scan3d_twin.core.digitize import begin_session
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.random_scenes import SceneRanges, draw_scene
-from scan3d_twin.sim.scenes.random_shapes import build_shape, shape_names
-from scan3d_twin.sim.scenes.scene import load_scene
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.random_ranges import SceneRanges, shape_names
+from scan3d_twin.sim.scenes.random_scenes import draw_scene
+from scan3d_twin.sim.scenes.random_shapes import build_shape
 from scan3d_twin.sim.scenes.tessellation import mesh_triangles
 from scan3d_twin.sim.world import RobotErrors, build_model
 

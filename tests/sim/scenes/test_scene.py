@@ -5,7 +5,7 @@ import pytest
 from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.scene import load_scene, scene_names
+from scan3d_twin.sim.scenes.load import load_scene, scene_names
 from scan3d_twin.sim.scenes.surface_samples import bounding_points
 
 

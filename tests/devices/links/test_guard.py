@@ -12,9 +12,9 @@ import pytest
 from emulated_base import Road
 
 from scan3d_twin.core.errors import HazardError
-from scan3d_twin.devices.create import guard_process
-from scan3d_twin.devices.create.guard import PortGuard, ProcessGuard
 from scan3d_twin.devices.create.packets import Mode
+from scan3d_twin.devices.links import guard_process
+from scan3d_twin.devices.links.guard import PortGuard, ProcessGuard
 from scan3d_twin.real.clock import RealClock
 
 PROGRAM = Path(__file__).with_name("driving.py")
@@ -133,7 +133,7 @@ def test_a_guard_says_farewell_once_per_silence_and_ends_with_the_pipe():
 
 def test_a_port_that_is_opened_anew_gets_a_guard_of_its_own():
     ports = [os.pipe() for _ in range(2)]
-    guard = PortGuard(RealClock())
+    guard = PortGuard(b"farewell", RealClock())
     guard.beat(False)
     guard.watch(ports[0][1])
     first = guard._guard._process
@@ -153,7 +153,7 @@ def test_a_port_that_is_opened_anew_gets_a_guard_of_its_own():
 
 def test_without_a_guard_it_does_not_drive():
     reader, writer = os.pipe()
-    guard = ProcessGuard(writer, RealClock())
+    guard = ProcessGuard(writer, b"farewell", RealClock())
     guard._process.kill()
     guard._process.wait()
     with pytest.raises(HazardError, match="guard process has ended"):

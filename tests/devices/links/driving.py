@@ -7,15 +7,16 @@ servicing after half a second, ``rest`` opens it and stands, ``leave`` drives an
 import sys
 import time
 
+from scan3d_twin.devices.create.device import CREATE2
 from scan3d_twin.devices.create.driver import open_create
-from scan3d_twin.devices.create.guard import ProcessGuard
+from scan3d_twin.devices.links.guard import ProcessGuard
 from scan3d_twin.devices.links.transport import SerialTransport
 from scan3d_twin.real.clock import RealClock
 
 port, what = sys.argv[1:]
 clock = RealClock()
 link = SerialTransport(port)
-guard = ProcessGuard(link.fileno(), clock)
+guard = ProcessGuard(link.fileno(), CREATE2.farewell, clock)
 base = open_create(link, clock, guard)
 if what != "rest":
     base.set_velocity(0.2, 0.0)

@@ -1,4 +1,8 @@
-"""The two generations of the base: what their data sheets say."""
+"""Data sheets of the iRobot Create 1 and Create 2, as lengths and counts in SI units.
+
+Sources: AutonomyLab create_robot URDF; AutonomyLab libcreate, types.cpp; iRobot Create 2 Open
+Interface based on the Roomba 600 (2016).
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,6 @@ import math
 from dataclasses import replace
 
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.sim.config import RobotName
 
 CREATE2 = BaseSpec(
     name="create2",
@@ -24,4 +27,3 @@ CREATE1 = replace(
     wheel_diameter=0.078,
     counts_per_turn=1000 * math.pi * 0.078,  # no counts: packet 19 has whole millimetres
 )
-PROFILES: dict[RobotName, BaseSpec] = {"create1": CREATE1, "create2": CREATE2}

@@ -1,9 +1,9 @@
-"""The base obeys its last drive command for ever: a guard stops it if this process cannot.
+"""A base that obeys its last drive command for ever: a guard stops it if this process cannot.
 
-The Open Interface has no watchdog. A process of its own holds the port too, and listens to signs
+Such a base has no watchdog. A process of its own holds the port too, and listens to signs
 of life that the drive loop itself writes while the wheels turn, not a thread that would outlive it.
 No sign for 0.3 s (the loop hangs), or the end of the pipe (the process was killed), and the guard
-sends stop and mode Passive.
+sends the base its farewell.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ import os
 import subprocess
 import sys
 from contextlib import suppress
+from typing import Protocol
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import Clock
-from scan3d_twin.devices.create import guard_process
-from scan3d_twin.devices.create.driver import FAREWELL
-from scan3d_twin.devices.create.link import HALF_DRIVE
+from scan3d_twin.devices.links import guard_process
 
 SILENCE = 0.3
 """Without a sign of life for so long the driving process hangs [s]."""
@@ -26,22 +25,37 @@ INTERVAL = 0.05
 """Between two signs of life [s]."""
 
 
+class Guard(Protocol):
+    """Stops the wheels if this process no longer can."""
+
+    def beat(self, moving: bool) -> None:
+        """Report that the process is alive, and whether it drives."""
+        ...
+
+
+class NoGuard:
+    """No guard, where time is not real or the base stops by itself."""
+
+    def beat(self, moving: bool) -> None:
+        """See ``Guard.beat``."""
+
+
 class ProcessGuard:
     """A ``Guard`` in a process of its own, which Ctrl-C in the terminal does not reach."""
 
-    def __init__(self, port: int, clock: Clock) -> None:
+    def __init__(self, port: int, farewell: bytes, clock: Clock) -> None:
         """Start it.
 
         Args:
             port: File descriptor of the base's open port.
+            farewell: Stops the wheels and leaves the base at rest, whatever was sent before.
             clock: To write a sign of life only every ``INTERVAL``.
         """
         self._clock = clock
         self._moving = False
         self._due = -math.inf
         reader, self._pipe = os.pipe()
-        farewell = (HALF_DRIVE + FAREWELL).hex()
-        words = [str(port), str(reader), farewell, str(round(1000 * SILENCE))]
+        words = [str(port), str(reader), farewell.hex(), str(round(1000 * SILENCE))]
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", guard_process.__file__, *words],
             pass_fds=(port, reader),
@@ -78,17 +92,19 @@ class ProcessGuard:
 class PortGuard:
     """A ``Guard`` of a port that may be unplugged: each time it is opened it gets a new process.
 
-    A process that went on holding an unplugged port would keep its name from coming back.
+    A process that went on holding an unplugged port would keep its name from coming back. Without
+    a ``farewell`` there is no process: the base stops by itself.
     """
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, farewell: bytes, clock: Clock) -> None:
+        self._farewell, self._clock = farewell, clock
         self._guard: ProcessGuard | None = None
 
     def watch(self, port: int) -> None:
         """Guard the open ``port`` (file descriptor) from now on."""
         self.close()
-        self._guard = ProcessGuard(port, self._clock)
+        if self._farewell:
+            self._guard = ProcessGuard(port, self._farewell, self._clock)
 
     def beat(self, moving: bool) -> None:
         """See ``Guard.beat``; without a port there is nobody to tell."""

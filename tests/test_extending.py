@@ -1,0 +1,188 @@
+"""The package of docs/extending.md, built and installed from the page, and used as it says."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scan3d_twin.recording.load import load_session
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "extending.md"
+FILE = re.compile(r"^`([\w./]+)`\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+"""A file of the page: its name on a line of its own, and a block of code."""
+BUILD = "import sys; from hatchling.build import build_wheel; build_wheel(sys.argv[1])"
+RUN = ["--max-views", "2", "--planning.trials", "2", "--json"]
+
+
+def run(*command, folder, path=(), timeout=240):
+    """Run Python in ``folder`` with ``path`` before everything else that it imports."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))}
+    done = subprocess.run(
+        [sys.executable, *map(str, command)],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder with the package of the page, installed from a wheel, and its scene beside it."""
+    source, target = tmp_path_factory.mktemp("acme"), tmp_path_factory.mktemp("site")
+    for name, code in FILE.findall(PAGE.read_text(encoding="utf-8")):
+        path = source / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(code, encoding="utf-8")
+        if path.suffix == ".py":
+            (path.parent / "__init__.py").touch()
+    run("-c", BUILD, target, folder=source)
+    (wheel,) = target.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(target)
+    (source / "crates.xml").rename(target / "crates.xml")
+    return target
+
+
+@pytest.fixture
+def twin(site, tmp_path):
+    """Calls ``twin`` with the package installed, in an empty folder; returns what it printed."""
+    (tmp_path / "crates.xml").write_bytes((site / "crates.xml").read_bytes())
+    return lambda *words: run("-m", "scan3d_twin.cli", *words, folder=tmp_path, path=[site])
+
+
+def test_the_page_shows_every_file(site):
+    names = {str(path.relative_to(site)) for path in site.glob("acme_scan/**/*.py")}
+    family = {"model", "codec", "driver", "emulator", "device", "__init__"}
+    assert {
+        f"acme_scan/{device}/{name}.py" for device in ("pico", "rover") for name in family
+    } < names
+
+
+def test_the_planner_and_its_option_are_listed_and_checked(twin):
+    listed = json.loads(twin("planners", "--json"))
+    assert listed["patient"] == "Always the same large overlap. Options: overlap=0.8."
+    with pytest.raises(AssertionError, match=r"planner patient.overlap must be <= 0.95, got 1"):
+        twin("sim", "--planner", "patient:overlap=1")
+    with pytest.raises(
+        AssertionError, match=r"no option of planner patient 'speed'; known: overlap"
+    ):
+        twin("sim", "--planner", "patient:speed=1")
+
+
+def test_the_devices_are_listed_and_chosen_by_name(twin):
+    listed = json.loads(twin("devices", "--json"))
+    assert {"create1", "create2", "pico", "rover", "urg04lx"} == set(listed)
+    with pytest.raises(AssertionError, match="no lidar 'sick'; known: pico, urg04lx"):
+        twin("sim", "--lidar", "sick")
+    with pytest.raises(AssertionError, match="no robot 'roomba'; known: create1, create2, rover"):
+        twin("sim", "--robot", "roomba")
+
+
+def test_scene_planner_and_export_format_together(twin, tmp_path):
+    words = ["--scene", "crates.xml", "--planner", "patient:overlap=0.9", "--out", "run", *RUN]
+    report = json.loads(twin("sim", *words))
+    assert report["planner"] == "patient:overlap=0.9"
+    plans = load_session(tmp_path / "run").session.plans
+    assert (plans[0].overlap, plans[0].reason) == (pytest.approx(0.9), "patient")
+    assert "csv" in twin("export", "--help")
+    assert twin("export", "run", "--to", "csv") == "run/cloud.csv\n"
+    table = np.loadtxt(tmp_path / "run" / "cloud.csv", delimiter=",", skiprows=1)
+    assert len(table) > 0.9 * report["points"]
+    assert set(table[:, 3]) == {0, 1}
+
+
+@pytest.mark.timeout(300)
+def test_lidar_and_base_scan_in_the_twin(twin, tmp_path):
+    report = json.loads(twin("sim", "--robot", "rover", "--lidar", "pico", "--out", "run", *RUN))
+    assert report["views"] == 2
+    settings = (tmp_path / "run" / "config.toml").read_text()
+    for line in (
+        'robot = "rover"',
+        'lidar_model = "pico"',
+        "sigma = 0.006",
+        "robot_radius = 0.175",
+    ):
+        assert line in settings
+    with np.load(tmp_path / "run" / "views" / "000.npz") as view:
+        assert view["ranges"].shape[1] == 301
+        assert view["range_limits"].tolist() == [0.05, 4.0]
+    with pytest.raises(AssertionError, match="no lidar link '115200'; known: usb"):
+        twin("sim", "--lidar", "pico", "--lidar-link", "115200")
+
+
+WIRED = """
+import json
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.navigation.motion_control import turn_by
+from scan3d_twin.core.scanning.sweep import sweep
+from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.wired import open_wired
+
+found = {}
+for robot_name, lidar_name in (("rover", "pico"), ("rover", "urg04lx"), ("create2", "pico")):
+    with open_wired("three_boxes", 0, TwinConfig(robot_name, lidar_name)) as (robot, truth):
+        start = robot.clock.now()
+        image = sweep(robot, 0.0, Config(), lambda line: None).image
+        stamp = robot.base.odometry().stamp
+        there, here = truth.pose_at(stamp), truth.pose_at(start)
+        turned = (here.inverse() @ there).yaw - robot.base.odometry().T_odom_base.yaw
+        seen = float((image.ranges > 0).mean())
+        found[f"{robot_name} {lidar_name}"] = image.ranges.shape[1], seen, turned, robot.lidar.bad
+print(json.dumps(found))
+"""
+
+
+@pytest.mark.timeout(300)
+def test_drivers_on_emulators_on_the_twin_sweep(site, tmp_path):
+    found = json.loads(run("-c", WIRED, folder=tmp_path, path=[site]))
+    assert [each[0] for each in found.values()] == [301, 682, 301]
+    for beams, seen, turned, bad in found.values():
+        assert seen > 0.3, beams
+        assert abs(turned) < np.radians(2)
+        assert bad == 0
+
+
+@pytest.mark.timeout(300)
+def test_lidar_and_base_keep_the_contract_through_bytes(site):
+    words = ["--robot", "rover", "--lidar", "pico", "-k", "wired", "-q", "-p", "no:cacheprovider"]
+    said = run("-m", "pytest", "tests/contract", *words, folder=ROOT, path=[site])
+    assert re.search(r"\d\d passed", said)
+
+
+def test_the_script_of_the_page_runs(site, tmp_path):
+    script = re.findall(
+        r"```python\n(from scan3d_twin.sim.config.*?)```", PAGE.read_text(), re.DOTALL
+    )
+    lines = run("-c", script[0], folder=tmp_path, path=[site]).splitlines()
+    assert len(lines) == 2
+    assert all("(301,)" in line for line in lines)
+
+
+@pytest.mark.timeout(300)
+def test_the_doctor_and_the_real_robot_find_the_emulated_devices(site, twin):
+    command = [sys.executable, "-m", "scan3d_twin.cli", "emulate", "--json"]
+    words = ["--robot", "rover", "--lidar", "pico"]
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    with subprocess.Popen(
+        [*command, *words], stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        try:
+            ports = json.loads(process.stdout.readline())
+            given = ["--port", ports["base_port"], "--lidar-port", ports["lidar_port"]]
+            found = json.loads(twin("real", *words, *given, "--dry-run", "--json"))
+            assert (found["base"], found["lidar_beams"]) == ("rover", 301)
+        finally:
+            process.terminate()
