@@ -1,8 +1,8 @@
-"""Compiles the engine of the registration: into the wheel, or beside its sources for a checkout.
+"""Build hook that compiles the registration engine, into the wheel or, in a checkout, in place.
 
-The compiler is ``$CC``, else ``cc``, ``gcc`` or ``clang``; where none works, the C compiler of the
-package ``ziglang`` is installed for the build alone. ``$SCAN3D_TWIN_TARGET`` builds by that one for
-any platform, for example ``aarch64-linux-gnu.2.28``: see CONTRIBUTING.md.
+The compiler is ``$CC``, else ``cc``, ``gcc`` or ``clang``; if none works, the package ``ziglang``
+with its C compiler is installed for the build alone. It also cross-compiles to the platform in
+``$SCAN3D_TWIN_TARGET``, for example ``aarch64-linux-gnu.2.28``: see CONTRIBUTING.md.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FLAGS = (
     "-std=gnu11", "-O3", "-fPIC", "-fvisibility=hidden", "-Wall", "-Wextra",
     # The same bits on every processor: no fused operations.
     "-ffp-contract=off",
-    # What lets loops run in wide registers, and changes no result.
+    # Vectorisation without a change of results.
     "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi",
 )  # fmt: skip
 LEVELS = {
@@ -39,19 +39,19 @@ LEVELS = {
     },
     "aarch64": {"v1": ()},
 }
-"""Flags by the level that the names of the functions end in; what a processor of the architecture
-need not have is asked at run time (levels.c)."""
+"""Flags per processor level, which is the suffix of the exported names; levels.c chooses one at run
+time."""
 
 
 class EngineBuildHook(BuildHookInterface):  # type: ignore[type-arg]
     """Build hook of hatchling, named in pyproject.toml."""
 
     def dependencies(self) -> list[str]:
-        """Return what the build needs beside hatchling."""
+        """Return the packages that the build needs besides hatchling."""
         return [] if _system_compiler() else [ZIG]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Compile, and say where the library belongs."""
+        """Compile the library and add it to the wheel, or write it beside its sources."""
         folder = Path(self.root) / PACKAGE
         if version == "editable":
             _compile(folder, folder / "libengine.so.1")
@@ -64,7 +64,7 @@ class EngineBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         build_data["tag"] = f"py3-none-{_platform_tag()}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """Remove what was built for the wheel."""
+        """Remove the temporary library of the wheel."""
         if version != "editable":
             self._built.cleanup()
 
@@ -79,7 +79,7 @@ def _architecture() -> str:
 
 
 def _platform_tag() -> str:
-    """Return the tag of the wheel: what zig builds for a glibc needs no newer one."""
+    """Return the platform tag of the wheel: the target's glibc, or that of this machine."""
     if not _target():
         return sysconfig.get_platform().replace("-", "_").replace(".", "_")
     major, _, minor = _target().rpartition("gnu.")[2].partition(".")
@@ -91,7 +91,7 @@ def _levels() -> dict[str, tuple[str, ...]]:
 
 
 def _system_compiler() -> list[str] | None:
-    """Return the command of a compiler that can build all levels; None where there is none."""
+    """Return the command of a compiler that can build all levels, or None."""
     if _target():
         return None
     for name in [os.environ.get("CC", ""), "cc", "gcc", "clang"]:
@@ -111,7 +111,7 @@ def _builds(compiler: list[str]) -> bool:
 
 
 def _compile_command() -> list[str]:
-    """Return the compiler's command; zig without a target compiles for this processor alone."""
+    """Return the compiler's command; zig gets a target, as it would use this processor's CPU."""
     system = _system_compiler()
     if system:
         return system
@@ -121,13 +121,13 @@ def _compile_command() -> list[str]:
 
 
 def _spelled_for(compiler: list[str], flags: tuple[str, ...]) -> list[str]:
-    """Return ``flags`` in the compiler's spelling: zig 0.17 knows no CPU x86-64-v3."""
+    """Return ``flags`` as the compiler spells them: zig 0.17 wants ``x86_64_v3``."""
     zig = "ziglang" in compiler
     return [flag.replace("x86-64-", "x86_64_") if zig else flag for flag in flags]
 
 
 def _compile(folder: Path, library: Path) -> None:
-    """Compile each level of the engine and link them to ``library``."""
+    """Compile each processor level of the engine and link all into ``library``."""
     sources = sorted([*folder.glob("*.c"), *folder.glob("*.h")])
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     compiler = _compile_command()
@@ -150,7 +150,7 @@ def _compile(folder: Path, library: Path) -> None:
             job.result()
         linked = f"{scratch}/libengine.so.1"
         _run([*compiler, "-shared", "-s", "-o", linked, *commands, "-lm"])
-        # In one step, so that a process that runs keeps the library it has loaded.
+        # Replace atomically: running processes keep the library they have loaded.
         shutil.copy(linked, library.with_name("libengine.part"))
         library.with_name("libengine.part").replace(library)
 

@@ -1,11 +1,11 @@
-"""How busy a local bench keeps its workers: ``python benchmarks/bench_throughput.py [--json]``.
+"""Utilisation of the workers of a local bench: ``python benchmarks/bench_throughput.py [--json]``.
 
 Runs ``--seeds`` x 2 short loops (shiny_cylinder, three_boxes) on ``--jobs`` workers and reports
 
-* ``in_tasks``: the workers' time inside runs over all their time, from the first run's begin to the
-  last one's end; it does not depend on what else the computer does;
-* ``processor``: the runs' processor time over all processors' time, start and end included; only on
-  a quiet computer does this say something about the bench.
+* ``in_tasks``: share of the workers' time inside runs, from the start of the first run to the end
+  of the last; it does not depend on other load;
+* ``processor``: processor time of the runs over that of all processors, start and end included; it
+  is meaningful only on an idle computer.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ factor k for which the next step's error exceeds k times its prediction with a p
 most alpha, whatever the ratios' distribution (split conformal prediction; Vovk, Gammerman and
 Shafer 2005; Lei et al., JASA 113, 2018). A step is taken when k times the prediction meets epsilon.
 
-The odd seeds fit the factor, the even ones tell how often it fails.
+The odd seeds fit the factor, the even ones measure how often it fails.
 
 ``python benchmarks/calibrate_error.py [--first 1000] [--scenes 60] [--jobs 1] [--rows FILE]
 [--json]``
@@ -54,7 +54,7 @@ class Step:
         seed: Of scene and run.
         view: Index of the view it led to.
         overlap: Chosen.
-        predicted: By the planner, the factor left out; NaN or infinite where it could not tell.
+        predicted: Planner's prediction without the factor; NaN or infinite where it has none.
         reported: By the registration itself.
         error: That it had.
         odometry: That odometry had.

@@ -3,13 +3,12 @@
 A step is a move of about half a metre, a sweep of 60 deg at 5 deg/s, registration and evaluation,
 in ``three_boxes`` with the grid engine on whole sweeps.
 
-Per fidelity: the median over steps of 1 / CPU time, on one core, resets not counted. The vector
-environments run ``kinematic`` in 16 such scenes and are timed by the wall, in turns, resets
-counted; their figure is the ratio of the medians.
+Per fidelity: median over the steps of 1 / CPU time, on one core, without resets. The vector
+environments run ``kinematic`` in 16 such scenes, in turns, by wall time with resets; their figure
+is the ratio of the medians.
 
-Against another build of this repository, which has its own ``.venv``: the steps per second of this
-one over those of the other, each the median over blocks that take turns. The other build runs this
-very file.
+``--against`` compares with another checkout of this repository that has its own ``.venv``: the
+ratio of steps per second, each the median over blocks in turns. The other checkout runs this file.
 
 Run: ``python benchmarks/envs.py [--steps 20] [--rounds 5] [--against FOLDER] [--json]``.
 """

@@ -1,10 +1,10 @@
-"""Tours all round a target before and after global alignment, on the very same sweeps.
+"""Tours all round a target before and after loop closure, on the same sweeps.
 
 ``python benchmarks/full_tour.py [--scenes sine_box] [--seeds 12] [--first 0] [--jobs 1] [--json]``
-digitises with the preset ``best``, without alignment, evaluates, aligns all views at once and
-evaluates again. One line per run on standard error, then one object {name: {value, unit, peer,
-runs}}. ``error`` is that of a view on the one before it, ``pose_error`` that of a view in the
-world, the first view's pose given: RMS over the target's points.
+digitises with the preset ``best`` without alignment, evaluates, aligns all views at once and
+evaluates again. Prints a line per run on standard error, then one object {name: {value, unit, peer,
+runs}}. ``error`` is that of a view relative to the one before, ``pose_error`` that of a view in the
+world, given the first view's pose: RMS over the target's points.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def main() -> None:
         for scene in arguments.scenes:
             tours = []
             for found in pool.map(tour, repeat(scene), seeds):
-                print(told(found), file=sys.stderr, flush=True)
+                print(format_tour(found), file=sys.stderr, flush=True)
                 tours.append(found)
             rows.update(summary(scene, tours))
     if arguments.json:
@@ -111,7 +111,7 @@ def main() -> None:
         print(f"{name:40s} {row['value']:10.4f} {row['unit']:6s} ({row['runs']} runs)")
 
 
-def told(found: Tour) -> str:
+def format_tour(found: Tour) -> str:
     """Return one line about a tour."""
     head = f"{found.scene} seed {found.seed}: {found.views} views, {found.stop}"
     if found.before is None or found.after is None:

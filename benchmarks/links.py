@@ -1,9 +1,9 @@
-"""The real drivers on the emulated robot against the twin itself: are they as good?
+"""The real drivers on the emulated robot against the twin itself: accuracy of whole runs.
 
 ``python benchmarks/links.py [--scene three_boxes] [--links usb 115200] [--presets paper best]
 [--seeds 10] [--json]``; one line per link and preset, or one object {name: {value, unit, peer}}.
-Both begin at the same instant, so that they see the same noise of the lidar. How much one run
-differs from another by noise alone is told by a second run of the twin that begins a second later.
+Both start at the same instant, so that they see the same noise of the lidar. A second run of the
+twin that starts a second later shows how much runs differ by noise alone.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import open_wired
 
 LATER = 1.0
-"""The second run of the twin begins so much later [s]: 10 turns of the mirror."""
+"""Delay of the second run of the twin [s]: 10 turns of the mirror."""
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,18 @@
 """Fit the motion-error constants to the `typical` robot of the twin.
 
-Those of eq. (2), those of the motion prior of a turn, a drive and a turn
-(``core/mapping/scan_matching.py``: lambda, gamma and drift), and those of the robot without physics
+The constants are those of eq. (2), of the motion prior of a turn, a drive and a turn
+(``core/mapping/scan_matching.py``: lambda, gamma and drift), and of the robot without physics
 (``sim/base/motion_errors.py``: creep and slip).
 
-Each robot makes moves from one viewpoint to the next as the planner asks for: turn, drive, turn.
+Each robot moves from one viewpoint to the next as a planner would ask: turn, drive, turn.
 The error of a move is its odometry against the truth, in the frame of the start:
 
     x_u ~ N(0, (lambda dx)^2), y_u ~ N(0, (lambda dy)^2), theta_u ~ N(0, (gamma dtheta)^2)
 
-These are maximum-likelihood fits; the prior's is followed by the mean squared Mahalanobis distance
-of the moves per degree of freedom, 1 where it fits. Creep and slip are a least-squares fit and what
-it leaves. Then the medians and 90 % quantiles of the odometry's error, of the physics and of the
-robots without physics that the same seeds draw, on the same moves.
+These are maximum-likelihood fits. For the prior, the mean squared Mahalanobis distance of the moves
+per degree of freedom follows, which is 1 if the prior fits. Creep and slip are a least-squares fit
+and its residual. Last come medians and 90 % quantiles of the odometry's error on the same moves,
+with physics and without, for robots of the same seeds.
 
 Run: ``python benchmarks/motion_error.py [--robots 40] [--json]``.
 """
@@ -68,7 +68,7 @@ class Move(NamedTuple):
     robot: RobotErrors
 
     @property
-    def told(self) -> Pose2:
+    def measured(self) -> Pose2:
         """The move by odometry."""
         return self.start.inverse() @ self.end
 
@@ -117,9 +117,9 @@ def misfit(pairs: list[tuple[Pose2, Pose2]], constants: FloatArray) -> tuple[flo
     lambda_, gamma, drift = np.exp(constants)
     config = replace(Config.preset("paper").planning, lambda_=lambda_, gamma=gamma, drift=drift)
     total, square = 0.0, 0.0
-    for told, true in pairs:
-        C = motion_prior(told, config).covariance[np.ix_(PLANAR, PLANAR)]
-        e = np.array([true.x - told.x, true.y - told.y, wrap(true.yaw - told.yaw)])
+    for measured, true in pairs:
+        C = motion_prior(measured, config).covariance[np.ix_(PLANAR, PLANAR)]
+        e = np.array([true.x - measured.x, true.y - measured.y, wrap(true.yaw - measured.yaw)])
         distance = float(e @ np.linalg.solve(C, e))
         total, square = total + float(np.linalg.slogdet(C)[1]) + distance, square + distance
     return total, square / (3 * len(pairs))
@@ -133,15 +133,15 @@ def fit_prior(pairs: list[tuple[Pose2, Pose2]]) -> tuple[float, float, float, fl
     return float(lambda_), float(gamma), float(drift), misfit(pairs, found)[1]
 
 
-def error(told: Pose2, true: Pose2) -> FloatArray:
+def error(measured: Pose2, true: Pose2) -> FloatArray:
     """Return by how much a move errs (3,) [m], [m], [rad]."""
-    return np.array([true.x - told.x, true.y - told.y, wrap(true.yaw - told.yaw)])
+    return np.array([true.x - measured.x, true.y - measured.y, wrap(true.yaw - measured.yaw)])
 
 
 def fit_drift(driven: list[Move]) -> tuple[float, float, float]:
     """Return creep [rad/rad] and the standard deviations of the slip [m], [rad]."""
     left = np.array([error(move.drifted, move.true) for move in driven])
-    turn = np.array([wrap(move.told.yaw) / move.robot.friction for move in driven])
+    turn = np.array([wrap(move.measured.yaw) / move.robot.friction for move in driven])
     more = -float(turn @ left[:, 2] / (turn @ turn))
     left[:, 2] += more * turn
     across, yaw = (float(np.sqrt(np.mean(part**2))) for part in (left[:, :2], left[:, 2]))
@@ -156,7 +156,7 @@ def compare(driven: list[Move], rng: np.random.Generator) -> dict[str, FloatArra
     ]
     result = {}
     for name, true in (("physics", [move.true for move in driven]), ("kinematic", slipped)):
-        errors = np.array([error(move.told, t) for move, t in zip(driven, true, strict=True)])
+        errors = np.array([error(move.measured, t) for move, t in zip(driven, true, strict=True)])
         size = np.stack([np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2])])
         result[name] = np.quantile(size, (0.5, 0.9), axis=1).T
     return result
@@ -169,7 +169,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     driven = [move for seed in range(1000, 1000 + options.robots) for move in moves(seed)]
-    pairs = [(move.told, move.true) for move in driven]
+    pairs = [(move.measured, move.true) for move in driven]
     rng = np.random.default_rng(0)
     draws = np.array(
         [fit([pairs[i] for i in rng.integers(len(pairs), size=len(pairs))]) for _ in range(200)]

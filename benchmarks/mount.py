@@ -1,10 +1,10 @@
-"""Calibration of a lidar that is mounted 10 mm and 1 deg wrong in the twin's living room.
+"""Extrinsic calibration of a lidar that is mounted 10 mm and 1 deg off, in the twin's living room.
 
 ``python benchmarks/mount.py [--seeds 10] [--scene living_room] [--json]`` prints one object {name:
 {value, unit, peer, runs}}. Each seed is another robot of the `typical` world; it scans a full turn
-and, from the same place, 300 deg to both sides, at the rate of a run. Different wheels lean
-it, and it turns about a point that is not the middle of its axle: true are the lidar's roll to the
-floor and its offset from the axis it really turned about.
+and, from the same place, 300 deg to both sides, at the rate of a run. Unequal wheels tilt the robot
+and move its yaw axis off the middle of the axle, so the true values are the lidar's roll relative
+to the floor and its offset from the axis that the robot turned about.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The paper's claims on the twin: how far the robot steps, and what comes of it.
+"""The paper's claims on the twin: step lengths, overlaps and errors of whole runs.
 
-For each scene and seed one closed-loop run with ``--preset paper``. Claims: a surface with features
-lets the robot step farther than a bare wall (sections 5 and 6), and where nothing meets epsilon the
-overlap falls back to 80 %. Run: ``python benchmarks/paper.py [--seeds 20] [--json]``; with
+Does one closed-loop run with ``--preset paper`` per scene and seed. Claims: a surface with features
+allows longer steps than a bare wall (sections 5 and 6), and if no overlap meets epsilon the robot
+falls back to 80 %. Run: ``python benchmarks/paper.py [--seeds 20] [--json]``; with
 ``--planning trials=8 quantile=0.9`` or ``--registration border=keep`` for other settings.
 """
 

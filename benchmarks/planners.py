@@ -1,12 +1,12 @@
-"""What each planner's decision costs: medians over the sessions of one closed loop, in one run.
+"""Cost of each planner's decision: medians over the sessions of one closed loop, in one run.
 
 ``python benchmarks/planners.py [--scene three_boxes] [--seed 0] [--repeats 3] [--steps 20]
-[--json]``; every planner is asked about the same sessions, those of a closed loop of `fisher`, in
-turns, and what is counted is the time of the processor, so that a busy machine slows none of them.
-``siicp8`` is `siicp` with 8 trials and the 90 % quantile, ``fisher`` the closed form alone,
-``fisher+checks`` with the simulated registrations of `best`; ``place`` only asks where to stand, as
-all of them do that choose an overlap. The ratio is that of what is left without it. One line per
-planner as a row of Markdown, or one object {name: {value, unit, peer, ratio, runs}}.
+[--json]``. All planners plan for the same sessions, those of a closed loop of `fisher`, in turns;
+processor time is measured, so that a busy machine slows none of them. ``siicp8`` is `siicp` with 8
+trials and the 90 % quantile, ``fisher`` the closed form alone, ``fisher+checks`` with the simulated
+registrations of `best`. ``place`` only places the viewpoint, as every planner does that chooses an
+overlap; ratios are of the times less that. Prints a Markdown row per planner, or one object {name:
+{value, unit, peer, ratio, runs}}.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def main() -> None:
     parser.add_argument("--scene", default="three_boxes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=20, help="at most so many sessions")
+    parser.add_argument("--steps", type=int, default=20, help="largest number of sessions")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     times = measure(options.scene, options.seed, options.repeats, options.steps)

@@ -1,8 +1,8 @@
-"""What recording costs, how fast sessions open, and what kills leave.
+"""Cost of recording, time to open a session, and loss when the program is killed.
 
     python benchmarks/recording.py cost     # share of a core at 10 Hz, memory, size
     python benchmarks/recording.py open     # time to open a session of 20 views, finished and cut
-    python benchmarks/recording.py kill 20  # so many runs of the twin, killed at random moments
+    python benchmarks/recording.py kill 20  # this many runs of the twin, killed at random moments
 
 Times are the process's own (`time.process_time`), so that other programs do not count.
 """
@@ -22,20 +22,21 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 SECONDS = 300
-"""Time on the robot's clock over which the cost is taken [s]: some ten views."""
-TOLD = """
+"""Time on the robot's clock over which the cost is measured [s]: about ten views."""
+PROGRAM = """
 import os, sys
-from scan3d_twin.cli import main, keeper
+from scan3d_twin.api.view_saver import ViewSaver
+from scan3d_twin.cli import main
 def on_line(self, line):
     os.write(2, f"line {line.stamp!r}\\n".encode())
-keeper.Keeper.on_line = on_line
+ViewSaver.on_line = on_line
 sys.exit(main(sys.argv[1:]))
 """
-"""The program, but that it tells of each line as soon as the recorder has it."""
+"""The program, with the stamp of each line on standard error once the recorder has it."""
 
 
 def resident() -> float:
-    """Return what this process holds in memory [MB]."""
+    """Return the resident memory of this process [MB]."""
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     return int(next(line for line in status.splitlines() if "VmRSS" in line).split()[1]) / 1024
 
@@ -129,11 +130,11 @@ def kill(count: int) -> None:
     rng, lost, same, empty = np.random.default_rng(0), [], 0, 0
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "whole"
-        total = len(_told(scan, whole, 10**9))
+        total = len(_record_until(scan, whole, 10**9))
         for k in range(count):
             place = Path(folder) / f"run{k}"
-            told = _told(scan, place, int(rng.integers(1, total)))
-            lost.append(_lost(place, told[-1]))
+            stamps = _record_until(scan, place, int(rng.integers(1, total)))
+            lost.append(_lost(place, stamps[-1]))
             resumed = _twin(["sim", "--resume", str(place)])
             if resumed == 3:
                 empty += 1
@@ -152,18 +153,18 @@ def kill(count: int) -> None:
     print(json.dumps(found))
 
 
-def _told(scan: list[str], folder: Path, count: int) -> list[float]:
+def _record_until(scan: list[str], folder: Path, count: int) -> list[float]:
     """Return the stamps of the lines of a run that is killed after ``count`` of them."""
-    command = [sys.executable, "-c", TOLD, *scan, "--out", str(folder)]
-    told: list[float] = []
+    command = [sys.executable, "-c", PROGRAM, *scan, "--out", str(folder)]
+    stamps: list[float] = []
     with subprocess.Popen(command, stdout=-3, stderr=subprocess.PIPE, text=True, cwd=ROOT) as run:
         assert run.stderr is not None
         for text in run.stderr:
             if text.startswith("line "):
-                told.append(float(text.split()[1]))
-            if len(told) == count:
+                stamps.append(float(text.split()[1]))
+            if len(stamps) == count:
                 run.kill()
-    return told
+    return stamps
 
 
 def _lost(folder: Path, last: float) -> float:

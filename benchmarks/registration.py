@@ -1,9 +1,9 @@
-"""Registration against open3d and small_gicp: time, accuracy, robustness, honesty.
+"""Registration against open3d and small_gicp: time, accuracy, robustness, covariance.
 
 ``python benchmarks/registration.py --json`` prints one object {name: {value, unit, peer, runs}}.
-Every ``vs_...`` is ours divided by the peer's, measured in this run on the same scans. Peers get
-the points, we get the range images; all end at a pose, ours at its covariance too. Errors of peers
-are those of their result projected to the plane: they get the same knowledge. Times of one thread
+Every ``vs_...`` is our value divided by the peer's, measured in the same run on the same scans.
+Peers get the points, ours the range images; all return a pose, ours its covariance too. Results of
+peers are projected to the plane, so that they have the same prior knowledge. Times of one thread
 are CPU times, those of two are wall times.
 """
 
@@ -28,9 +28,9 @@ from registration_peers import PEERS
 
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
-from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, spread
+from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, predict_rmse
 from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import prepare
+from scan3d_twin.core.registration.surfel_grid import extract_surfels
 from scan3d_twin.core.types import RegistrationResult
 
 PRIOR_XY, PRIOR_YAW = 0.02, math.radians(2.0)
@@ -52,7 +52,7 @@ class Timed:
 def ours(data: Pair, *, starts: int = 1, scale: float = 1.0) -> RegistrationResult:
     prior = PosePrior.planar(data.init, scale * PRIOR_XY, scale * PRIOR_YAW)
     return register_grids(
-        prepare(data.target), prepare(data.source),
+        extract_surfels(data.target), extract_surfels(data.source),
         init_T_target_source=data.init.matrix(), prior=prior, starts=starts,
     )  # fmt: skip
 
@@ -88,7 +88,7 @@ class Report:
         self.rows: dict[str, dict[str, Any]] = {}
 
     def add(self, name: str, value: float, unit: str, peer: str, runs: int) -> None:
-        """Add a figure and tell it on standard error."""
+        """Add a figure and print it on standard error."""
         self.rows[name] = {"value": round(value, 4), "unit": unit, "peer": peer, "runs": runs}
         print(name, self.rows[name], file=sys.stderr)
 
@@ -205,13 +205,16 @@ def cramer_rao(scene: str, sigma: float) -> float:
     """Return the bound of the RMS point error [m]: the inverse information of noise-free scans."""
     data = pair(scene, Noise(1e-6), 0)
     noise = ScanNoise(sigma, 0.0)
-    target, source = prepare(data.target, noise=noise), prepare(data.source, noise=noise)
+    target, source = (
+        extract_surfels(data.target, noise=noise),
+        extract_surfels(data.source, noise=noise),
+    )
     equations = linearise(target, source, 1, data.truth.matrix(), 0.0, Gate(0.03, 1e3))
     rows = np.ix_(PLANAR, PLANAR)
     covariance = np.zeros((6, 6))
     covariance[rows] = np.linalg.inv(equations.information[:6, :6][rows])
     points = data.source.points[np.isfinite(data.source.ranges)]
-    return spread(data.truth.rotate(points), covariance)
+    return predict_rmse(data.truth.rotate(points), covariance)
 
 
 def robustness(report: Report, runs: int) -> None:

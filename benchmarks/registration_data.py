@@ -1,8 +1,8 @@
-"""Pairs of sweeps for the registration benchmarks: a vertical lidar, a plan extruded upwards.
+"""Pairs of simulated sweeps for the registration benchmarks.
 
-213 beams of 0.3516 deg (75 deg), a line each 0.5 deg of yaw, the lidar 5 cm ahead of the yaw axis
-and 0.30 m up, ranges in whole millimetres. Scenes are polygons in the top view with a height each,
-cast in closed form: no simulator.
+A vertical lidar with 213 beams of 0.3516 deg (75 deg) and a line every 0.5 deg of yaw, 5 cm ahead
+of the yaw axis and 0.30 m up, ranges in whole millimetres. Scenes are polygons in the top view,
+extruded to a height each, with rays cast in closed form, without a simulator.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What others offer from PyPI, with the settings that served them best here."""
+"""Registration by other packages from PyPI, with the settings that were best for them here."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The pictures of docs/registration.md, made by the program: ``python registration_pictures.py``.
+"""Make the pictures of docs/registration.md: ``python registration_pictures.py``.
 
-Run in ``benchmarks/``; writes SVG files to ``docs/images``. Same program, same bytes.
+Run in ``benchmarks/``; writes SVG files to ``docs/images``. The same program writes the same bytes.
 """
 
 from __future__ import annotations
@@ -15,8 +15,14 @@ from registration_data import scan as take
 from ring import SIGMA_XY, SIGMA_YAW, chain, make_ring
 
 from scan3d_twin.core.mapping.loop_closure import align_grids
-from scan3d_twin.core.registration import PosePrior, ScanNoise, SurfelGrid, prepare, register
-from scan3d_twin.core.registration.free_space import contradiction
+from scan3d_twin.core.registration import (
+    PosePrior,
+    ScanNoise,
+    SurfelGrid,
+    extract_surfels,
+    register,
+)
+from scan3d_twin.core.registration.free_space import measure_contradiction
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X
 from scan3d_twin.core.types import Pose2
 
@@ -91,7 +97,7 @@ def normals() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         image = take(wall(), Pose2(), 65.0, Noise(0.010), rng)
-        table = prepare(image, noise=ScanNoise(0.010, 0.010)).at(np.s_[:, :])
+        table = extract_surfels(image, noise=ScanNoise(0.010, 0.010)).at(np.s_[:, :])
         beam = image.spec.n_beams // 2
         for line in range(HALF_WINDOW, image.n_lines - HALF_WINDOW):
             yaw = image.yaws[line, beam]
@@ -134,7 +140,7 @@ def surfels_in_plan(grid: SurfelGrid, T: Pose2) -> FloatArray:
 def overlay() -> None:
     """Two sweeps before and after registration."""
     data = pair("boxes", Noise(0.010), 4, 0.04, math.radians(4.0))
-    target, source = prepare(data.target), prepare(data.source)
+    target, source = extract_surfels(data.target), extract_surfels(data.source)
     prior = PosePrior.planar(data.init, 0.04, math.radians(4.0))
     result = register(target, source, prior=prior, starts=8)
     picture = Picture((-0.85, 0.95), (0.72, 1.5))
@@ -156,7 +162,7 @@ def plain_wall() -> None:
     for seed in range(60):
         data = pair("wall", Noise(0.010), seed)
         prior = PosePrior.planar(data.init, 0.02, math.radians(2.0))
-        result = register(prepare(data.target), prepare(data.source), prior=prior)
+        result = register(extract_surfels(data.target), extract_surfels(data.source), prior=prior)
         for found, T in (
             (guesses, data.init),
             (results, Pose2.from_matrix(result.T_target_source)),
@@ -177,12 +183,12 @@ def plain_wall() -> None:
 def free_space() -> None:
     """Contradiction with free space over a slide along a periodic surface."""
     data = pair("sine", Noise(0.010), 0)
-    target, source = prepare(data.target), prepare(data.source)
+    target, source = extract_surfels(data.target), extract_surfels(data.source)
     slides = np.linspace(-0.20, 0.20, 161)
     scores = []
     for slide in slides:
         T = (Pose2(0.0, float(slide)) @ data.truth).matrix()
-        scores.append(contradiction(target, source, T, 4))
+        scores.append(measure_contradiction(target, source, T, 4))
     picture = Picture((-0.20, 0.20), (0.0, max(scores) * 1.25)).stretched(240)
     for k in range(-2, 3):
         picture.line([(0.083 * k, 0), (0.083 * k, max(scores))], GREY, 0.7)
@@ -196,7 +202,7 @@ def free_space() -> None:
 def closed_ring() -> None:
     """Views around a cabinet by odometry, and aligned, with links and pose covariances."""
     ring = make_ring("cabinet", 0.010, 1, 12)
-    grids = [prepare(image) for image in ring.images]
+    grids = [extract_surfels(image) for image in ring.images]
     odometry = [PosePrior.planar(move, SIGMA_XY, SIGMA_YAW) for move in ring.moves]
     edges, solution = align_grids(grids, odometry)
     picture = Picture((-1.9, 4.6), (-1.6, 1.9), 640)

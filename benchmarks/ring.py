@@ -1,16 +1,16 @@
-"""Views all round a target, aligned at once: ours against open3d and small_gicp.
+"""Loop closure of views all round a target: ours against open3d and small_gicp.
 
 ``python benchmarks/ring.py [--runs 5] [--views 12] [--json]`` prints one object {name: {value,
 unit, peer, runs}}. Two targets, 10 and 3 mm noise, odometry errors of 2 cm and 2 deg per move. The
 error is the RMS over all points of all views against the truth, the first view's pose given.
 
-Peers register pairs of point clouds, are projected to the plane (they get the same knowledge), and
-align by ``open3d.pipelines.registration.global_optimization`` with information matrices by open3d.
-Each is run on the neighbours of the ring and on these and the next but one, and its better error
-counts; ours finds its pairs by itself. ``ring_vs_best_peer`` is the third best of the four ratios
-of errors, so that it holds in three cases of four. Times are CPU times of all threads together;
-``ring_time_vs_best_peer`` is the worst ratio to the most accurate peer of a case (with its cheaper
-set of pairs where that was the better one), ``ring_time_vs_open3d`` that to point to point.
+Peers register pairs of point clouds, are projected to the plane (so that they have the same prior
+knowledge), and align by ``open3d.pipelines.registration.global_optimization`` with information
+matrices by open3d. Each runs once on the pairs of neighbours and once with the next but one as
+well, and its better error counts; ours finds its pairs by itself. ``ring_vs_best_peer`` is the
+third best of the four ratios of errors, so it holds in three cases of four. Times are CPU times of
+all threads; ``ring_time_vs_best_peer`` is the worst ratio to the most accurate peer of a case, with
+the set of pairs of its better error, ``ring_time_vs_open3d`` the ratio to point-to-point ICP.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from registration_data import FloatArray, Noise, Scene, box, merge, polygon, sca
 from registration_peers import PEERS, Peer
 
 from scan3d_twin.core.mapping.loop_closure import align_grids
-from scan3d_twin.core.registration import PosePrior, prepare
+from scan3d_twin.core.registration import PosePrior, extract_surfels
 from scan3d_twin.core.types import Pose2, RangeImage
 
 SIGMA_XY, SIGMA_YAW = 0.02, math.radians(2.0)
 RADIUS, HALF = 1.2, 42.0
-"""Distance of the views from the target's middle [m]; each sweeps so far to either side [deg]."""
+"""Distance of the views from the target's middle [m], and half the width of their sweeps [deg]."""
 REACH, FINE = 0.10, 0.03
 """Correspondence distances of the peers, first and second stage [m]."""
 pipelines = o3d.pipelines.registration
@@ -113,7 +113,7 @@ def chain(moves: list[Pose2]) -> list[Pose2]:
 
 def ours(ring: Ring) -> list[Pose2]:
     odometry = [PosePrior.planar(move, SIGMA_XY, SIGMA_YAW) for move in ring.moves]
-    return list(align_grids([prepare(image) for image in ring.images], odometry)[1].poses)
+    return list(align_grids([extract_surfels(image) for image in ring.images], odometry)[1].poses)
 
 
 def two_stages(reach: float, fine: float) -> Peer:

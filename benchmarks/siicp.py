@@ -38,8 +38,8 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.scan_matching import motion_prior
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
-from scan3d_twin.core.registration import SurfelGrid, prepare, register
-from scan3d_twin.core.registration.multistart import AMBIGUOUS
+from scan3d_twin.core.registration import SurfelGrid, extract_surfels, register
+from scan3d_twin.core.registration.multistart import MIN_CONTRADICTION_GAP
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage
 
 EPSILON = 0.010
@@ -123,7 +123,7 @@ def measure(name: str, overlap: float, sigma: float, runs: int) -> Setting:
         rng = np.random.default_rng([run, round(100 * overlap), round(1e3 * sigma), len(name)])
         first = scan(scene, Pose2(), HALF, Noise(sigma), rng)
         second = scan(scene, O2, HALF, Noise(sigma), rng)
-        grid = prepare(first)
+        grid = extract_surfels(first)
         predicted.append(ErrorPrediction(grid, grid.valid, settings).error(O2))
         if run < SIMULATED:
             simulation = SimulatedRegistration(grid, grid.valid, settings, run)
@@ -133,10 +133,10 @@ def measure(name: str, overlap: float, sigma: float, runs: int) -> Setting:
         points = second.points[np.isfinite(second.ranges)]
         try:
             result = register(
-                grid, prepare(second), prior=guess, starts=settings.registration.starts
+                grid, extract_surfels(second), prior=guess, starts=settings.registration.starts
             )
             errors.append(point_error(points, result.T_target_source, O2))
-            flagged.append(result.ambiguity_gap < AMBIGUOUS)
+            flagged.append(result.ambiguity_gap < MIN_CONTRADICTION_GAP)
         except RegistrationError:
             errors.append(point_error(points, guess.T, O2))
             flagged.append(True)
@@ -220,20 +220,20 @@ def costs(runs: int) -> Iterator[list[float]]:
 
 
 def plan(image: RangeImage, _: np.random.Generator) -> None:
-    grid = prepare(image)
+    grid = extract_surfels(image)
     forecast = ErrorPrediction(grid, grid.valid, config())
     for eta in OVERLAPS:
         forecast.error(candidate(eta))
 
 
 def simulate_all(image: RangeImage, _: np.random.Generator) -> None:
-    simulation = _simulation(prepare(image))
+    simulation = _simulation(extract_surfels(image))
     for eta in OVERLAPS:
         list(simulation.errors(candidate(eta), 10))
 
 
 def simulate(image: RangeImage, _: np.random.Generator) -> None:
-    simulation = _simulation(prepare(image))
+    simulation = _simulation(extract_surfels(image))
     for eta in OVERLAPS:
         simulation.error(candidate(eta), 10)
 

@@ -1,4 +1,4 @@
-"""How long a user waits: for help, for the first line, and for a whole run, first or repeated.
+"""Waiting times of a user: for help, for the first line, and for a whole run, first or repeated.
 
 Each figure is a median, taken by turns with its peer: cyclopts, bare Python, or the checkout in
 another folder. Wall time, but for ``sim_vs``, which takes the processor time of whole processes;

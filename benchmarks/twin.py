@@ -1,7 +1,7 @@
-"""What the twin costs beside named peers, measured turn by turn in one process.
+"""Speed of the twin against named peers, measured in turns in one process.
 
-Times are CPU time of this process on one thread, so that other programs count little; values are
-medians of ``--runs`` rounds, each peer taking its turn in every round. The scenes are
+Times are CPU times of this process on one thread, so that other programs matter little; values are
+medians of ``--runs`` rounds, with each peer measured in every round. The scenes are
 ``three_boxes`` and ``clutter_100``, the robot turns at 5 deg/s. Peers: MuJoCo's physics alone
 (``mj_step`` in C), ``mj_multiRay`` from one frozen pose, ``Batch.ray``, and PyBullet with a
 two-wheeled robot at 240 Hz and a frozen ideal scan (dependency group ``bench``; its row is null

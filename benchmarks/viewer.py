@@ -1,4 +1,4 @@
-"""What the live view costs a robot's computer, and how fast a recorded session opens.
+"""Cost of the live view on the robot's computer, and time to open a recorded session.
 
 Run: .venv/bin/python benchmarks/viewer.py [--seconds 20] [--views 20]
 
@@ -56,7 +56,7 @@ def cost(seconds: float, feed: Callable[[int], None]) -> float:
 
 
 def feeder(view: LiveView | None, lines: list[ScanLine], session: Session) -> Callable[[int], None]:
-    """Return what tells ``view`` of the run so far, once per call."""
+    """Return a function that feeds ``view`` the next line of the run on each call."""
 
     def feed(k: int) -> None:
         if view is None:
@@ -77,10 +77,10 @@ def measure_live(seconds: float, browser: bool) -> None:
     lines, planner = Lines(), make_planner("siicp")
     with open_sim("three_boxes", 0) as (robot, _):
         session = run_loop(robot, planner, Config.preset("paper", max_views=4), 0, lines)
-        told: list[str] = []
-        with open_live_view(LOOPBACK, 0, "benchmark", None, told.append) as view:
+        messages: list[str] = []
+        with open_live_view(LOOPBACK, 0, "benchmark", None, messages.append) as view:
             view.attach(robot)
-            page = _attach(told[0].removeprefix("live view: ")) if browser else None
+            page = _attach(messages[0].removeprefix("live view: ")) if browser else None
             deadline = time.monotonic() + 60
             while browser and not view.has_readers() and time.monotonic() < deadline:
                 time.sleep(0.2)

@@ -2,7 +2,7 @@
 # On Python 3.12 and later, numpy 2.5.5's NDArray is a type alias (PEP 695): the origin of
 # NDArray[np.float64] is the alias and no longer numpy.ndarray, so that code which looks at
 # annotations while it runs, as `isinstance(x, typing.get_origin(annotation))`, raises TypeError.
-# numpy 2.4.6 gave numpy.ndarray. Exits 0 while it behaves so, 1 if not, 2 without such a Python.
+# numpy 2.4.6 gave numpy.ndarray. Exits 0 while that is so, 1 if not, 2 without such a Python.
 set -eu
 for python in "${PYTHON:-python3}" python3.14 python3.13 python3.12; do
     if "$python" -c 'import sys; sys.exit(sys.version_info < (3, 12))' 2> /dev/null; then
@@ -32,11 +32,11 @@ def mean(values: NDArray[np.float64]) -> float:
 
 origin = typing.get_origin(typing.get_type_hints(mean)["values"])
 try:
-    told = str(isinstance(np.zeros(3), origin))
+    outcome = str(isinstance(np.zeros(3), origin))
 except TypeError as error:
-    told = f"TypeError: {error}"
+    outcome = f"TypeError: {error}"
 print(f"Python {sys.version.split()[0]}, numpy {np.__version__}: NDArray is a {type(NDArray).__name__}")
-print(f"  origin of NDArray[np.float64]: {origin}; isinstance(np.zeros(3), it): {told}")
+print(f"  origin of NDArray[np.float64]: {origin}; isinstance(np.zeros(3), it): {outcome}")
 sys.exit(0 if (origin is np.ndarray) == (sys.argv[1] == "class") else 1)
 EOF
 for release in 2.4.6=class 2.5.5=alias; do
@@ -44,4 +44,4 @@ for release in 2.4.6=class 2.5.5=alias; do
     "${release#*=}/bin/pip" install --quiet "numpy==${release%=*}"
     "${release#*=}/bin/python" look.py "${release#*=}"
 done
-echo "as described: NDArray is no class to ask for instances any more"
+echo "as described: NDArray is no longer a class that isinstance accepts"

@@ -1,8 +1,8 @@
 #!/bin/sh
-# `zig cc` of ziglang 0.17.1 compiles for the processor it runs on when no -target is given, and for
-# the least of the architecture as soon as one is, be it the machine's own. gcc and clang do the
-# latter always, so that a binary built by zig's default may not run elsewhere. Exits 0 while it
-# behaves so, 1 if not, 2 where the processor is too old to tell.
+# Without -target, `zig cc` of ziglang 0.17.1 compiles for the processor it runs on; with one, even
+# that of the machine, for the baseline of the architecture. gcc and clang always do the latter, so a
+# binary built by zig's default may not run elsewhere. Exits 0 while that is so, 1 if not, 2 if the
+# processor is too old to show the difference.
 set -eu
 if ! grep -qw avx2 /proc/cpuinfo; then
     echo "this processor has no AVX2: both are the same here" >&2

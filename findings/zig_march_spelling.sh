@@ -1,6 +1,6 @@
 #!/bin/sh
-# `zig cc` of ziglang 0.17.1 refuses the names of the x86-64 levels that gcc and clang take for
-# -march, and takes them with underscores only. Exits 0 while it behaves so, else 1.
+# `zig cc` of ziglang 0.17.1 refuses the names of the x86-64 levels that gcc and clang accept for
+# -march, and accepts them with underscores only. Exits 0 while that is so, else 1.
 set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -64,9 +64,9 @@ TESTS = {
     DEVICES / "urg/link.py": URG,
     DEVICES / "urg/scan_modes.py": ["tests/devices/urg/test_scan_modes.py", *URG],
 }
-"""Which tests are to notice, by module; the quick ones first."""
+"""Tests that should fail for a mutant, by module; the quick ones first."""
 PATIENCE = 5.0
-"""Tests that take so many times as long as without a mutant have noticed: it hangs."""
+"""Factor on the time of the tests without a mutant after which they count as hanging: noticed."""
 COMPARISONS = {
     **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq},
     **{ast.NotEq: ast.Eq, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot},

@@ -27,7 +27,7 @@ def dilate(grid: BoolArray, radius: float, cell: float = 1.0) -> BoolArray:
         cell: Side of a cell.
     """
     disc, result = _disc(radius, cell), np.empty(grid.shape, dtype=bool)
-    if engine.dilated(np.ascontiguousarray(grid), *grid.shape, disc, len(disc), result) < 0:
+    if engine.dilate(np.ascontiguousarray(grid), *grid.shape, disc, len(disc), result) < 0:
         raise MemoryError
     return result
 
@@ -38,7 +38,7 @@ def label_cells(grid: BoolArray) -> SmallIntArray:
     Connected cells, also those that touch at a corner only, share one. They count from 1.
     """
     labels = np.empty(grid.shape, dtype=np.int32)
-    if engine.labels(np.ascontiguousarray(grid), *grid.shape, labels) < 0:
+    if engine.label_components(np.ascontiguousarray(grid), *grid.shape, labels) < 0:
         raise MemoryError
     return labels
 

@@ -1,4 +1,4 @@
-"""Gymnasium environments: the loop of the twin with the decisions left to an agent.
+"""Gymnasium environments for view planning: the digitisation loop with decisions left to an agent.
 
 Importing this package registers ``scan3d_twin/ViewPlanOverlap-v0``, ``scan3d_twin/ViewPlanPose-v0``
 and ``scan3d_twin/Candidates-v0``:
@@ -15,15 +15,15 @@ from scan3d_twin.envs.policy import PlannerPolicy, Rollout, rollout
 
 __all__ = ["ENV_IDS", "FIDELITIES", "PlannerPolicy", "Rollout", "rollout"]
 
-MOST_STEPS = 40
-"""Steps after which an episode is truncated, whatever ``max_views`` says."""
+MAX_EPISODE_STEPS = 40
+"""Steps after which gymnasium truncates an episode, regardless of ``max_views``."""
 _ENTRIES = {
     "scan3d_twin/ViewPlanOverlap-v0": "scan3d_twin.envs.overlap:OverlapEnv",
     "scan3d_twin/ViewPlanPose-v0": "scan3d_twin.envs.pose:PoseEnv",
     "scan3d_twin/Candidates-v0": "scan3d_twin.envs.candidates:CandidatesEnv",
 }
 ENV_IDS = tuple(_ENTRIES)
-"""The registered environments."""
+"""Ids of the registered environments."""
 
 for _id, _entry in _ENTRIES.items():
     if _id not in registry:
@@ -31,5 +31,5 @@ for _id, _entry in _ENTRIES.items():
             id=_id,
             entry_point=_entry,
             vector_entry_point=f"scan3d_twin.envs.vector:{_entry.split(':')[0].split('.')[-1]}",
-            max_episode_steps=MOST_STEPS,
+            max_episode_steps=MAX_EPISODE_STEPS,
         )

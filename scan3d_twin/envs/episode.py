@@ -1,4 +1,4 @@
-"""One episode: the loop of ``core.digitize`` with the decisions left to whoever acts."""
+"""One episode: the loop of ``core.digitize`` with the plans from outside."""
 
 from __future__ import annotations
 
@@ -12,50 +12,54 @@ from scan3d_twin.core.scanning.extrinsic_calibration import apply_yaw_scale, cal
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 from scan3d_twin.envs.observations import sees_target
+from scan3d_twin.envs.prepared_scenes import PreparedScene
+from scan3d_twin.envs.scan_sources import EpisodeScanSource
 from scan3d_twin.envs.scoring import Score
-from scan3d_twin.envs.scouts import EpisodeScout
-from scan3d_twin.envs.stage import Stage
 
-LOOK = Plan(None, 0.0, math.nan, False, (), "look around", needs_panorama=True)
+PANORAMA_PLAN = Plan(None, 0.0, math.nan, False, (), "look around", needs_panorama=True)
 
 
 class Episode:
-    """A run under way: its session, and how well it goes.
+    """A run in progress: its session and its score.
 
     Attributes:
-        session: All that the robot knows.
-        scout: Takes the sweeps.
-        score: By the truth, for rewards and metrics.
-        stage: Where it takes place.
+        session: Everything the robot knows.
+        source: Takes the sweeps.
+        score: Coverage and errors by the truth, for rewards and metrics.
+        prepared: The scene.
     """
 
-    def __init__(self, stage: Stage, scout: EpisodeScout, seed: int) -> None:
-        self.stage, self.scout = stage, scout
-        panorama = scout.take_panorama()
+    def __init__(self, prepared: PreparedScene, source: EpisodeScanSource, seed: int) -> None:
+        self.prepared, self.source = prepared, source
+
+        # Calibrate on the first panorama.
+        panorama = source.take_panorama()
         calibration = calibrate_on_panorama(panorama.image)
-        scout.config = apply_yaw_scale(scout.config, calibration)
-        session, viewpoint = start_session(panorama, scout.here, scout.config, seed, None)
-        self._loop = iterate_views(scout, session, viewpoint)
+        source.config = apply_yaw_scale(source.config, calibration)
+
+        # Take the first view.
+        session, viewpoint = start_session(panorama, source.here, source.config, seed, None)
+        self._loop = iterate_views(source, session, viewpoint)
         self.session: Session = next(self._loop)
-        self.score = Score(stage, scout.truth, self.session)
+        self.score = Score(prepared, source.truth, self.session)
         self.score.update(self.session)
 
     @cached_property
     def _known(self) -> tuple[Session, PlanningContext]:
-        """The context after the latest view or look."""
+        """The session and its context after the latest view or panorama."""
         return self.session, PlanningContext(self.session, self.costmap)
 
     @property
     def context(self) -> PlanningContext:
-        """What the planners ask first, on the costmap that the robot keeps."""
+        """The planning context of the latest view, on the costmap that the robot keeps."""
         if self._known[0] is not self.session:
             del self._known
         return self._known[1]
 
     @property
     def costmap(self) -> Costmap:
-        """Where the robot can go from the latest view."""
-        return self.scout.floor(self.session.views[-1].observation.T_odom_scan)
+        """Costmap from the latest view."""
+        return self.source.costmap_from(self.session.views[-1].observation.T_odom_scan)
 
     @property
     def sees_target(self) -> bool:
@@ -72,11 +76,11 @@ class Episode:
         self.score.update(self.session)
 
     def look(self) -> None:
-        """Look around from here, unless this was done already."""
+        """Take a panorama from here, unless there is one."""
         if not self.context.has_panorama:
-            self.session = self._loop.send(LOOK)
+            self.session = self._loop.send(PANORAMA_PLAN)
 
     def close(self) -> None:
         """Stop the robot."""
         self._loop.close()
-        self.scout.close()
+        self.source.close()

@@ -1,6 +1,6 @@
-"""What an agent sees: only what the robot knows. Bounded arrays in a flat dictionary.
+"""Observation space and observations: what the robot knows, as bounded arrays in a flat dictionary.
 
-No argument here holds the truth: the session, the costmap and the context are the robot's own.
+The truth is not available here: session, costmap and context are the robot's own.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, wrap
 
 SIDE = 96
-"""Cells of the top view: 4.8 m, the robot in the middle, its heading up."""
+"""Cells along each side of the top view: 4.8 m, the robot in the middle, heading up."""
 LINES, BEAMS = 64, 96
-"""Size of the range image that is shown."""
+"""Size of the observed range image."""
 BINS = 64
-"""Bearings of the profile, left to right across a sweep."""
-FAR = 5.0
-"""Positions are shown in units of this [m], and clipped."""
-LOST = "target lost"
-"""How a context's reason begins that has no target in it."""
-WORST = 5.0
-"""Errors are shown in units of this times epsilon, and clipped."""
+"""Bearings of the profile, from left to right across a sweep."""
+POSITION_SCALE = 5.0
+"""Unit of observed positions [m]; they are clipped to -1 .. 1."""
+TARGET_LOST = "target lost"
+"""Start of a context's reason for finishing if there is no target in view."""
+ERROR_SCALE = 5.0
+"""Unit of observed errors, in epsilon; they are clipped to 0 .. 1."""
 Image = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float32]
 
 
 def observation_space() -> dict[str, spaces.Space[Any]]:
-    """Return the spaces that all environments share."""
+    """Return the observation spaces that all environments share."""
     return {
         "topdown": spaces.Box(0, 255, (4, SIDE, SIDE), np.uint8),
         "range": spaces.Box(0, 255, (1, LINES, BEAMS), np.uint8),
@@ -46,23 +46,23 @@ def observation_space() -> dict[str, spaces.Space[Any]]:
 
 
 def observe(context: PlanningContext) -> dict[str, Any]:
-    """Return the values of ``observation_space`` after the latest view."""
+    """Return the observations in ``observation_space`` after the latest view."""
     session, view = context.session, context.view
     return {
-        "topdown": topdown(session, context.costmap),
-        "range": range_image(view, session.config.target.max_range),
-        "profile": profile(view, session).ravel(),
-        "pose": pose(session),
-        "stats": stats(context),
+        "topdown": encode_topdown(session, context.costmap),
+        "range": encode_range_image(view, session.config.target.max_range),
+        "profile": encode_profile(view, session).ravel(),
+        "pose": encode_pose(session),
+        "stats": encode_stats(context),
     }
 
 
 def sees_target(context: PlanningContext) -> bool:
-    """Tell whether the latest view shows enough of the target to go on from."""
-    return not (context.termination_reason() or "").startswith(LOST)
+    """Return whether the latest view shows enough of the target to plan the next one."""
+    return not (context.termination_reason() or "").startswith(TARGET_LOST)
 
 
-def topdown(session: Session, costmap: Costmap) -> Image:
+def encode_topdown(session: Session, costmap: Costmap) -> Image:
     """Return free, obstacle, target and unknown (4, SIDE, SIDE) around the robot: 0 or 255."""
     scan = session.views[-1].observation.T_odom_scan
     steps = ((SIDE - 1) / 2 - np.arange(SIDE)) * RESOLUTION
@@ -78,7 +78,7 @@ def topdown(session: Session, costmap: Costmap) -> Image:
 
 
 def _target(session: Session) -> BoolArray:
-    """Tell where the target is known to be (SIDE, SIDE)."""
+    """Return the cells of the top view where the target is known to be (SIDE, SIDE)."""
     back = session.views[-1].T_world_scan.inverse()
     parts = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
     local = back.apply(np.concatenate([session.hint, *parts]))
@@ -89,10 +89,10 @@ def _target(session: Session) -> BoolArray:
     return shown
 
 
-def range_image(view: View, most: float) -> Image:
+def encode_range_image(view: View, most: float) -> Image:
     """Return the ranges (1, LINES, BEAMS): 0 for no return, 1 to 255 for 0 to ``most`` [m].
 
-    Lines left to right, beams bottom to top; every n-th of the sweep's.
+    Lines left to right, beams bottom to top, evenly sampled from the sweep.
     """
     ranges = view.observation.image.ranges
     rows = np.linspace(0, ranges.shape[0] - 1, LINES).astype(np.int64)
@@ -102,19 +102,23 @@ def range_image(view: View, most: float) -> Image:
     return np.where(np.isfinite(shown), grey, 0.0).astype(np.uint8)[None]
 
 
-def profile(view: View, session: Session) -> Values:
-    """Return the target by bearing, left to right across the sweep (4, BINS).
+def encode_profile(view: View, session: Session) -> Values:
+    """Return the target's profile by bearing, left to right across the sweep (4, BINS).
 
-    Its mean distance, its depth (both in units of the range), the top of it (in m, clipped) and
-    the share of the window's beams that it fills; -1 where it is not seen, 0 for the share.
+    Rows: mean distance and depth, both per maximum range; height of the top [m], clipped; share of
+    the readings in the bin that are on the target. Bins without target are -1, or 0 for the share.
     """
     config = session.config
     half = config.sweep.width / 2 + config.sweep.margin
     points, n = view.target.points, view.image.spec.n_beams
+
+    # Bins without target.
     result = np.full((4, BINS), -1.0)
     result[3] = 0.0
     if len(points) == 0:
-        return _shown(result, -1.0)
+        return _clip(result, -1.0)
+
+    # Extent by bearing.
     bearing = np.arctan2(points[:, 1], points[:, 0])
     bins = np.clip(((half - bearing) / (2 * half) * BINS).astype(np.int64), 0, BINS - 1)
     distance = np.hypot(points[:, 0], points[:, 1]) / config.target.max_range
@@ -124,50 +128,70 @@ def profile(view: View, session: Session) -> Values:
     np.minimum.at(low, bins, distance)
     np.maximum.at(high, bins, distance)
     np.maximum.at(top, bins, points[:, 2])
+
+    # Fill the bins seen.
     mean = np.bincount(bins, distance, BINS)[seen] / count[seen]
     lines = max(1.0, view.image.n_lines / BINS)
     result[0, seen], result[1, seen], result[2, seen] = mean, (high - low)[seen], top[seen]
     result[3, seen] = count[seen] / (lines * n)
-    return _shown(result, -1.0)
+    return _clip(result, -1.0)
 
 
-def _shown(values: FloatArray, low: float) -> Values:
+def _clip(values: FloatArray, low: float) -> Values:
     """Return ``values`` clipped to ``low`` .. 1."""
     return np.asarray(np.clip(values, low, 1.0), dtype=np.float32)
 
 
-def pose(session: Session) -> Values:
+def encode_pose(session: Session) -> Values:
     """Return the pose relative to the target as first seen (6,): x, y, cos, sin of the heading.
 
-    Frame: the middle of the target, x along its first outward normal. Then cos and sin of the
-    bearing from which the robot looks at it.
+    The frame has its origin in the middle of the target and x along its first outward normal. The
+    last two entries are cos and sin of the bearing of the robot from there.
     """
     view, middle = session.views[-1].T_world_scan, session.hint.mean(axis=0)
     off = np.array([view.x, view.y]) - middle
+
+    # Position in the target's frame.
     normal = math.atan2(session.front[1], session.front[0])
     c, s = math.cos(normal), math.sin(normal)
     x, y = float(off @ (c, s)), float(off @ (-s, c))
     yaw, bearing = wrap(view.yaw - normal), math.atan2(y, x)
-    values = [x / FAR, y / FAR, math.cos(yaw), math.sin(yaw), math.cos(bearing), math.sin(bearing)]
-    return _shown(np.array(values), -1.0)
+
+    # Scale to -1 .. 1.
+    values = [
+        x / POSITION_SCALE,
+        y / POSITION_SCALE,
+        math.cos(yaw),
+        math.sin(yaw),
+        math.cos(bearing),
+        math.sin(bearing),
+    ]
+    return _clip(np.array(values), -1.0)
 
 
-def stats(context: PlanningContext) -> Values:
-    """Return what the robot knows of its progress (8,), each 0..1.
+def encode_stats(context: PlanningContext) -> Values:
+    """Return the robot's progress (8,), each 0..1.
 
-    Views of the most allowed; turn about the target, of a full one; lines on the target; whether it
-    ends in view; of the latest registration fitness, predicted error and residual; tour all round.
+    Views per ``max_views``; turn about the target, per full turn; share of lines on the target;
+    whether its end is in view; fitness, predicted error and residual of the latest registration;
+    whether the tour goes all the way round.
     """
     config, views, view = context.session.config, context.session.views, context.view
+
+    # Progress around the target.
     headings = [seen.T_world_scan.yaw for seen in views]
     turned = sum(wrap(b - a) for a, b in pairwise(headings))
     lines = len(view.target.occupied_lines)
+
+    # Quality of the latest registration.
     fit, predicted, residual = 1.0, 0.0, 0.0
-    worst = WORST * config.planning.epsilon
+    worst = ERROR_SCALE * config.planning.epsilon
     if view.registration is not None:
         fit = view.registration.fitness
         predicted = view.registration.predicted_rmse / worst
         residual = view.registration.inlier_rmse / worst
+
+    # Scale to 0 .. 1.
     values = [
         len(views) / config.max_views,
         abs(turned) / math.tau,
@@ -179,4 +203,4 @@ def stats(context: PlanningContext) -> Values:
         float(config.tour == "full"),
     ]
     known: FloatArray = np.nan_to_num(np.array(values), nan=1.0)
-    return _shown(known, 0.0)
+    return _clip(known, 0.0)

@@ -1,4 +1,4 @@
-"""What an environment is made of, checked once: scenes, fidelity, settings, weights."""
+"""Options of an environment, checked once: scenes, fidelity, settings, reward weights."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ import numpy as np
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.devices.registry import lidar_device
+from scan3d_twin.envs.prepared_scenes import (
+    PreparedScene,
+    prepare_named_scene,
+    prepare_random_scene,
+)
 from scan3d_twin.envs.rewards import RewardWeights
-from scan3d_twin.envs.scouts import EpisodeScout, KinematicScout, PhysicsScout
-from scan3d_twin.envs.stage import Stage, named_stage, random_stage
+from scan3d_twin.envs.scan_sources import EpisodeScanSource, KinematicScanSource, PhysicsScanSource
 from scan3d_twin.run.resolve import settings_for_scene
 from scan3d_twin.run.settings import Options, build_settings, merge_options
 from scan3d_twin.sim.config import TwinConfig
@@ -25,15 +29,16 @@ from scan3d_twin.sim.world import Solver
 Fidelity = Literal["physics", "lite", "kinematic"]
 FIDELITIES: tuple[Fidelity, ...] = ("physics", "lite", "kinematic")
 RANDOM = "random"
-"""Stands for a new random scene in every episode."""
-NOISE = (0.8, 1.25)
-"""Factor on the lidar's errors in random scenes; typical sensors differ by that: assumption."""
+"""Scene name for a new random scene in every episode."""
+RANDOM_NOISE_FACTORS = (0.8, 1.25)
+"""Interval of the factor on the lidar's errors in random scenes: an assumption about how sensors
+differ."""
 THINNING, LITE_SOLVER = Thinning(), Solver(timestep=0.004, impratio=1.0)
-"""``lite`` and ``kinematic``: every third beam, of one ray each. ``lite``: physics in steps of
-4 ms; wheels do not shake."""
-MOST_POINTS = 600
-"""Points of the ICP in ``kinematic``, to be quick; 3000 is the full number. Nor are all views
-aligned there when the contour closes."""
+"""``lite`` and ``kinematic`` simulate every third beam, of one ray each; ``lite`` has physics steps
+of 4 ms and no wheel vibration."""
+MAX_POINTS = 600
+"""Points of the ICP in ``kinematic``, for speed; the full number is 3000. Loop closure is off there
+for the same reason."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +46,12 @@ class EnvOptions:
     """The effective options of an environment.
 
     Attributes:
-        scenes: Names, one of which is drawn for each episode; ``random`` is a new random scene.
+        scenes: Scene names, one of which is drawn for each episode; see ``RANDOM``.
         fidelity: How the robot is simulated.
-        given: Options as in a configuration file, over those of scene, world and preset.
-        weights: Of the reward's terms.
+        given: Options as in a configuration file; they override scene, world and preset.
+        weights: Weights of the reward terms.
         goal: Coverage at which an episode is a success, 0..1.
-        ranges: Of the random scenes.
+        ranges: Ranges of the properties of random scenes.
         noise: Interval of the factor on the lidar's errors.
     """
 
@@ -70,21 +75,24 @@ class EnvOptions:
         ranges: Mapping[str, Any] | None,
         noise: Sequence[float] | None,
     ) -> EnvOptions:
-        """Return the options for what ``gymnasium.make`` was told.
+        """Return the options for the arguments of ``gymnasium.make``.
 
         Raises:
             ConfigError: A name, key or value is wrong; the message lists the valid ones.
         """
+        # Check names and ranges.
         scenes = (scene,) if isinstance(scene, str) else tuple(scene)
         if not scenes:
             raise ConfigError(f"name a scene: {', '.join(scene_names())}, random:SEED or random")
         for name in scenes:
             if name != RANDOM:
-                named_stage(name)
+                prepare_named_scene(name)
         if fidelity not in FIDELITIES:
             raise UnknownNameError("fidelity", fidelity, FIDELITIES)
         if not 0.0 < goal <= 1.0:
             raise ConfigError(f"goal must be in (0, 1], got {goal:g}")
+
+        # Check the nested options.
         given = merge_options([{"run": {"preset": preset, "world": world}}, options or {}])
         if "run" in (options or {}):
             raise ConfigError(
@@ -92,6 +100,7 @@ class EnvOptions:
             )
         preset_options(preset)
         build_settings([given])
+
         return EnvOptions(
             scenes=scenes,
             fidelity=fidelity,
@@ -102,25 +111,33 @@ class EnvOptions:
             noise=_noise(noise, scenes),
         )
 
-    def stage(self, rng: np.random.Generator) -> Stage:
-        """Return the stage of an episode."""
+    def draw_scene(self, rng: np.random.Generator) -> PreparedScene:
+        """Return the scene of an episode."""
         name = self.scenes[int(rng.integers(len(self.scenes)))]
         seed = int(rng.integers(2**31))
-        return random_stage(seed, self.ranges) if name == RANDOM else named_stage(name)
+        return (
+            prepare_random_scene(seed, self.ranges) if name == RANDOM else prepare_named_scene(name)
+        )
 
-    def scout(self, stage: Stage, rng: np.random.Generator) -> tuple[EpisodeScout, int]:
-        """Return who takes the sweeps of an episode, and the seed of its run."""
-        effective = settings_for_scene(stage.scene, self.given)
+    def open_source(
+        self, prepared: PreparedScene, rng: np.random.Generator
+    ) -> tuple[EpisodeScanSource, int]:
+        """Return the scan source of an episode, and the seed of its run."""
+        effective = settings_for_scene(prepared.scene, self.given)
         factor, seed = float(rng.uniform(*self.noise)), int(rng.integers(2**31))
-        twin = _noisier(effective.twin, factor)
+        twin = _scale_noise(effective.twin, factor)
+
+        # Reduce the fidelity.
         if self.fidelity == "kinematic":
-            config = _quick(thin_config(effective.config, THINNING))
-            return KinematicScout(stage, seed, config, twin, THINNING), seed
+            config = _with_fast_icp(thin_config(effective.config, THINNING))
+            return KinematicScanSource(prepared, seed, config, twin, THINNING), seed
         if self.fidelity == "lite":
             spec = thin_spec(lidar_device(twin.lidar_model).spec(twin.lidar_link), THINNING)
-            config, twin = thin_config(effective.config, THINNING), _rigid(twin)
-            return PhysicsScout(stage, seed, config, twin, solver=LITE_SOLVER, spec=spec), seed
-        return PhysicsScout(stage, seed, effective.config, twin), seed
+            config, twin = thin_config(effective.config, THINNING), _without_vibration(twin)
+            return PhysicsScanSource(
+                prepared, seed, config, twin, solver=LITE_SOLVER, spec=spec
+            ), seed
+        return PhysicsScanSource(prepared, seed, effective.config, twin), seed
 
 
 def _ranges(given: Mapping[str, Any] | None) -> SceneRanges:
@@ -136,14 +153,14 @@ def _ranges(given: Mapping[str, Any] | None) -> SceneRanges:
 
 
 def _noise(given: Sequence[float] | None, scenes: tuple[str, ...]) -> tuple[float, float]:
-    low, high = given or (NOISE if RANDOM in scenes else (1.0, 1.0))
+    low, high = given or (RANDOM_NOISE_FACTORS if RANDOM in scenes else (1.0, 1.0))
     if not 0.0 <= low <= high <= 10.0:
         raise ConfigError(f"noise must be (low, high) within 0 and 10, got ({low:g}, {high:g})")
     return float(low), float(high)
 
 
-def _noisier(twin: TwinConfig, factor: float) -> TwinConfig:
-    """Return ``twin`` with a lidar whose errors are ``factor`` times as large."""
+def _scale_noise(twin: TwinConfig, factor: float) -> TwinConfig:
+    """Return ``twin`` with the lidar's errors scaled by ``factor``."""
     if factor == 1.0:
         return twin
     names = ("sigma", "sigma_per_metre", "sigma_far", "sigma_weak", "bias", "surface_bias")
@@ -151,14 +168,14 @@ def _noisier(twin: TwinConfig, factor: float) -> TwinConfig:
     return replace(twin, lidar=replace(twin.lidar, **scaled))
 
 
-def _rigid(twin: TwinConfig) -> TwinConfig:
-    """Return ``twin`` without what shakes it, and with a lidar of beams without width."""
+def _without_vibration(twin: TwinConfig) -> TwinConfig:
+    """Return ``twin`` without wheel vibration, and with lidar beams of one ray."""
     lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1)
     return replace(twin, lidar=lidar, errors=replace(twin.errors, cogging=0.0))
 
 
-def _quick(config: Config) -> Config:
+def _with_fast_icp(config: Config) -> Config:
     registration = config.registration
-    quick = replace(registration, max_points=min(MOST_POINTS, registration.max_points))
+    quick = replace(registration, max_points=min(MAX_POINTS, registration.max_points))
     alignment = replace(config.alignment, mode="off")
     return replace(config, registration=quick, alignment=alignment)

@@ -1,4 +1,4 @@
-"""Planners as policies: what the robot's own planner would do in an environment."""
+"""Planners as policies: the action that a planner would take in an environment."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from scan3d_twin.envs.base import ViewPlanEnv
 
 
 class PlannerPolicy:
-    """A planner behind the question "which action now?".
+    """A planner as a policy.
 
-    It sees the session of the episode, as ``digitize`` would show it, and has the same chance. In
-    ``ViewPlanOverlap-v0`` a planner that chooses overlaps acts exactly as in ``digitize``;
-    elsewhere it takes the action nearest to its plan.
+    It gets the session of the episode and the random numbers that ``digitize`` would give it. In
+    ``ViewPlanOverlap-v0`` a planner that chooses overlaps acts exactly as in ``digitize``; in other
+    environments it takes the action nearest to its plan.
 
     >>> import gymnasium
     >>> env = gymnasium.make(
@@ -32,17 +32,17 @@ class PlannerPolicy:
     """
 
     def __init__(self, planner: Planner | str) -> None:
-        """Take a planner, or the name of one (``list_planners``)."""
+        """Use a planner, or the one of a name from ``list_planners``."""
         self._planner = make_planner(planner) if isinstance(planner, str) else planner
 
     def act(self, env: gymnasium.Env[Any, Any]) -> Any:
-        """Return the planner's action in ``env``; None when it thinks that the scan is finished."""
-        inner = _inner(env)
+        """Return the planner's action in ``env``, or None if it considers the scan finished."""
+        inner = _unwrap(env)
         plan = self.plan(inner)
-        return None if plan.viewpoint is None else inner.encode(plan)
+        return None if plan.viewpoint is None else inner.action_of_plan(plan)
 
     def plan(self, env: ViewPlanEnv[Any]) -> Plan:
-        """Return the planner's plan; looks around first if it asks for that."""
+        """Return the planner's plan; take a panorama first if it needs one."""
         plan = ask_planner(self._planner, env.session)
         if plan.needs_panorama:
             env.look()
@@ -52,12 +52,12 @@ class PlannerPolicy:
 
 @dataclass(frozen=True)
 class Rollout:
-    """What came of one episode.
+    """Result of one episode.
 
     Attributes:
         total: Sum of the rewards.
-        info: The last step's.
-        rewards: By step.
+        info: Info of the last step.
+        rewards: Reward of each step.
     """
 
     total: float
@@ -68,7 +68,7 @@ class Rollout:
 def rollout(
     env: gymnasium.Env[Any, Any], policy: PlannerPolicy, seed: int | None = None
 ) -> Rollout:
-    """Return what comes of ``policy`` in one episode of ``env``.
+    """Return the result of one episode of ``env`` with ``policy``.
 
     >>> import gymnasium
     >>> env = gymnasium.make(
@@ -91,7 +91,7 @@ def rollout(
     return Rollout(sum(rewards), info, tuple(rewards))
 
 
-def _inner(env: gymnasium.Env[Any, Any]) -> ViewPlanEnv[Any]:
+def _unwrap(env: gymnasium.Env[Any, Any]) -> ViewPlanEnv[Any]:
     inner = env.unwrapped
     if not isinstance(inner, ViewPlanEnv):
         raise ConfigError(f"planners act in the environments of scan3d_twin.envs, not in {inner}")

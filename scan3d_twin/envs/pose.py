@@ -1,4 +1,4 @@
-"""``ViewPlanPose-v0``: any pose around the target, snapped to the nearest reachable one."""
+"""``ViewPlanPose-v0``: choose any pose around the target; it is snapped to a reachable place."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap
 from scan3d_twin.envs.base import ViewPlanEnv
 
 REACH = 3.0
-"""Positions lie within this of the middle of the target, along x and y of ``world`` [m]."""
+"""Largest offset from the middle of the target along x and y of ``world`` [m]."""
 PoseAction = npt.NDArray[np.float32]
 
 
 class PoseEnv(ViewPlanEnv[PoseAction]):
-    """Choose x, y and the heading, each in -1..1: of 3 m about the target's middle, and of pi.
+    """Choose x, y and heading, each in -1..1: x and y per 3 m about the target, heading per pi.
 
-    The place is snapped to the nearest cell of the costmap that the robot can reach.
+    The position is snapped to the nearest cell of the costmap that the robot can reach.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -29,8 +29,8 @@ class PoseEnv(ViewPlanEnv[PoseAction]):
         self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
         self._places: FloatArray = np.zeros((0, 2))
 
-    def prepare(self) -> bool:
-        """See ``ViewPlanEnv``; looks around when the robot knows no way from where it stands."""
+    def update_actions(self) -> bool:
+        """See ``ViewPlanEnv``; takes a panorama if the robot can reach no other cell."""
         self._places = self._reachable()
         if len(self._places) < 2:
             self.episode.look()
@@ -38,18 +38,18 @@ class PoseEnv(ViewPlanEnv[PoseAction]):
         return len(self._places) > 1
 
     def _reachable(self) -> FloatArray:
-        """Return the middles (n, 2) in ``odom`` [m] of the cells that the robot can reach."""
+        """Return the centres (n, 2) in ``odom`` [m] of the cells that the robot can reach."""
         costmap = self.episode.costmap
         cells = np.argwhere(costmap.passable)
         places = np.asarray(costmap.origin + (cells + 0.5) * RESOLUTION)
         return places[np.isfinite(costmap.path_lengths(places))]
 
-    def complete(self) -> str | None:
-        """See ``ViewPlanEnv``: a pose may look elsewhere, so that only the views count."""
+    def completion_reason(self) -> str | None:
+        """See ``ViewPlanEnv``; only ``max_views`` counts, since a pose may face away."""
         most = self.session.config.max_views
         return f"max_views: {most} views taken" if len(self.session.views) >= most else None
 
-    def decode(self, action: PoseAction) -> tuple[Plan, bool]:
+    def plan_of_action(self, action: PoseAction) -> tuple[Plan, bool]:
         """See ``ViewPlanEnv``."""
         x, y = self.session.hint.mean(axis=0) + REACH * action[:2].astype(np.float64)
         wanted = self._odom_of_world @ Pose2(float(x), float(y), math.pi * float(action[2]))
@@ -59,7 +59,7 @@ class PoseEnv(ViewPlanEnv[PoseAction]):
         snapped = bool(away.min() > RESOLUTION)
         return Plan(there, 0.0, math.nan, False, (), "action: a pose"), snapped
 
-    def encode(self, plan: Plan) -> PoseAction:
+    def action_of_plan(self, plan: Plan) -> PoseAction:
         """See ``ViewPlanEnv``."""
         pose = plan.viewpoint or self.session.views[-1].T_world_scan
         off = (np.array([pose.x, pose.y]) - self.session.hint.mean(axis=0)) / REACH

@@ -1,4 +1,4 @@
-"""Pictures of an episode: its top view as pixels, or as coloured half blocks in a terminal."""
+"""Rendering: the top view of an episode as an image, or as coloured text in a terminal."""
 
 from __future__ import annotations
 
@@ -14,35 +14,41 @@ from scan3d_twin.core.types import FloatArray
 SIDE = 256
 """Pixels along each side."""
 METRES = 6.4
-"""Shown along each side, the target in the middle [m]."""
+"""Length of each side [m], the target in the middle."""
 UNKNOWN_RGB, FREE_RGB, OBSTACLE_RGB = (38, 42, 48), (226, 230, 234), (120, 96, 80)
 VIEW_RGB = ((47, 126, 216), (232, 113, 10), (31, 157, 85), (214, 51, 108), (130, 80, 223))
-"""Of the target's points, by view in turn."""
+"""Colours of the target's points, cycling through the views."""
 PATH_RGB, ROBOT_RGB = (180, 60, 60), (20, 20, 20)
 Picture = npt.NDArray[np.uint8]
 
 
-def picture(session: Session, costmap: Costmap) -> Picture:
-    """Return the top view (SIDE, SIDE, 3): the floor, the target by view, the robot and its way."""
+def draw_picture(session: Session, costmap: Costmap) -> Picture:
+    """Return the top view (SIDE, SIDE, 3): costmap, target by view, path and robot."""
     view = session.views[-1]
     T_odom_world = view.observation.T_odom_scan @ view.T_world_scan.inverse()
     middle = T_odom_world.apply(session.hint).mean(axis=0)
     image = _floor(costmap, middle)
+
+    # Target points by view.
     for k, seen in enumerate(session.views):
         pose = T_odom_world @ seen.T_world_scan
         _dot(image, pose.apply(seen.target.points[:, :2]), middle, VIEW_RGB[k % len(VIEW_RGB)], 0)
+
+    # Path between the views.
     places = np.array([[p.x, p.y] for p in (T_odom_world @ v.T_world_scan for v in session.views)])
     for a, b in pairwise(places):
         _dot(image, a + np.linspace(0, 1, 64)[:, None] * (b - a), middle, PATH_RGB, 0)
     _dot(image, places, middle, PATH_RGB, 2)
+
+    # Robot, with its heading.
     here = view.observation.T_odom_scan
     nose = here.apply(np.stack([np.linspace(0, 0.25, 32), np.zeros(32)], axis=1))
     _dot(image, nose, middle, ROBOT_RGB, 1)
     return image
 
 
-def blocks(image: Picture, columns: int = 64) -> str:
-    """Return ``image`` (n, n, 3) for a terminal: half blocks in 24 bit colours."""
+def format_blocks(image: Picture, columns: int = 64) -> str:
+    """Return ``image`` (n, n, 3) as text for a terminal: half blocks in 24-bit colours."""
     size = image.shape[0] // columns
     small = image[: size * columns, : size * columns].reshape(columns, size, columns, size, 3)
     pixels = small.mean(axis=(1, 3)).astype(np.int64)

@@ -1,4 +1,4 @@
-"""What a step is worth: a weighted sum of named terms."""
+"""The reward of a step: a weighted sum of named terms."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from scan3d_twin.core.errors import ConfigError, UnknownNameError
 
 @dataclass(frozen=True, slots=True)
 class RewardWeights:
-    """Weights of the terms; each is >= 0, and costs are subtracted.
+    """Weights of the reward terms; each is >= 0, and costs are subtracted.
 
-    The first is the gain that next-best-view work rewards (Chen et al., GenNBV, CVPR 2024); the
-    others make views, ways and bad registrations cost something: assumptions.
+    The gain in coverage is the usual reward of next-best-view work (Chen et al., GenNBV, CVPR
+    2024). The costs of views, paths and bad registrations are assumptions.
     """
 
     coverage: float = 1.0
-    """Per share of the coverable surface that came to be covered."""
+    """Per share of the coverable surface that is newly covered."""
     view: float = 0.02
     """Per view."""
     path: float = 0.05
@@ -25,7 +25,7 @@ class RewardWeights:
     misplaced: float = 1.0
     """For a view whose registration error exceeds epsilon."""
     failure: float = 1.0
-    """For an episode that ends by a failure: the target or the way lost, a bump, a cliff."""
+    """For an episode that ends in failure: target lost, view lost, a bump, a cliff."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -35,7 +35,7 @@ class RewardWeights:
 
     @staticmethod
     def of(weights: Mapping[str, float] | None) -> RewardWeights:
-        """Return the weights that ``weights`` state by name, and defaults for the rest."""
+        """Return the weights given by name, with defaults for the rest."""
         known = [field.name for field in fields(RewardWeights)]
         for name in weights or {}:
             if name not in known:
@@ -49,9 +49,9 @@ class RewardWeights:
 
         Args:
             gain: Coverage gained, -1..1.
-            path: Way driven [m].
+            path: Length of the path driven [m].
             misplaced: Whether the view's registration error exceeds epsilon.
-            failed: Whether the episode ends by a failure.
+            failed: Whether the episode ends in failure.
             moved: Whether a view was taken.
         """
         return {

@@ -1,7 +1,7 @@
-"""How well an episode goes, by the truth: coverage and registration errors, view by view.
+"""Score of an episode by the truth: coverage and registration errors, updated view by view.
 
-The same definitions as ``core.model.evaluation``, on coarser samples, and kept up to date instead
-of computed anew. It enters rewards and metrics, never an observation.
+The definitions are those of ``core.model.evaluation``, on coarser samples and incremental. The
+score enters rewards and metrics, never an observation.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from scan3d_twin.core.model.fused_cloud import find_supported, thin_by_voxel
 from scan3d_twin.core.registration.clouds import is_near
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
-from scan3d_twin.envs.stage import Stage, coverable
+from scan3d_twin.envs.prepared_scenes import PreparedScene, find_coverable
 
-JUST_WITHIN = 1 + 1e-9
-"""Factor on a distance that is itself to count as near enough."""
-MOST_POINTS = 500
-"""Points over which a registration error is taken."""
+INCLUSIVE_FACTOR = 1 + 1e-9
+"""Factor on a radius, so that a point at exactly this distance counts."""
+MAX_POINTS = 500
+"""Points over which a registration error is averaged."""
 
 
 class Score:
-    """Coverage and errors of the views seen so far."""
+    """Coverage by all views of an episode, and their registration errors."""
 
-    def __init__(self, stage: Stage, truth: Truth, session: Session) -> None:
-        self._truth, self._stage = truth, stage
-        wanted = coverable(stage, session.config)
+    def __init__(self, prepared: PreparedScene, truth: Truth, session: Session) -> None:
+        self._truth, self._prepared = truth, prepared
+        wanted = find_coverable(prepared, session.config)
         self._surface, self._covered = (
-            stage.surface.points[wanted],
+            prepared.surface.points[wanted],
             np.zeros(int(wanted.sum()), bool),
         )
         self._placed: list[Pose2] = []
@@ -46,13 +46,13 @@ class Score:
         return float(np.mean(self._covered)) if len(self._covered) else 1.0
 
     def update(self, session: Session) -> None:
-        """Take in the latest view of ``session``."""
+        """Update coverage and errors with the latest view of ``session``."""
         views = session.views
         self._true += [find_true_pose(view, self._truth) for view in views[len(self._true) :]]
         if len(views) > 1:
             self.errors.append(self._error(session, len(views) - 1))
         known = [view.T_world_scan for view in views[: len(self._placed)]]
-        moved = known != self._placed  # the views were aligned anew: count afresh
+        moved = known != self._placed  # realigned: recompute the coverage
         if moved:
             self._covered[:] = False
         T_map_world = self._true[0] @ views[0].T_world_scan.inverse()
@@ -72,28 +72,28 @@ class Score:
             return 0.0
         T_map_world = self._true[0] @ session.views[0].T_world_scan.inverse()
         thin = thin_by_voxel(T_map_world.apply(model), distance / 2)
-        precision = float(np.mean(self._stage.surface.within(thin, distance)))
+        precision = float(np.mean(self._prepared.surface.within(thin, distance)))
         recall = self._recall(thin, distance)
         return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
     def _recall(self, model: FloatArray, distance: float) -> float:
         if not len(self._surface):
             return 1.0
-        return float(np.mean(is_near(self._surface, model, distance * JUST_WITHIN)))
+        return float(np.mean(is_near(self._surface, model, distance * INCLUSIVE_FACTOR)))
 
     def _cover(self, points: FloatArray) -> None:
         """Mark the samples near ``points`` (n, 3) in ``map``."""
         open_ = np.flatnonzero(~self._covered)
         if len(points) == 0 or len(open_) == 0:
             return
-        near = is_near(self._surface[open_], points, COVERAGE_DISTANCE * JUST_WITHIN)
+        near = is_near(self._surface[open_], points, COVERAGE_DISTANCE * INCLUSIVE_FACTOR)
         self._covered[open_[near]] = True
 
     def _error(self, session: Session, k: int) -> float:
         """Return the registration error of view ``k`` [m]; over its sweep without a target."""
         previous, view = session.views[k - 1], session.views[k]
         points = view.target.points if len(view.target) else view.sweep.points
-        points = points[:: max(1, len(points) // MOST_POINTS)]
+        points = points[:: max(1, len(points) // MAX_POINTS)]
         true = self._true[k - 1].inverse() @ self._true[k]
         placed = previous.T_world_scan.inverse() @ view.T_world_scan
         return measure_displacement(points, placed, true)

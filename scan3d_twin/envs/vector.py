@@ -1,8 +1,8 @@
-"""Many environments at once: batched over as few processes as there are cores.
+"""Vector environment: many environments batched over one process per core.
 
-Each process steps its share one after the other and keeps each scene loaded once, with its ray
-caster and surface, for all its environments; the caller's own process takes the first share. The
-same seeds give the same bits as ``SyncVectorEnv``.
+Each process steps its share one environment after the other, and loads each scene once for all of
+them, with its ray caster and surface; the calling process takes the first share. The same seeds
+give the same results as ``SyncVectorEnv``, to the last bit.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class BatchedVectorEnv(VectorEnv[Any, Any, Any]):
         """Make the environments.
 
         Args:
-            env_id: As registered.
-            num_envs: How many.
-            workers: Processes to share them, this one included; None is one per core.
-            options: Of each, as for ``gymnasium.make``.
+            env_id: Id of a registered environment.
+            num_envs: Number of environments.
+            workers: Number of processes, this one included; by default one per core.
+            options: Options of each environment, as for ``gymnasium.make``.
 
         Raises:
             ConfigError: A number is not positive, or an option is wrong.
@@ -46,10 +46,14 @@ class BatchedVectorEnv(VectorEnv[Any, Any, Any]):
             raise ConfigError(f"num_envs and workers must be >= 1, got {num_envs} and {workers}")
         count = min(num_envs, workers or len(os.sched_getaffinity(0)))
         self.num_envs = num_envs
+
+        # Share the environments among the processes.
         self._shares = np.array_split(np.arange(num_envs), count)
         build = partial(gymnasium.make, f"scan3d_twin.envs:{env_id}", **options)
         self._own = SyncVectorEnv([build] * len(self._shares[0]))
         self._others = [_Worker(build, len(share)) for share in self._shares[1:]]
+
+        # Describe the batch as gymnasium expects.
         self.metadata = {**self._own.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
         self.render_mode = self._own.render_mode
         self.single_action_space = self._own.single_action_space
@@ -64,29 +68,33 @@ class BatchedVectorEnv(VectorEnv[Any, Any, Any]):
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, Infos]:
         """See ``VectorEnv``; environment k of an int has the seed ``seed`` + k."""
-        seeds = _seeds(seed, self.num_envs)
-        parts = self._all("reset", [([seeds[k] for k in share], options) for share in self._shares])
-        return _joined([part[0] for part in parts]), self._merged([part[1] for part in parts])
+        seeds = _seed_list(seed, self.num_envs)
+        parts = self._call_shares(
+            "reset", [([seeds[k] for k in share], options) for share in self._shares]
+        )
+        return _concatenate([part[0] for part in parts]), self._merge_infos(
+            [part[1] for part in parts]
+        )
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, Infos]:
-        """See ``VectorEnv``: what has ended begins anew at the next step."""
+        """See ``VectorEnv``: an environment that is done is reset at its next step."""
         single = list(iterate(self.action_space, actions))
         given = [(np.stack([single[k] for k in share]),) for share in self._shares]
-        parts = self._all("step", given)
+        parts = self._call_shares("step", given)
         seen, rewards, ends, cuts = (
-            _joined([part[column] for part in parts]) for column in range(4)
+            _concatenate([part[column] for part in parts]) for column in range(4)
         )
-        return seen, rewards, ends, cuts, self._merged([part[4] for part in parts])
+        return seen, rewards, ends, cuts, self._merge_infos([part[4] for part in parts])
 
-    def _all(self, method: str, arguments: list[tuple[Any, ...]]) -> list[Any]:
-        """Return what ``method`` gives in all shares, the others at work meanwhile."""
+    def _call_shares(self, method: str, arguments: list[tuple[Any, ...]]) -> list[Any]:
+        """Return the results of ``method`` of all shares, which run in parallel."""
         for worker, given in zip(self._others, arguments[1:], strict=True):
             worker.send(method, given)
-        own = _call(self._own, method, arguments[0])
+        own = _call_method(self._own, method, arguments[0])
         return [own, *(worker.receive() for worker in self._others)]
 
-    def _merged(self, parts: list[Infos]) -> Infos:
-        """Return the infos of the shares as one, as ``VectorEnv`` lays them out."""
+    def _merge_infos(self, parts: list[Infos]) -> Infos:
+        """Return the infos of the shares merged, in the layout of ``VectorEnv``."""
         sizes = [len(share) for share in self._shares]
         return _merge(parts, sizes)
 
@@ -126,7 +134,7 @@ class _Worker:
 
 
 def _serve(pipe: Connection, build: Callable[[], Any], count: int) -> None:
-    """Step ``count`` environments for whoever holds the other end, until it is closed."""
+    """Serve ``count`` environments on ``pipe`` until the other end closes it."""
     envs = SyncVectorEnv([build] * count)
     while True:
         try:
@@ -134,38 +142,38 @@ def _serve(pipe: Connection, build: Callable[[], Any], count: int) -> None:
         except EOFError:
             break
         try:
-            pipe.send((_call(envs, method, arguments), None))
+            pipe.send((_call_method(envs, method, arguments), None))
         except Exception as failure:  # noqa: BLE001 - it is raised where the call came from
             pipe.send((None, failure))
     envs.close()
 
 
-def _call(envs: SyncVectorEnv, method: str, arguments: tuple[Any, ...]) -> Any:
+def _call_method(envs: SyncVectorEnv, method: str, arguments: tuple[Any, ...]) -> Any:
     if method == "step":
         return envs.step(*arguments)
     seeds, options = arguments
     return envs.reset(seed=seeds, options=options)
 
 
-def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+def _seed_list(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
     if seed is None:
         return [None] * count
     if isinstance(seed, int):
         return [seed + k for k in range(count)]
     if len(seed) != count:
-        raise ValueError(f"{count} environments need as many seeds, got {len(seed)}")
+        raise ValueError(f"{count} environments need {count} seeds, got {len(seed)}")
     return list(seed)
 
 
-def _joined(parts: list[Any]) -> Any:
-    """Return the batches of the shares as one."""
+def _concatenate(parts: list[Any]) -> Any:
+    """Return the batches of the shares concatenated."""
     if isinstance(parts[0], dict):
-        return {name: _joined([part[name] for part in parts]) for name in parts[0]}
+        return {name: _concatenate([part[name] for part in parts]) for name in parts[0]}
     return np.concatenate(parts)
 
 
 def _merge(parts: list[Infos], sizes: list[int]) -> Infos:
-    """Return dictionaries of arrays as one; where a share lacks a key, it has zeros."""
+    """Return dictionaries of arrays concatenated; a share without a key contributes zeros."""
     merged: Infos = {}
     for name in dict.fromkeys(name for part in parts for name in part):
         known = next(part[name] for part in parts if name in part)
@@ -173,14 +181,14 @@ def _merge(parts: list[Infos], sizes: list[int]) -> Infos:
             merged[name] = _merge([part.get(name, {}) for part in parts], sizes)
             continue
         rows = [
-            part[name] if name in part else _nothing(known, size)
+            part[name] if name in part else _zeros_like(known, size)
             for part, size in zip(parts, sizes, strict=True)
         ]
         merged[name] = np.concatenate(rows)
     return merged
 
 
-def _nothing(like: Any, size: int) -> Any:
+def _zeros_like(like: Any, size: int) -> Any:
     return np.full((size, *like.shape[1:]), None if like.dtype == object else 0, like.dtype)
 
 

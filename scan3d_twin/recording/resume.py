@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from scan3d_twin.core.errors import HazardError, RegistrationError, ScanError
 from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar, Robot
-from scan3d_twin.core.registration import PosePrior, prepare, register
+from scan3d_twin.core.registration import PosePrior, extract_surfels, register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, LidarSpec, Odometry, Pose2, ScanLine, rms, wrap
 from scan3d_twin.recording.session_log import Mark
@@ -161,7 +161,7 @@ def moved_warning(session: Session) -> str:
     previous, view = session.views[-2:]
     move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     prior = PosePrior.planar(move, SEARCH_XY, SEARCH_YAW)
-    grids = [prepare(each.observation.image, keep=each.sweep) for each in (previous, view)]
+    grids = [extract_surfels(each.observation.image, keep=each.sweep) for each in (previous, view)]
     try:
         found = register(*grids, prior=prior, starts=STARTS)
     except RegistrationError:

@@ -1,4 +1,4 @@
-"""The environments keep gymnasium's rules, tell the truth in infos only, and repeat themselves."""
+"""Environments follow gymnasium, show the truth in infos only, and are deterministic."""
 
 import gc
 import warnings
@@ -129,9 +129,9 @@ def test_a_pose_is_snapped_to_where_the_robot_can_stand(make):
     env = make("ViewPlanPose")
     env.reset(seed=0)
     inside = env._odom_of_world @ env.session.views[0].T_world_scan
-    here = env.encode(env.decode(np.zeros(3, np.float32))[0])
+    here = env.action_of_plan(env.plan_of_action(np.zeros(3, np.float32))[0])
     assert env.action_space.contains(here)
-    plan, snapped = env.decode(np.zeros(3, np.float32))  # in the middle of the target
+    plan, snapped = env.plan_of_action(np.zeros(3, np.float32))  # in the middle of the target
     assert snapped
     there = env._odom_of_world @ plan.viewpoint
     assert env.episode.costmap.is_feasible(there.x, there.y)
@@ -217,7 +217,7 @@ def test_the_noise_of_random_scenes_varies(make):
     scales = set()
     for seed in range(4):
         env.reset(seed=seed)
-        scales.add(env.episode.scout._robot._scanner.config.sigma)
+        scales.add(env.episode.source._robot._scanner.config.sigma)
     assert len(scales) == 4
 
 
@@ -240,8 +240,8 @@ def test_episodes_that_are_over_leave_nothing_behind(make):
     for seed in range(14):
         env.reset(seed=seed)
         episodes.add(env.episode)
-        stages.add(env.episode.stage)
-        casters.add(env.episode.stage.caster)
+        stages.add(env.episode.prepared)
+        casters.add(env.episode.prepared.caster)
     gc.collect()
     assert len(episodes) == 1
     assert len(stages) <= 5
@@ -252,4 +252,4 @@ def test_a_scene_that_comes_again_is_loaded_once(make):
     one, two = make(), make()
     one.reset(seed=0)
     two.reset(seed=1)
-    assert one.episode.stage is two.episode.stage
+    assert one.episode.prepared is two.episode.prepared

@@ -1,4 +1,4 @@
-"""Small algebra on normal equations: what they determine, and without what only gets in the way."""
+"""Algebra of normal equations: inversion, marginalisation and the test for degeneracy."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from reference.point_to_plane import Equations
 from scan3d_twin.core.types import FloatArray
 
 SIGNAL = 2.0
-"""A direction is determined when its information is this many times what noise fakes of it."""
+"""Least information of a determined direction, per spurious information."""
 UNKNOWN = 1e-9
-"""Share of the largest information below which a direction is taken as unknown."""
+"""Share of the largest eigenvalue below which a direction counts as unknown."""
 
 
 def picked(v: FloatArray, rows: tuple[int, ...]) -> FloatArray:
@@ -38,7 +38,7 @@ def projected(K: FloatArray, H: FloatArray) -> FloatArray:
 
 
 def inverse(information: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return the inverse (k, k); without a prior, 0 on the directions that nothing determines."""
+    """Return the inverse (k, k); without a prior, 0 on degenerate directions."""
     values, vectors = np.linalg.eigh(information)
     least = 0.0 if prior[0, 0] > 0.0 else UNKNOWN * values[-1]
     result = np.zeros(information.shape)
@@ -77,12 +77,12 @@ def without_scale(
 def determined(
     H: FloatArray, spurious: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Tell which directions the scans determine.
+    """Return the directions that the scans determine and those that are degenerate.
 
     Args:
-        H: Information of the scans (k, k), on x, y, theta or all six.
-        spurious: What noise of the normals fakes of it (k, k).
-        reach: Length that makes turns comparable with shifts [m].
+        H: Information matrix of the scans (k, k), of x, y, theta or all six.
+        spurious: Information that noise of the normals adds (k, k).
+        reach: Length that makes rotations comparable with translations [m].
 
     Returns:
         The projector K (k, k) such that K H K^T and K g keep the determined directions, the same

@@ -1,4 +1,4 @@
-"""Vertical edges where a surface ends in view: what fixes a slide along a flat face.
+"""Vertical edges where a surface ends: features that constrain a slide along a flat face.
 
 Where a line sees a surface and the next one something farther, or several nothing, the surface
 ends between the two. A run of beams that all jump there is one vertical edge, measured once: its
@@ -21,9 +21,9 @@ from scan3d_twin.core.types import (
 JUMP = 0.10
 """Least step in range at an edge [m]; several sigma, and more than a steep face within a line."""
 MIN_BEAMS = 8
-"""Beams in a run ..."""
+"""Least number of adjacent beams in an edge."""
 MIN_HEIGHT = 0.05
-"""... and its least height [m]."""
+"""Least height of an edge [m]."""
 MIN_COSINE = 0.35
 """A surface seen flatter at its edge (70 deg from the normal) may be turning away."""
 MIN_FLAT = 0.9
@@ -34,7 +34,7 @@ OFF_PLANE = 0.03
 """The last reading must lie on the plane that ends [m]: 3 sigma. A face that turns away behind it
 and is seen so flat that its own readings jump is not where the plane ends."""
 EMPTY = 3
-"""Lines without return that count as nothing there; single ones are dropouts."""
+"""Lines without return that count as empty space; single ones are dropouts."""
 INWARDS = 2
 """Lines from the edge to the surfel that carries it: nearer windows would cross the edge."""
 
@@ -76,7 +76,7 @@ def edge_rows(
 
 
 def _jumps(ranges: FloatArray, surfel: BoolArray, valid: BoolArray, side: int) -> BoolArray:
-    """Tell where a surface ends between lines i and i + 1 (n_lines - 1, n_beams).
+    """Return whether a surface ends between lines i and i + 1 (n_lines - 1, n_beams).
 
     For ``side`` 1 it lies on line i, for -1 on line i + 1. Beyond it the next reading is farther,
     or ``EMPTY`` lines return nothing.

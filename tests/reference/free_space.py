@@ -1,4 +1,4 @@
-"""Do two sweeps contradict each other? A surface cannot stand where the other scan saw through.
+"""Free-space violations: no surface can stand where the other sweep saw through.
 
 Each surfel of one scan is looked up in the other. In front of what is measured there, or where
 nothing returned, it is a violation; on it, it counts by its squared distance; behind it is hidden
@@ -16,9 +16,9 @@ from reference.surfels import EMPTY, SURFACE, UNKNOWN, VARIANCE, N, X
 from scan3d_twin.core.types import FloatArray, SmallIntArray
 
 MARGIN = 0.02
-"""In front by this much is a full violation [m], or by ..."""
+"""Distance in front of a surface that is a full violation [m] ..."""
 SIGMAS = 3.0
-"""... this many standard deviations, whichever is more."""
+"""... or in standard deviations, whichever is larger."""
 
 
 def violations(

@@ -1,4 +1,4 @@
-"""Registration of two sweeps on the grids they were taken on: maximum a posteriori, honestly.
+"""Registration of two sweeps by Gauss-Newton, in NumPy: maximum a posteriori pose, covariance.
 
 Gauss-Newton on the normal equations of ``point_to_plane``, with the gate and the robust weights
 tightened from step to step, the odometry as prior about the viewpoint and vertical edges:
@@ -48,14 +48,14 @@ from scan3d_twin.core.types import FloatArray, read_only
 
 Dof = Literal["planar", "se3"]
 MIN_PAIRS = 12
-"""Fewer correspondences than this determine nothing reliably."""
+"""Least number of correspondences for a reliable step."""
 WANTED, WANTED_LAST = 3000, 12000
 """Surfels used of a source, and in the very last step: fewer lose accuracy where the surface bends,
 as windows are small and overlap little there."""
 TIGHTEN = 0.7
-"""Factor of the gate from one step to the next ..."""
+"""Factor on gate and kernel from one step to the next."""
 LAST_GATE, LAST_ROBUST = 0.03, 1.5
-"""... down to these: a few times the range noise, and a robust kernel of 1.5 sigma."""
+"""Least gate [m], a few times the range noise, and least robust kernel [sigma]."""
 FIRST_ROBUST = 4.0
 """The kernel of the first step [sigma]."""
 SAME_BASIN = 0.010
@@ -65,11 +65,11 @@ EDGE_ROBUST = 2.0
 
 
 NOTHING = read_only(np.zeros((6, 6)))
-"""Covariance that stands for no knowledge."""
+"""Covariance that stands for no prior."""
 
 
 class Criteria(NamedTuple):
-    """When the iteration ends, and the widest gate."""
+    """Convergence criteria of the iteration, and its first gate."""
 
     max_iterations: int = 30
     translation_epsilon: float = 1e-4
@@ -102,7 +102,7 @@ class Scans(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What is known beforehand.
+    """Prior distribution of the pose and the yaw scale.
 
     Attributes:
         mean: Of ``T_target_source`` (4, 4).
@@ -118,14 +118,14 @@ class Prior(NamedTuple):
 
 
 class State(NamedTuple):
-    """Where the iteration stands: ``T_target_source`` (4, 4) and the yaw scale error."""
+    """State of the iteration: ``T_target_source`` (4, 4) and the yaw scale error."""
 
     T: FloatArray
     scale: float
 
 
 class Solution(NamedTuple):
-    """One Gauss-Newton step and what is known there.
+    """One Gauss-Newton step and its equations.
 
     Attributes:
         step: Of x y z rx ry rz about the viewpoint (6,).
@@ -145,7 +145,7 @@ class Solution(NamedTuple):
 
 
 class Knowledge(NamedTuple):
-    """What is known of ``T_target_source`` at the end, about the target's origin.
+    """Covariance and information of ``T_target_source`` at the end, about the target's origin.
 
     Attributes:
         covariance: Of x y z rx ry rz (6, 6).
@@ -161,7 +161,7 @@ class Knowledge(NamedTuple):
 
 
 class RunResult(NamedTuple):
-    """Where the iteration ended.
+    """Result of the iteration.
 
     Attributes:
         state: After the last step.
@@ -222,7 +222,7 @@ def prior_information(prior: Prior) -> FloatArray:
 
 
 def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:
-    """Tell whether ``T`` (4, 4) lies in none of the basins of ``others`` (n, 4, 4)."""
+    """Return whether ``T`` (4, 4) lies in none of the basins of ``others`` (n, 4, 4)."""
     for k in range(len(others)):  # noqa: SIM110
         if apart(T, others[k], reach) <= SAME_BASIN:
             return False
@@ -230,7 +230,7 @@ def new_basin(T: FloatArray, others: FloatArray, reach: float) -> bool:
 
 
 def reach(moments: Moments) -> float:
-    """Return the root mean square distance of points [m]: it makes turns comparable with shifts."""
+    """Return the RMS distance of points [m]: makes rotations comparable with translations."""
     second = moments.second
     return math.sqrt(second[0, 0] + second[1, 1] + second[2, 2])
 

@@ -16,12 +16,12 @@ def dilate(grid: BoolArray, radius: float) -> BoolArray:
 
 
 def label_cells(grid: BoolArray) -> IntArray:
-    """Return numbers (nx, ny) of the pieces of ``grid`` that hang together, corners included."""
+    """Return the labels (nx, ny) of the 8-connected components of ``grid``."""
     return np.asarray(ndimage.label(grid, structure=np.ones((3, 3)))[0])
 
 
 def piece_sizes(ranges: FloatArray, there: BoolArray, most: float) -> IntArray:
-    """Return the size (n,) of the piece of each reading ``there`` (m, n), in their order.
+    """Return the size (n,) of the component of each reading ``there`` (m, n), in their order.
 
     Readings lie on every second place of a grid, and on those between them what joins two.
     """

@@ -1,4 +1,4 @@
-"""The normal equations of two surfel grids: projective association, symmetric point to plane.
+"""Normal equations of two sweeps: projective data association, point-to-plane residuals.
 
 A source surfel at a = R p, moved to p' = a + t, meets the target surfel q on the reading that sees
 p'. With n the mean of both normals the residual and its derivatives are
@@ -35,7 +35,7 @@ from reference.surfels import NORMAL_VARIANCE, VARIANCE, N, X
 from scan3d_twin.core.types import FloatArray, IntArray
 
 MIN_NORMAL_COSINE = 0.7
-"""Normals that differ by more (45 deg) are of different faces."""
+"""Least cosine between the normals of a pair (45 deg): others belong to different faces."""
 MOST_ALONG_RAY = 3.0
 """A pair may lie this many gates apart along the ray; across the surface one gate."""
 MOST_LINES = 20.0
@@ -43,7 +43,7 @@ MOST_LINES = 20.0
 
 
 class Gate(NamedTuple):
-    """Which pairs count.
+    """Gate for correspondences.
 
     Attributes:
         distance: Most distance along the normal [m].
@@ -55,7 +55,7 @@ class Gate(NamedTuple):
 
 
 class PairNoise(NamedTuple):
-    """What two sweeps err by beside the noise of single readings.
+    """Errors of two sweeps beyond the noise of single readings.
 
     Attributes:
         jitter: Variance of the yaw of a source line [rad2].
@@ -170,7 +170,7 @@ def _per_line(
 
 
 def _lost(per_line: FloatArray, area: float) -> tuple[FloatArray, FloatArray]:
-    """Return what the yaw error of each line takes from information and gradient.
+    """Return the information and gradient lost to the yaw error of each line.
 
     A sampled line stands for sqrt(area) lines, each with an error of its own.
     """

@@ -1,4 +1,4 @@
-"""What is known of a pose before registration, and small motions of one."""
+"""Small motions of a pose, its deviation from another, and expected displacements."""
 
 from __future__ import annotations
 
@@ -9,17 +9,9 @@ import numpy as np
 
 from scan3d_twin.core.types import FloatArray
 
-PLANAR = (0, 1, 5)
-"""Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
-_PLANAR_ROWS, _PLANAR_COLUMNS = np.ix_(PLANAR, PLANAR)
-SIGMA_Z = 0.001
-"""A robot on a floor keeps its height [m]: the floor's unevenness under three wheels."""
-SIGMA_TILT = 0.001
-"""... and stays upright [rad]."""
-
 
 def deviation(T: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return by how much ``T`` lies off ``mean``, both (4, 4), as x y z rx ry rz (6,)."""
+    """Return the deviation of ``T`` from ``mean``, both (4, 4), as x y z rx ry rz (6,)."""
     R, result = np.zeros((3, 3)), np.empty(6)
     for i in range(3):
         result[i] = T[i, 3] - mean[i, 3]
@@ -67,7 +59,7 @@ def log_so3(R: FloatArray) -> FloatArray:
 
 
 def about_target(T: FloatArray) -> FloatArray:
-    """Return the matrix (6, 6) from motions about the source's origin to those about the target's.
+    """Return the matrix (6, 6) that takes motions about the source's origin to the target's.
 
     With t the source's origin, d' = d + t x r and r' = r.
     """
@@ -79,7 +71,7 @@ def about_target(T: FloatArray) -> FloatArray:
 
 
 class Moments(NamedTuple):
-    """Mean (3,) and mean of p p^T (3, 3) of points p."""
+    """First and second moment of points p: the means of p (3,) and of p p^T (3, 3)."""
 
     first: FloatArray
     second: FloatArray
@@ -91,7 +83,7 @@ class Moments(NamedTuple):
 
 
 def displacement(points: Moments, covariance: FloatArray) -> float:
-    """Return what ``spread`` does: E |d + r x p|^2 = tr D + tr S tr M - tr S M + 2 a . E(d x r)."""
+    """Return the root of E |d + r x p|^2 = tr D + tr S tr M - tr S M + 2 a . E(d x r) [m]."""
     a, M, square = points.first, points.second, 0.0
     for i in range(3):
         square += covariance[i, i]

@@ -1,4 +1,4 @@
-"""From a point back to the line and beam of a yawing scanner that see it, in closed form.
+"""Projection of a point onto the line and beam of a yawing scanner that see it, in NumPy.
 
 The scan plane at yaw psi has the normal Rz(psi) k, k = R_base_lidar e_y, and contains the lidar at
 Rz(psi) t. A point at azimuth phi and distance rho from the yaw axis lies in it where
@@ -96,7 +96,7 @@ def _branch(projection: Projection, points: FloatArray, *, ahead: bool) -> IntAr
 
 
 def around(c: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far round directions along (c, s) lie, and how much of it a radian is.
+    """Return the pseudo-angle of directions (c, s), and its growth per radian.
 
     Both in entries of the tables; 0 to CELLS around.
     """

@@ -10,7 +10,7 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RangeImage
 def mixed(
     ranges: FloatArray, elevations: FloatArray, yaws: FloatArray, noise: float, steepest: float
 ) -> BoolArray:
-    """Tell which readings (m, n) lie between those before and after, far from both."""
+    """Return whether each reading (m, n) lies between its neighbours, far from both."""
     columns = np.broadcast_to(elevations, ranges.shape)
     along = _between(ranges, columns, noise, steepest)
     return along | _between(ranges.T, -yaws.T, noise, steepest).T
@@ -61,7 +61,7 @@ def _running_max(values: IntArray) -> IntArray:
 def free_reach(
     floor: FloatArray, solid: FloatArray, start: float, most: float, margin: float
 ) -> FloatArray:
-    """Return the farthest floor (m,) before a hole or a thing; hits (m, k), inf for none."""
+    """Return the farthest floor (m,) before a hole or an obstacle; hits (m, k), inf for none."""
     first = np.full((len(floor), 1), start)
     hits = np.concatenate([first, np.sort(floor, axis=1), np.full_like(first, np.inf)], axis=1)
     hole = ~np.isfinite(hits[:, 1:])
@@ -72,7 +72,7 @@ def free_reach(
 
 
 def is_near(places: FloatArray, points: FloatArray, within: float) -> BoolArray:
-    """Tell which of ``places`` (m, 3) have one of ``points`` (n, 3) closer than ``within``."""
+    """Return whether each of ``places`` (m, 3) has one of ``points`` (n, 3) within a radius."""
     squares = np.sum((places[:, None] - points) ** 2, axis=2)
     return np.asarray((squares < within * within).any(axis=1))
 

@@ -1,4 +1,4 @@
-"""What the inner loops need of a sweep, as tuples of arrays."""
+"""Sweeps and surfels as tuples of arrays, the arguments of the reference functions."""
 
 from __future__ import annotations
 

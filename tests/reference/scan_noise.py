@@ -1,4 +1,4 @@
-"""How noisy a sweep is: what its own readings tell about range noise and yaw jitter."""
+"""Range noise and yaw jitter of a sweep, estimated from its own readings, in NumPy."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArra
 LAG = 2
 """Beams between the three readings of a second difference; next ones may share light."""
 MIN_READINGS = 200
-"""Fewer second differences than this estimate nothing."""
+"""Least number of second differences for an estimate."""
 MOST_READINGS = 1200
 """More are thinned out: the estimate is good to 4 % then."""
 BINS = 256
-"""Of the ranges, to tell their quarters by."""
+"""Bins of the histogram that finds the quartiles of the ranges."""
 LEAST_SPREAD = 2.5e-4
 """Variance of the quarters' mean ranges [m2] from which on the noise may grow with them."""
 MAD = 1.4826
@@ -26,18 +26,18 @@ BIAS_LENGTH = 0.15
 """Way along which a range error changes by itself [m]: 0.26 m for the cycle of 1.6 m of a 46.55 MHz
 phase measurement, less at edges and changes of material."""
 MIN_LINES = 10
-"""Fewer triples of lines tell nothing of the jitter."""
+"""Least number of triples of lines for an estimate of the jitter."""
 LIKELY_JITTER = np.radians(0.1)
-"""Yaw jitter of a line for which the estimate is best [rad]; a Create's wheels shake by so much."""
+"""Yaw jitter at which the estimate starts [rad]: about that of a Create's wheels."""
 OUTLIER, LEFT = 4.0, 0.92
-"""A square that is this many times the likely one counts no more: a corner, not jitter. That
-leaves so much of the mean of normal errors' squares."""
+"""Cap of a squared difference, in expected ones, beyond which it is a corner, not jitter; and the
+share of the mean square of normal errors that this leaves."""
 ROUNDS = 3
-"""What is likely follows from the jitter; so often is enough, from 0.1 deg, for 0.02 to 0.3."""
+"""Iterations of the jitter's estimate; from 0.1 deg these are enough for 0.02 to 0.3 deg."""
 APART, FLAT = 3, 0.97
 """Lines to either side, and the least cosine of the normals there, of a flat surface (14 deg)."""
 SIGNIFICANT = 3.0
-"""Jitter is believed when it is so many times the error of its square."""
+"""Jitter counts if its square is this many times the square's error."""
 LEAST_SIGMA = 0.0005
 """Readings are never believed to be better than this [m]: half of the usual 1 mm resolution."""
 USUAL = 0.004, 0.0009
@@ -150,9 +150,9 @@ def yaw_jitter(sums: FloatArray) -> float:
     jitter = LIKELY_JITTER**2
     for _ in range(ROUNDS):
         likely = expected + jitter
-        tells = 1.0 / likely**2
-        excess = np.sum(tells * (np.minimum(square, OUTLIER * likely) / LEFT - expected))
-        excess /= np.sum(tells)
+        weights = 1.0 / likely**2
+        excess = np.sum(weights * (np.minimum(square, OUTLIER * likely) / LEFT - expected))
+        excess /= np.sum(weights)
         jitter = max(excess, 0.0)
-    error = math.sqrt(4.0 * np.sum((tells * expected) ** 2)) / np.sum(tells)
+    error = math.sqrt(4.0 * np.sum((weights * expected) ** 2)) / np.sum(weights)
     return math.sqrt(excess) if excess > SIGNIFICANT * error else 0.0

@@ -30,7 +30,7 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArra
 FILLED = 0.6
 """A window counts when this share of its readings is there."""
 TOLERANCE = 1.5
-"""A plane fits while its rss is within so many standard deviations of what noise alone gives."""
+"""Largest residual sum of squares of a fit, in sigma above that of noise alone."""
 MIN_COSINE = 0.05
 """Flatter than this (87 deg from the normal) no plane is believed."""
 X, N, VARIANCE, NORMAL_VARIANCE = np.s_[0:3], np.s_[3:6], 6, 7
@@ -43,7 +43,7 @@ AT_ONCE = 12
 UNKNOWN, EMPTY, SURFACE = 0, 1, 2
 """What a reading says of its ray."""
 HOLE = 2
-"""Nothing returned there if nothing did within so many readings; single ones are dropouts."""
+"""A ray is empty if no reading this near returned; single ones are dropouts."""
 
 
 def fit_surfels(
@@ -199,7 +199,7 @@ def _planes(
 
 
 def _trace_cubed(xx: FloatArray, yy: FloatArray, zz: FloatArray) -> FloatArray:
-    """Return the scale of a determinant with this diagonal, to tell a singular one by."""
+    """Return the scale of a determinant with this diagonal, to recognise a singular one."""
     return (xx + yy + zz) ** 3
 
 

@@ -27,9 +27,9 @@ from scan3d_twin.core.mapping.pose_graph import CHI2_GATE, PoseGraph, Solution
 from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior
 from scan3d_twin.core.mapping.surfel_store import SurfelStore
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
-from scan3d_twin.core.registration.multistart import AMBIGUOUS
+from scan3d_twin.core.registration.multistart import MIN_CONTRADICTION_GAP
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
-from scan3d_twin.core.registration.pose_prior import PLANAR, about_target, spread
+from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult
@@ -294,7 +294,7 @@ def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -
 
     # Spend fewer starts on one basin
     points = source.sample(OVERLAP_STRIDE).rows[:, X] @ prior.T[:3, :3].T
-    if spread(points, prior.covariance) < SINGLE_BASIN_SPREAD:
+    if predict_rmse(points, prior.covariance) < SINGLE_BASIN_SPREAD:
         starts = max(1, starts // 4)
 
     # Register and remove the prior
@@ -315,7 +315,7 @@ def remove_prior(result: RegistrationResult, prior: PosePrior) -> tuple[Pose2, F
     information that the scans add.
     """
     # Express the result in the prior's metric
-    shift = about_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
+    shift = shift_to_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
     rows = list(PLANAR)
     deviation = shift @ prior.deviation(result.T_target_source)[rows]
     half = np.linalg.cholesky(shift @ prior.covariance[np.ix_(PLANAR, PLANAR)] @ shift.T)
@@ -327,7 +327,7 @@ def remove_prior(result: RegistrationResult, prior: PosePrior) -> tuple[Pose2, F
     correction = half @ vectors @ np.divide(along, added, out=np.zeros(3), where=added > 0)
 
     # Weaken ambiguous results
-    doubt = max(0.0, 1.0 - result.ambiguity_gap / AMBIGUOUS)
+    doubt = max(0.0, 1.0 - result.ambiguity_gap / MIN_CONTRADICTION_GAP)
     added = added / (1.0 + doubt * added)
 
     # Return to metres and radians
@@ -342,7 +342,7 @@ def _optimize_graph(
 ) -> Solution:
     graph = PoseGraph(poses)
     for k, prior in enumerate(odometry):
-        shift = about_target(prior.T)[np.ix_(PLANAR, PLANAR)]
+        shift = shift_to_target(prior.T)[np.ix_(PLANAR, PLANAR)]
         C = shift @ prior.covariance[np.ix_(PLANAR, PLANAR)] @ shift.T
         information = np.asarray(np.linalg.inv(C), dtype=np.float64)
         graph.add_edge(k, k + 1, Pose2.from_matrix(prior.T), information, robust=False)
@@ -354,7 +354,7 @@ def _optimize_graph(
 def _graph_prior(solution: Solution, i: int, j: int) -> PosePrior:
     """Return the graph's pose of view j in i as a prior about j's origin, its sigmas inflated."""
     T, C = solution.relative(i, j)
-    back = np.linalg.inv(about_target(T.matrix())[np.ix_(PLANAR, PLANAR)])
+    back = np.linalg.inv(shift_to_target(T.matrix())[np.ix_(PLANAR, PLANAR)])
     C = PRIOR_INFLATION**2 * (back @ C @ back.T)
     return PosePrior.of_robot(T, (C + C.T) / 2)
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from scan3d_twin.core.config import Config, PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.registration import PosePrior, SurfelGrid, icp, prepare, register
-from scan3d_twin.core.registration.pose_prior import PLANAR, about_target, spread
+from scan3d_twin.core.registration import PosePrior, SurfelGrid, extract_surfels, icp, register
+from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import (
     FloatArray,
@@ -73,7 +73,7 @@ def _match_by_grid(view: View, views: Sequence[View], config: Config) -> View:
 def _predict_rmse(result: RegistrationResult, view: View) -> float:
     """Return the expected RMS displacement [m] of the points that are modelled, the target's."""
     points = view.target.points if len(view.target) else view.sweep.points
-    return spread(Pose2.from_matrix(result.T_target_source).apply(points), result.covariance)
+    return predict_rmse(Pose2.from_matrix(result.T_target_source).apply(points), result.covariance)
 
 
 def estimate_odometry_scale(views: Sequence[View], config: Config) -> float:
@@ -99,7 +99,7 @@ def estimate_odometry_scale(views: Sequence[View], config: Config) -> float:
 def _normalise_innovation(prior: PosePrior, result: RegistrationResult) -> FloatArray:
     """Return the normalised innovations (k,) in the directions that registration determines."""
     rows = np.ix_(PLANAR, PLANAR)
-    back = np.linalg.inv(about_target(result.T_target_source))
+    back = np.linalg.inv(shift_to_target(result.T_target_source))
     C = (back @ result.covariance @ back.T)[rows]
     whitener = np.linalg.inv(np.linalg.cholesky(prior.covariance[rows]))
     gained, directions = np.linalg.eigh(np.eye(3) - whitener @ C @ whitener.T)
@@ -115,7 +115,7 @@ def surfels_of(view: View, config: Config) -> SurfelGrid:
     if kept is not None and kept[0] is scope:
         grid = SurfelGrid(image, *kept[1:])
     else:
-        grid = prepare(image, keep=scope)
+        grid = extract_surfels(image, keep=scope)
     noise = replace(
         grid.noise,
         yaw_scale_sigma=config.registration.yaw_scale_sigma,
@@ -200,7 +200,7 @@ def _register_by_icp(view: View, previous: View, config: Config) -> Registration
     # Select the lines expected to overlap
     init = previous.T_world_scan.inverse() @ view.T_world_scan
     target, source = (_select_scope(v, config.registration.scope) for v in (previous, view))
-    source = icp.overlapping_lines(target, source, init)
+    source = icp.select_overlapping_lines(target, source, init)
     if len(target) == 0 or len(source) == 0:
         return icp.register(target.points, source.points, init_T_target_source=init)
 
@@ -212,7 +212,7 @@ def _register_by_icp(view: View, previous: View, config: Config) -> Registration
         target.points,
         source.points,
         init_T_target_source=init,
-        border=icp.cut_lines(target, right=not ends),
+        border=icp.find_border(target, right=not ends),
         config=config.registration,
     )
 

@@ -117,7 +117,7 @@ def find_supported(view: View) -> BoolArray:
     """
     image, target = view.image, view.target
     ranges, counts = read_only(image.ranges), np.empty(len(target), dtype=np.int64)
-    engine.neighbours(
+    engine.count_neighbours(
         ranges, read_only(image.yaws), read_only(image.spec.elevations), *ranges.shape,
         np.ascontiguousarray(target.lines), np.ascontiguousarray(target.beams), len(target),
         RANGE_NOISE, math.tan(MAX_INCIDENCE), counts,

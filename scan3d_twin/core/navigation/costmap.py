@@ -20,7 +20,7 @@ from scan3d_twin.core.grids import (
     find_connected,
     find_shortest_paths,
 )
-from scan3d_twin.core.readings import Placed
+from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration.native import ByteArray, engine
 from scan3d_twin.core.types import (
     BoolArray,
@@ -288,7 +288,7 @@ def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, F
         with np.errstate(invalid="ignore"):
             low = (heights >= -config.target.floor_height) & (heights < top)
             low &= image.ranges <= config.target.max_range
-        points, lines, beams, distance = Placed.of(image, low)
+        points, lines, beams, distance = SweepPoints.of(image, low)
         outside = distance > config.motion.self_radius
         solid = outside & (points[:, 2] > config.target.floor_height)
         ahead = outside & (np.abs(image.spec.elevations) < np.pi / 2)[beams]
@@ -313,7 +313,7 @@ def _free_reach(
         config: Its robot radius is where the floor must begin.
     """
     reach = np.empty(n_lines)
-    done = engine.free_reach(
+    done = engine.measure_free_reach(
         lines, distance, kinds, len(lines), n_lines, config.motion.self_radius, FLOOR_STEP,
         RESOLUTION, reach,
     )  # fmt: skip

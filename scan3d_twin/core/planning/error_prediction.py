@@ -25,13 +25,13 @@ from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.visibility import NextSweep, Visible, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.algebra import find_determined, marginalise
-from scan3d_twin.core.registration.edges import edge_equations
+from scan3d_twin.core.registration.edges import linearise_edges
 from scan3d_twin.core.registration.point_to_plane import (
     Equations,
-    pair_derivatives,
+    compute_jacobian,
     spurious_information,
 )
-from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, displacement
+from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, predict_rmse_of_moments
 from scan3d_twin.core.registration.surfel_grid import Sample
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, X
 from scan3d_twin.core.types import (
@@ -109,7 +109,7 @@ class ErrorPrediction:
         # Predict covariance and displacement
         equations = self._equations(seen, again, a, w)
         covariance = self._covariance(equations, viewpoint)
-        return config.planning.calibration * displacement(
+        return config.planning.calibration * predict_rmse_of_moments(
             self._target.turned(viewpoint.yaw), covariance
         )
 
@@ -166,7 +166,7 @@ class ErrorPrediction:
         """
         # Sum up information, yaw scale included
         n, here = again[3:6], self._sample.yaws[seen.index]
-        J = pair_derivatives(a, n)
+        J = compute_jacobian(a, n)
         swing = J[5]
         g = seen.yaws * swing - here * (n[1] * again[0] - n[0] * again[1])
         J = np.concatenate([J, g[None]])
@@ -222,7 +222,7 @@ class ErrorPrediction:
         seen = self._sweep.cells(back.apply(middle))[0] >= 0
         again = edges.select(seen & self._still_edges(viewpoint))
         moved = again.seen_from(back)
-        return edge_equations(again, moved, viewpoint.matrix(), 1.0, 1e3)[0]
+        return linearise_edges(again, moved, viewpoint.matrix(), 1.0, 1e3)[0]
 
     def _still_edges(self, viewpoint: Pose2) -> BoolArray:
         """Return which edges are edges from O2, too: those behind which it sees no other face.

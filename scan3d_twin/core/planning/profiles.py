@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan3d_twin.core.planning.context import mask_readings
-from scan3d_twin.core.registration.edges import INWARDS, JUMP, MIN_BEAMS, MIN_COSINE
+from scan3d_twin.core.registration.edges import MIN_BEAMS, MIN_COSINE, MIN_RANGE_STEP, SURFEL_OFFSET
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 from scan3d_twin.core.viewpoints import measure_angle, rotate_clockwise
@@ -101,7 +101,7 @@ class Profile:
         for side in (1, -1):
             places, on_target = self.places[::side], self.on_target[::side]
             for k in np.flatnonzero(_find_ends(np.linalg.norm(places, axis=1))):
-                if on_target[max(0, int(k) - INWARDS)]:
+                if on_target[max(0, int(k) - SURFEL_OFFSET)]:
                     edge = _fit_edge(places[: k + 1], side)
                     if edge is not None:
                         yield edge
@@ -135,11 +135,11 @@ def _fit_edge(places: FloatArray, side: int) -> Edge | None:
 def _select_last_surface(places: FloatArray) -> FloatArray:
     """Return the places (k, 2) on the surface that ends ``places`` (n, 2), near its end.
 
-    The last ``INWARDS`` places are left out, as they may be half beyond the surface.
+    The last ``SURFEL_OFFSET`` places are left out, as they may be half beyond the surface.
     """
-    surface = places[:-INWARDS]
+    surface = places[:-SURFEL_OFFSET]
     steps = np.abs(np.diff(np.linalg.norm(surface, axis=1)))
-    breaks = np.flatnonzero(~(steps <= JUMP))
+    breaks = np.flatnonzero(~(steps <= MIN_RANGE_STEP))
     surface = surface[breaks[-1] + 1 if len(breaks) else 0 :]
     return np.asarray(surface[np.linalg.norm(surface - places[-1], axis=1) <= SURFACE_REACH])
 

@@ -17,17 +17,17 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.planning.visibility import NextSweep, find_visible, measure_ranges
-from scan3d_twin.core.registration import SurfelGrid, prepare
+from scan3d_twin.core.registration import SurfelGrid, extract_surfels
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
 from scan3d_twin.core.registration.surfels import (
-    EMPTY,
-    SURFACE,
-    UNKNOWN,
+    EMPTY_RAY,
+    SURFACE_RAY,
+    UNKNOWN_RAY,
     Beams,
     N,
     X,
     fit_surfels,
-    sweep_of,
+    make_native_sweep,
 )
 from scan3d_twin.core.types import (
     VALID,
@@ -144,7 +144,7 @@ class Planes:
             ranges=read_only(np.where(valid, ranges, np.nan)),
             codes=read_only(np.where(valid, VALID, 0), np.int64),
         )
-        grid = prepare(seen, keep=self.keep & valid, noise=noise.assumed)
+        grid = extract_surfels(seen, keep=self.keep & valid, noise=noise.assumed)
         return replace(grid, valid=valid | ~(self.met | self.empty))
 
     def ranges(self, image: RangeImage) -> FloatArray:
@@ -195,7 +195,7 @@ class Surface:
     def here(self) -> Planes:
         """The planes that a sweep from the latest viewpoint would read."""
         image, (rows, there) = self.grid.image, self._planes
-        empty = (self.grid.known == EMPTY).reshape(there.shape)
+        empty = (self.grid.ray_states == EMPTY_RAY).reshape(there.shape)
         offsets = np.sum(rows[:, N] * rows[:, X], axis=1)
         return Planes(
             image, there, rows[:, N], offsets, self._in_scope & there, self.on_target & there, empty
@@ -241,13 +241,13 @@ class Surface:
         halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MAX_HALF_WINDOW)
         valid = self.grid.valid
         rows, _, index = fit_surfels(
-            sweep_of(image), valid, valid, noise.sigmas, halves.astype(np.int64)
+            make_native_sweep(image), valid, valid, noise.sigmas, halves.astype(np.int64)
         )
         return rows, np.asarray(index >= 0)
 
     @cached_property
     def _in_scope(self) -> BoolArray:
-        return np.asarray((self.grid.known == SURFACE).reshape(self.grid.valid.shape))
+        return np.asarray((self.grid.ray_states == SURFACE_RAY).reshape(self.grid.valid.shape))
 
     @cached_property
     def _rows(self) -> tuple[FloatArray, BoolArray, BoolArray]:
@@ -274,13 +274,13 @@ class Surface:
 
         # Test places along them
         free = np.ones(image.ranges[at].shape, dtype=bool)
-        known, row_of = grid.known, grid.index.reshape(-1)
+        known, row_of = grid.ray_states, grid.index.reshape(-1)
         for way in np.linspace(0.5, self.most, FREE_RAY_STEPS):
             places = viewpoint.apply(eyes + way * rays)
-            index = grid.projection.lookup(places, known != UNKNOWN)
+            index = grid.projection.lookup(places, known != UNKNOWN_RAY)
             rows = grid.rows[row_of[index]]
             before = np.sum(rows[:, N] * (places - rows[:, X]), axis=1) > FREE_MARGIN
-            through = (known[index] == EMPTY) | ((known[index] == SURFACE) & before)
+            through = (known[index] == EMPTY_RAY) | ((known[index] == SURFACE_RAY) & before)
             free &= ((index >= 0) & through).reshape(free.shape)
 
         # Spread the result over all rays

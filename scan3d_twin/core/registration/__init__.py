@@ -1,10 +1,10 @@
-"""Registration of two sweeps; target first, as everywhere.
+"""Registration of two scans, with a covariance: ICP on sweeps and on point clouds.
 
-``register`` works on the grids the sweeps were taken on: plane surfels (``surfels``), projective
-association and whitened residuals (``point_to_plane``), maximum a posteriori steps with a test for
-degeneracy (``gauss_newton``), several starts judged by free space (``multistart``). Clouds that
-have lost their grid go point to plane (``clouds``). ``icp`` is the paper's plain point-to-point
-ICP, kept for the faithful preset.
+Functions take ``target`` first. ``register`` works on the grid of lines and beams of the sweeps:
+plane surfels (``surfels``), projective data association and point-to-plane residuals
+(``point_to_plane``), Gauss-Newton with a prior and a test for degeneracy (``gauss_newton``), and
+multistart judged by free space (``multistart``). Unorganised clouds are registered point to plane
+(``clouds``). ``icp`` is the paper's point-to-point ICP, eq. (1), for the preset ``paper``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scan3d_twin.core.registration.gauss_newton import Criteria, Dof
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.pose_prior import PosePrior
 from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, prepare
+from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, RegistrationResult, Scan3D
 
 __all__ = [
@@ -24,7 +24,7 @@ __all__ = [
     "PosePrior",
     "ScanNoise",
     "SurfelGrid",
-    "prepare",
+    "extract_surfels",
     "prepare_cloud",
     "register",
 ]
@@ -40,24 +40,24 @@ def register(
     criteria: Criteria | None = None,
     starts: int = 1,
 ) -> RegistrationResult:
-    """Lay the scan ``source`` on the scan ``target``.
+    """Register the scan ``source`` to the scan ``target``.
 
     Args:
-        target: A sweep as a ``RangeImage``, or what ``prepare`` made of it (for several
-            registrations); or a cloud: a ``Scan3D``, points (n, 3) [m] seen from their origin, or
-            what ``prepare_cloud`` made of them. Sweeps register better, as their grid of lines and
-            beams knows the noise of every reading.
-        source: Likewise.
-        prior: What is known of the pose beforehand; it decides where the scans do not.
-        init_T_target_source: First guess, as (4, 4) or in the plane; the prior's mean, or identity
-            without one.
+        target: A sweep: a ``RangeImage``, or for several registrations the result of
+            ``extract_surfels``. Or a cloud: a ``Scan3D``, points (n, 3) [m] seen from their origin,
+            or the result of ``prepare_cloud``. Sweeps register better, since their grid of lines
+            and beams gives the noise of every reading.
+        source: A scan of the same kind as ``target``.
+        prior: Prior distribution of the pose; it decides in directions the scans leave free.
+        init_T_target_source: Initial guess, (4, 4) or planar; by default the prior's mean, else
+            identity.
         dof: ``planar`` estimates x, y and theta, ``se3`` all six.
-        criteria: Widest gate, and when to stop.
-        starts: Starts spread over the prior; several find the right one of several basins (sweeps
-            only, as clouds do not know where space is free).
+        criteria: Convergence criteria and the first gate.
+        starts: Number of starts, spread over the prior, to find the best of several basins; for
+            sweeps only, since clouds do not know where space is free.
 
     Returns:
-        Pose, covariance, what stayed undetermined and how ambiguous the basins are.
+        Pose, covariance, degenerate directions and the ambiguity gap between basins.
 
     Raises:
         ConfigError: A pose, an option or an array's shape is wrong.
@@ -69,19 +69,24 @@ def register(
     >>> result.converged, np.round(result.T_target_source[:2, 3], 2).tolist()
     (True, [0.0, -0.02])
     """
+    # Accept every kind of scan.
     target, source = _without_lines(target), _without_lines(source)
     init = init_T_target_source
     init = init.matrix() if isinstance(init, Pose2) else init
+
+    # Two sweeps.
     if isinstance(target, RangeImage | SurfelGrid) and isinstance(source, RangeImage | SurfelGrid):
         return register_grids(
-            target if isinstance(target, SurfelGrid) else prepare(target),
-            source if isinstance(source, SurfelGrid) else prepare(source),
+            target if isinstance(target, SurfelGrid) else extract_surfels(target),
+            source if isinstance(source, SurfelGrid) else extract_surfels(source),
             init_T_target_source=init,
             prior=prior,
             dof=dof,
             criteria=criteria,
             starts=starts,
         )
+
+    # Two clouds.
     if isinstance(target, RangeImage | SurfelGrid) or isinstance(source, RangeImage | SurfelGrid):
         raise ConfigError("cannot register a sweep and a cloud: give two sweeps or two clouds")
     if starts != 1:
@@ -94,5 +99,5 @@ def register(
 def _without_lines(
     scan: RangeImage | SurfelGrid | Scan3D | Cloud | FloatArray,
 ) -> RangeImage | SurfelGrid | Cloud | FloatArray:
-    """Return ``scan``; of a ``Scan3D`` its points (n, 3) [m], as it has no noise per reading."""
+    """Return ``scan``, or the points (n, 3) [m] of a ``Scan3D``, which has no noise per reading."""
     return scan.points if isinstance(scan, Scan3D) else scan

@@ -1,4 +1,4 @@
-"""Small algebra on normal equations: what they determine, and without what only gets in the way.
+"""Algebra of normal equations: inversion, marginalisation and the test for degeneracy.
 
 ``native/algebra.h`` computes it.
 """
@@ -11,59 +11,59 @@ from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import FloatArray, read_only
 
 PLANAR_ENTRIES = read_only([0, 1, 5], np.int64)
-"""Entries of x y z rx ry rz that are estimated on a floor: x, y and rz."""
+"""Entries of x y z rx ry rz that a robot on a floor estimates: x, y and rz."""
 ALL_ENTRIES = read_only(range(6), np.int64)
-UNKNOWN = 1e-9
-"""Share of the largest information below which a direction is taken as unknown."""
+MIN_INFORMATION_SHARE = 1e-9
+"""Share of the largest eigenvalue below which a direction counts as unknown."""
 
 
-def invert_information(information: FloatArray, least: float = UNKNOWN) -> FloatArray:
-    """Return the inverse of an information (k, k); 0 on the directions that nothing determines.
+def invert_information(information: FloatArray, least: float = MIN_INFORMATION_SHARE) -> FloatArray:
+    """Return the inverse of an information matrix (k, k); 0 on directions it does not determine.
 
     Args:
-        information: Symmetric (k, k), k at most 8.
-        least: Share of the largest eigenvalue that a direction needs to be determined.
+        information: Symmetric matrix (k, k), k at most 8.
+        least: Share of the largest eigenvalue above which a direction is determined.
     """
     inverse = np.empty(information.shape)
-    engine.inverse(np.ascontiguousarray(information), len(information), least, inverse)
+    engine.invert_information(np.ascontiguousarray(information), len(information), least, inverse)
     return inverse
 
 
 def marginalise(information: FloatArray, known: float) -> FloatArray:
-    """Return the information (k, k) of the pose when the last entry is a free nuisance.
+    """Return the information matrix (k, k) of the pose with the nuisance parameter marginalised.
 
     Args:
-        information: Of the pose and the nuisance (k + 1, k + 1).
-        known: Information of the nuisance beforehand; infinite where it is exact.
+        information: Information of the pose and, last, the nuisance (k + 1, k + 1).
+        known: Prior information of the nuisance; infinite if it is known exactly.
     """
     k = len(information) - 1
     result = np.empty((k, k))
-    engine.marginal(np.ascontiguousarray(information), k + 1, k, np.array([known]), result)
+    engine.marginalise(np.ascontiguousarray(information), k + 1, k, np.array([known]), result)
     return result
 
 
 def find_determined(
     H: FloatArray, spurious: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return which directions the scans determine.
+    """Return the directions that the scans determine and those that are degenerate.
 
-    With u the eigenvectors of H, turns scaled by ``reach``, those count whose information is at
+    An eigenvector of H, with rotations scaled by ``reach``, is determined if its information is at
     least twice what noise of the normals alone gives (Hatleskog and Alexis, arXiv 2410.10784).
 
     Args:
-        H: Information of the scans (k, k), on x, y, theta or all six.
-        spurious: What noise of the normals adds to it (k, k).
-        reach: Length that makes turns comparable with shifts [m].
+        H: Information matrix of the scans (k, k), of x, y, theta or all six.
+        spurious: Information that noise of the normals adds (k, k).
+        reach: Length that makes rotations comparable with translations [m].
 
     Returns:
-        The projector K (k, k) such that K H K^T and K g keep the determined directions, the same
-        with each shortened by the root of the share that is real (k, k), and the others as unit
-        rows (j, k).
+        The projector K (k, k) such that K H K^T and K g keep the determined directions; K with each
+        direction times the root of its share that is not spurious (k, k); and the degenerate
+        directions as unit rows (j, k).
     """
     k = len(H)
     entries = PLANAR_ENTRIES if k == 3 else ALL_ENTRIES
     kept, honest, dropped = (np.empty((k, k)) for _ in range(3))
-    n = engine.determined(
+    n = engine.find_determined(
         np.ascontiguousarray(H), np.ascontiguousarray(spurious), entries, k, reach,
         kept, honest, dropped,
     )  # fmt: skip

@@ -1,18 +1,19 @@
-"""Registration of unorganised clouds, for scans that come without their lines and beams.
+"""Registration of unorganised point clouds, for scans without lines and beams.
 
-Point to plane: source points p against the planes through the k nearest neighbours of target
-points (centroid c, unit normal n), maximum a posteriori as in ``gauss_newton``:
+Point-to-plane: source points p against planes through the k nearest neighbours of target points
+(centroid c, unit normal n), maximum a posteriori as in ``gauss_newton``:
 
     e = n . (R p + t - c),   J = (n, a x n),  a = R p,
     w = (c^2 / (c^2 + e^2 / s^2))^2 / (2 s^2),
 
-with s the robust spread of the residuals (1.4826 MAD), which a cloud cannot tell beforehand; twice,
-because each target point errs as much and is in the planes of as many pairs as it has neighbours.
-The normal of a plane fit errs by s^2 / (k l) with l its spread along the tangents, and the
-information which that adds is left out as there. That such normals lean towards the ray is not
-known here, so the covariance is a lower bound; sweeps do better on their grid.
+with s the robust spread of the residuals (1.4826 MAD), since the noise of a cloud is not known in
+advance. The variance is 2 s^2 because each target point is as noisy, and takes part in as many
+pairs as it has neighbours. The normal of a plane fit has the variance s^2 / (k l), with l the
+variance along the tangents; the spurious information that it adds is removed as in
+``gauss_newton``. The bias of such normals towards the ray is not modelled, so the covariance is a
+lower bound; sweeps do better on their grid.
 
-``native/clouds.h`` finds the neighbours and fits their planes.
+``native/clouds.h`` finds the neighbours and fits the planes.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ import numpy as np
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.algebra import find_determined, invert_information
 from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Criteria, Dof
-from scan3d_twin.core.registration.native import MOST_NEIGHBOURS, ByteArray, engine
+from scan3d_twin.core.registration.native import MAX_NEIGHBOURS, ByteArray, engine
 from scan3d_twin.core.registration.point_to_plane import (
     MIN_NORMAL_COSINE,
-    pair_derivatives,
+    compute_jacobian,
     spurious_information,
 )
 from scan3d_twin.core.registration.pose_prior import (
     PLANAR,
     PosePrior,
-    about_target,
-    displaced,
-    spread,
+    displace,
+    predict_rmse,
+    shift_to_target,
 )
 from scan3d_twin.core.types import (
     BoolArray,
@@ -47,17 +48,17 @@ from scan3d_twin.core.types import (
 )
 
 NEIGHBOURS = 20
-"""Points a plane is fitted to; the default of small_gicp and of PCL's tutorials."""
+"""Number of points a plane is fitted to; the default of small_gicp and of PCL's tutorials."""
 MIN_POINTS = 50
-"""Fewer points than this are no surface."""
-ROBUST = 3.0
-"""c of the weights [s]; wider than on grids, as s is estimated with the outliers."""
+"""Least number of finite points in a cloud."""
+ROBUST_SCALE = 3.0
+"""Scale c of the robust kernel, in s; wider than for sweeps, as s includes the outliers."""
 MIN_SPREAD = 1e-4
-"""Least s [m]: perfect clouds keep finite weights."""
-SHRINK = 0.7
-"""Factor of the gate from one step to the next ..."""
-LAST_GATE = 6.0
-"""... down to this many s."""
+"""Least s [m], so that noise-free clouds keep finite weights."""
+GATE_FACTOR = 0.7
+"""Factor on the gate from one step to the next."""
+FINAL_GATE = 6.0
+"""Least gate, in s."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,8 @@ class Tree:
 
     Attributes:
         points: In the order of the tree (n, 3) [m].
-        order: Index of each of them among the points it was made of (n,).
-        axes: Axis along which each splits those of its part (n,); only inner points do.
+        order: Index of each point before sorting (n,).
+        axes: Axis along which each point splits its part of the tree (n,); leaves have none.
     """
 
     points: FloatArray
@@ -79,31 +80,31 @@ class Tree:
         """Return the tree of ``points`` (n, 3), all finite."""
         n = len(points)
         tree = Tree(np.empty((n, 3)), np.empty(n, np.int32), np.zeros(n, np.uint8))
-        engine.tree(points, n, tree.points, tree.order, tree.axes)
+        engine.build_tree(points, n, tree.points, tree.order, tree.axes)
         return tree
 
     def nearest(self, points: FloatArray, k: int) -> tuple[FloatArray, SmallIntArray]:
-        """Return squared distances [m2] and indices (m, k) of the k nearest of each point (m, 3).
+        """Return squared distances [m2] and indices (m, k) of the k nearest neighbours of points.
 
-        Nearest first; infinity and -1 where there are fewer.
+        Nearest first; infinity and -1 where the tree has fewer points.
 
         Raises:
             ConfigError: k is not 1 to 64.
         """
         _check_neighbours(k)
         squares, indices = np.empty((len(points), k)), np.empty((len(points), k), np.int32)
-        engine.nearest(
+        engine.find_nearest(
             self.points, self.order, self.axes, len(self.points), np.ascontiguousarray(points),
             len(points), k, squares, indices,
         )  # fmt: skip
         return squares, indices
 
     def fit_planes(self, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Fit a plane to the k nearest of each of the tree's points, itself among them.
+        """Fit a plane to the k nearest neighbours of each point of the tree, itself included.
 
         Returns:
-            Centroids (n, 3) [m], unit normals (n, 3) of either sign, the directions of least
-            variance (Hoppe et al., SIGGRAPH 1992), and the two smaller variances (n, 2) [m2].
+            Centroids (n, 3) [m]; unit normals (n, 3) of either sign, the directions of least
+            variance (Hoppe et al., SIGGRAPH 1992); and the two smaller variances (n, 2) [m2].
 
         Raises:
             ConfigError: k is not 1 to 64.
@@ -111,40 +112,40 @@ class Tree:
         _check_neighbours(k)
         n = len(self.points)
         centroids, normals, variances = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 2))
-        engine.neighbourhoods(
+        engine.fit_neighbourhoods(
             self.points, self.order, self.axes, n, k, centroids, normals, variances
         )
         return centroids, normals, variances
 
 
 def _check_neighbours(k: int) -> None:
-    """Refuse what the engine has no room for."""
-    if not 1 <= k <= MOST_NEIGHBOURS:
-        raise ConfigError(f"1 to {MOST_NEIGHBOURS} neighbours can be asked for, got {k}")
+    """Refuse a number of neighbours that the engine has no room for."""
+    if not 1 <= k <= MAX_NEIGHBOURS:
+        raise ConfigError(f"the number of neighbours must be 1 to {MAX_NEIGHBOURS}, got {k}")
 
 
 def is_near(places: FloatArray, points: FloatArray, within: float) -> BoolArray:
-    """Tell which of ``places`` (m, 3) have one of ``points`` (n, 3) closer than ``within`` [m].
+    """Return whether each of ``places`` (m, 3) has one of ``points`` (n, 3) within a radius [m].
 
-    ``native/near.h`` looks for it: where only that matters, a tree of distances is not worth it.
+    ``native/near.h`` sorts the points into cubes, which is faster than a k-d tree for this.
     """
     near = np.empty(len(places), dtype=bool)
     places, points = np.ascontiguousarray(places), np.ascontiguousarray(points)
-    if engine.near(points, len(points), places, len(places), within, near) < 0:
+    if engine.find_near(points, len(points), places, len(places), within, near) < 0:
         raise MemoryError
     return near
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points with the planes they lie on.
+    """Points with the planes through their neighbours.
 
     Attributes:
-        points: (n, 3) [m].
-        centroids: Of each point's neighbours (n, 3) [m].
-        normals: Unit normals, towards the origin, the viewpoint (n, 3).
+        points: Points (n, 3) [m].
+        centroids: Centroids of each point's neighbours (n, 3) [m].
+        normals: Unit normals towards the origin, which is the viewpoint (n, 3).
         tilt: Variance of each normal per variance of the range noise (n,) [rad2/m2].
-        tree: Finds neighbours among ``points``.
+        tree: k-d tree of ``points``.
     """
 
     points: FloatArray
@@ -155,11 +156,11 @@ class Cloud:
 
 
 def prepare_cloud(points: FloatArray) -> Cloud:
-    """Return the planes of a cloud (n, 3) [m] seen from its origin; NaN rows are left out.
+    """Fit planes to a cloud (n, 3) [m] seen from its origin; NaN rows are left out.
 
     Raises:
         ConfigError: The array has another shape.
-        RegistrationError: Too few finite points.
+        RegistrationError: The cloud has too few finite points.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -169,6 +170,8 @@ def prepare_cloud(points: FloatArray) -> Cloud:
         raise RegistrationError(
             f"the cloud has {len(points)} finite points, {MIN_POINTS} are needed"
         )
+
+    # Fit planes, facing the viewpoint.
     tree = Tree.of(points)
     centroids, normals, variances = tree.fit_planes(NEIGHBOURS)
     normals *= np.where(np.sum(normals * points, axis=1) > 0, -1.0, 1.0)[:, None]
@@ -185,15 +188,15 @@ def register_clouds(
     dof: Dof = "planar",
     criteria: Criteria | None = None,
 ) -> RegistrationResult:
-    """Lay the cloud ``source`` on the cloud ``target``.
+    """Register the cloud ``source`` to the cloud ``target``.
 
     Args:
-        target: Points (n, 3) [m] from their viewpoint, or what ``prepare_cloud`` made of them.
-        source: Likewise (m, 3).
-        init_T_target_source: First guess (4, 4); the prior's mean, or identity without one.
-        prior: What is known beforehand; it decides where the clouds do not.
+        target: Points (n, 3) [m] seen from their origin, or the result of ``prepare_cloud``.
+        source: Points (m, 3) [m] seen from their origin, or the result of ``prepare_cloud``.
+        init_T_target_source: Initial guess (4, 4); by default the prior's mean, else identity.
+        prior: Prior distribution of the pose; it decides in directions the clouds leave free.
         dof: ``planar`` estimates x, y and theta, ``se3`` all six.
-        criteria: Widest gate, and when to stop.
+        criteria: Convergence criteria and the first gate.
 
     Raises:
         ConfigError: A pose or a shape is wrong.
@@ -202,19 +205,21 @@ def register_clouds(
     criteria = criteria or Criteria()
     if dof not in ("planar", "se3"):
         raise ConfigError(f"dof must be planar or se3, got {dof!r}")
-    pair = _Pair(_prepared(target), _prepared(source), prior, dof)
+
+    # Iterate, tightening the gate.
+    pair = _Pair(_as_cloud(target), _as_cloud(source), prior, dof)
     T, gate = _first_guess(init_T_target_source, prior), criteria.max_correspondence_distance
     iterations, settled = 0, False
     while not settled and iterations < criteria.max_iterations:
         step = pair.step(T, gate)
-        T = displaced(T, step.motion)
-        last = LAST_GATE * step.spread
-        settled = gate <= last and _small(step.motion, criteria)
-        gate, iterations = min(gate, max(last, SHRINK * gate)), iterations + 1
+        T = displace(T, step.motion)
+        last = FINAL_GATE * step.spread
+        settled = gate <= last and _is_small(step.motion, criteria)
+        gate, iterations = min(gate, max(last, GATE_FACTOR * gate)), iterations + 1
     return pair.result(T, step, iterations, settled)
 
 
-def _prepared(cloud: Cloud | FloatArray) -> Cloud:
+def _as_cloud(cloud: Cloud | FloatArray) -> Cloud:
     return cloud if isinstance(cloud, Cloud) else prepare_cloud(cloud)
 
 
@@ -226,7 +231,7 @@ def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray
     return init
 
 
-def _small(motion: FloatArray, criteria: Criteria) -> bool:
+def _is_small(motion: FloatArray, criteria: Criteria) -> bool:
     return (
         float(np.linalg.norm(motion[:3])) < criteria.translation_epsilon
         and float(np.linalg.norm(motion[3:])) < criteria.rotation_epsilon
@@ -235,15 +240,15 @@ def _small(motion: FloatArray, criteria: Criteria) -> bool:
 
 @dataclass(frozen=True)
 class _Step:
-    """A Gauss-Newton step and what is known there.
+    """A Gauss-Newton step and its normal equations.
 
     Attributes:
-        motion: Of x y z rx ry rz about the viewpoint (6,).
-        information: Less what is spurious (6, 6).
+        motion: Step in x y z rx ry rz about the viewpoint (6,).
+        information: Information matrix, less the spurious share (6, 6).
         degenerate: Directions that the clouds do not determine (k, 6).
-        pairs: Number of pairs.
-        spread: Of their residuals, robust [m].
-        rmse: Of their residuals [m].
+        pairs: Number of correspondences.
+        spread: Robust spread of their residuals [m].
+        rmse: RMS of their residuals [m].
     """
 
     motion: FloatArray
@@ -256,23 +261,30 @@ class _Step:
 
 @dataclass(frozen=True)
 class _Pair:
+    """Two clouds to register, the prior, and the estimated entries."""
+
     target: Cloud
     source: Cloud
     prior: PosePrior | None
     dof: Dof
 
     def step(self, T: FloatArray, gate: float) -> _Step:
-        """Return the step at ``T`` (4, 4) from pairs within ``gate`` [m]."""
+        """Return the Gauss-Newton step at ``T`` (4, 4) from pairs within ``gate`` [m]."""
+        # Residuals and robust weights.
         a, n, e, tilt = self._pairs(T, gate)
         scale = max(MIN_SPREAD, 1.4826 * float(np.median(np.abs(e - np.median(e)))))
-        w = (ROBUST**2 / (ROBUST**2 + (e / scale) ** 2)) ** 2 / (2 * scale**2)
-        J = pair_derivatives(a.T, n.T)
+        w = (ROBUST_SCALE**2 / (ROBUST_SCALE**2 + (e / scale) ** 2)) ** 2 / (2 * scale**2)
+        J = compute_jacobian(a.T, n.T)
+
+        # Normal equations and their degeneracy.
         dims = PLANAR if self.dof == "planar" else tuple(range(6))
         rows, block = list(dims), np.ix_(dims, dims)
         H, g = ((J * w) @ J.T)[block], (J @ (w * e))[rows]
         spurious = spurious_information(w * tilt * scale**2, a.T, J)[block]
         reach = math.sqrt(float(np.mean(np.sum(a * a, axis=1))))
         kept, honest, dropped = find_determined(H, spurious, reach)
+
+        # Solve with the prior.
         prior, pull = self._prior(T, dims)
         motion, information = np.zeros(6), np.zeros((6, 6))
         motion[rows] = -invert_information(kept @ H @ kept.T + prior) @ (kept @ g + pull)
@@ -282,14 +294,15 @@ class _Pair:
         return _Step(motion, information, degenerate, len(e), scale, math.sqrt(np.mean(e * e)))
 
     def _prior(self, T: FloatArray, dims: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-        """Return the prior's information (k, k) and its pull at ``T`` (k,); 0 without one."""
+        """Return the prior's information (k, k) and gradient at ``T`` (k,); 0 without one."""
         if self.prior is None:
             return np.zeros((len(dims), len(dims))), np.zeros(len(dims))
         information = self.prior.information(dims)
         return information, information @ self.prior.deviation(T)[list(dims)]
 
     def _pairs(self, T: FloatArray, gate: float) -> tuple[FloatArray, ...]:
-        """Return lever arms, normals, residuals and normal variances of the pairs."""
+        """Return lever arms, normals, residuals and normal variances of the correspondences."""
+        # Pair with the nearest target point.
         a = self.source.points @ T[:3, :3].T
         moved = a + T[:3, 3]
         square, index = (column[:, 0] for column in self.target.tree.nearest(moved, 1))
@@ -301,6 +314,8 @@ class _Pair:
                 f"no overlap: only {np.count_nonzero(paired)} pairs of points within {gate:.3g} m, "
                 f"{MIN_PAIRS} are needed; give a better init_T_target_source"
             )
+
+        # Residuals along the target's normals.
         index = index[paired]
         e = np.sum(n[paired] * (moved[paired] - self.target.centroids[index]), axis=1)
         return a[paired], n[paired], e, self.target.tilt[index]
@@ -309,7 +324,7 @@ class _Pair:
         self, T: FloatArray, step: _Step, iterations: int, settled: bool
     ) -> RegistrationResult:
         """Return the result at ``T``, with covariances about the target's origin."""
-        shift = about_target(T)
+        shift = shift_to_target(T)
         back = np.linalg.inv(shift)
         covariance = invert_information(step.information)
         return RegistrationResult(
@@ -318,7 +333,7 @@ class _Pair:
             information=read_only(back.T @ step.information @ back),
             fitness=step.pairs / len(self.source.points),
             inlier_rmse=step.rmse,
-            predicted_rmse=spread(self.source.points @ T[:3, :3].T, covariance),
+            predicted_rmse=predict_rmse(self.source.points @ T[:3, :3].T, covariance),
             num_inliers=step.pairs,
             iterations=iterations,
             converged=settled,

@@ -1,10 +1,10 @@
-"""Vertical edges where a surface ends in view: what fixes a slide along a flat face.
+"""Vertical edges where a surface ends: features that constrain a slide along a flat face.
 
-Where a line sees a surface and the next one something farther, or several nothing, the surface
-ends between the two. A run of beams that all jump there is one vertical edge, measured once: its
-yaw is known to a line spacing, so across the ray its variance is (r dyaw)^2 / 12 + (r sigma_yaw)^2.
-The surface must be seen steeply enough: a curved body's outline has no place of its own and wanders
-with the viewpoint. ``native/edges.h`` finds them.
+If a line sees a surface and the next one something farther, or several lines in a row nothing, the
+surface ends between the two. A run of adjacent beams with such a range step is one vertical edge,
+measured once: its yaw is known to a line spacing, so its variance across the ray is
+(r dyaw)^2 / 12 + (r sigma_yaw)^2. The surface must not be seen at grazing incidence: the silhouette
+of a curved body moves with the viewpoint. ``native/edges.h`` finds the edges.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.registration.native import engine
-from scan3d_twin.core.registration.surfels import sweep_of
+from scan3d_twin.core.registration.surfels import make_native_sweep
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -25,16 +25,16 @@ from scan3d_twin.core.types import (
     SmallIntArray,
 )
 
-JUMP = 0.10
-"""Least step in range at an edge [m]; several sigma, and more than a steep face within a line."""
+MIN_RANGE_STEP = 0.10
+"""Least range step at an edge [m]: several sigma, and more than a steep face gives per line."""
 MIN_BEAMS = 8
-"""Beams in a run."""
+"""Least number of adjacent beams in an edge."""
 MIN_COSINE = 0.35
-"""A surface seen flatter at its edge (70 deg from the normal) may be turning away."""
-INWARDS = 2
-"""Lines from the edge to the surfel that carries it: nearer windows would cross the edge."""
-FIRST_ROOM = 512
-"""Edges for which there is room at first."""
+"""Least cosine of incidence at an edge (70 deg): a surface seen flatter may be a silhouette."""
+SURFEL_OFFSET = 2
+"""Lines from an edge to the surfel of its face: windows nearer by would cross the edge."""
+INITIAL_ROOM = 512
+"""Number of edges that the first buffer holds."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class Edges:
     """Vertical edges in frame ``scan``.
 
     Attributes:
-        places: Top view (n, 2) [m].
-        across: Unit vectors across the ray (n, 2).
-        variances: Of the place along ``across`` (n,) [m2].
+        places: Positions in the top view (n, 2) [m].
+        across: Unit vectors across the rays (n, 2).
+        variances: Variances of the positions along ``across`` (n,) [m2].
         sides: 1 where the surface ends to the right, -1 to the left (n,).
-        heights: Lowest and highest point (n, 2) [m].
+        heights: z of the lowest and the highest point (n, 2) [m].
     """
 
     places: FloatArray
@@ -66,7 +66,7 @@ class Edges:
 
     @cached_property
     def rows(self) -> FloatArray:
-        """The edges as place, across, variance, side and heights (n, 8)."""
+        """The edges as rows of place, across, variance, side and heights (n, 8)."""
         parts = [self.places, self.across, self.variances[:, None], self.sides[:, None]]
         return np.concatenate([*parts, self.heights], axis=1)
 
@@ -81,26 +81,26 @@ class Edges:
         )
 
     def seen_from(self, T: Pose2) -> Edges:
-        """Return the edges in another frame, ``T`` maps into it, as well known as they are here."""
+        """Return the edges in the frame that ``T`` maps into, with the same variances."""
         return replace(self, places=T.apply(self.places), across=T.rotate(self.across))
 
 
 def find_edges(
     image: RangeImage, rows: FloatArray, index: SmallIntArray, valid: BoolArray, yaw_sigma: float
 ) -> FloatArray:
-    """Return the vertical edges of a sweep as place, across, variance, side and heights (n, 8).
+    """Return the vertical edges of a sweep as rows of ``Edges`` (n, 8).
 
     Args:
         image: The sweep.
         rows: Its surfels (m, 8).
-        index: Row of each reading (n_lines, n_beams), or -1.
-        valid: Readings that are distances (n_lines, n_beams).
-        yaw_sigma: Of a line [rad].
+        index: Row of each reading's surfel (n_lines, n_beams), or -1.
+        valid: Whether a reading is a distance (n_lines, n_beams).
+        yaw_sigma: Yaw jitter of a line [rad].
     """
-    sweep, room = sweep_of(image), FIRST_ROOM
+    sweep, room = make_native_sweep(image), INITIAL_ROOM
     while True:
         edges = np.empty((room, 8))
-        n = engine.edges(sweep, rows, index, valid, yaw_sigma, edges, room)
+        n = engine.find_edges(sweep, rows, index, valid, yaw_sigma, edges, room)
         if n < 0:
             raise MemoryError
         if n < room:
@@ -108,24 +108,24 @@ def find_edges(
         room *= 4
 
 
-def edge_equations(
+def linearise_edges(
     target: Edges, source: Edges, T: FloatArray, distance: float, robust: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return information (6, 6) and gradient (6,) of the edges at ``T`` (4, 4).
+    """Return information matrix (6, 6) and gradient (6,) of the edges at ``T`` (4, 4).
 
     Each source edge is paired with the nearest target edge of its side at its height; the residual
     is their distance across the target's ray.
 
     Args:
-        target: What the source is laid on.
-        source: Its edges.
+        target: Edges of the target.
+        source: Edges of the source.
         T: ``T_target_source``.
-        distance: Farther edges are not paired [m].
-        robust: c of the weights, in standard deviations.
+        distance: Gate: edges farther apart are not paired [m].
+        robust: Scale c of the robust kernel, in standard deviations.
     """
     H, g = np.zeros((6, 6)), np.zeros(6)
     T = np.ascontiguousarray(T)
-    engine.edge_equations(
+    engine.linearise_edges(
         target.rows, len(target), source.rows, len(source), T, distance, robust, H, g
     )
     return H, g

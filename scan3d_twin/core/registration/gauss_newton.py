@@ -1,19 +1,19 @@
-"""Registration of two sweeps on the grids they were taken on: maximum a posteriori, honestly.
+"""Registration of two sweeps by Gauss-Newton: the maximum a posteriori pose and its covariance.
 
-Gauss-Newton on the normal equations of ``point_to_plane``, with the gate and the robust weights
-tightened from step to step, the odometry as prior about the viewpoint and vertical edges:
+Each step solves the normal equations of ``point_to_plane``, with the gate and the robust kernel
+tightened from step to step, the odometry as a prior about the viewpoint, and vertical edges:
 
     (H_kept + H_edges + L0) step = -(g_kept + g_edges + L0 (x - x0)).
 
-H_kept holds those eigenvectors v of the scans' information H whose information exceeds twice what
-noise of the normals adds, v^T H v >= 2 v^T H_spurious v (Hatleskog and Alexis, arXiv 2410.10784):
-on a wall the rest would be a slide that looks like knowledge, so it is left to prior and edges.
-Twice means: as much signal as noise. The covariance is the inverse of the left side, less what is
-spurious and what yaw jitter hides; for point to plane that is sound (Bonnabel et al., arXiv
-1410.7632).
+Degeneracy: H_kept holds those eigenvectors v of the scans' information matrix H whose information
+is at least twice what noise of the normals adds, v^T H v >= 2 v^T H_spurious v, that is, as much
+signal as noise (Hatleskog and Alexis, arXiv 2410.10784). The other directions, such as a slide
+along a wall, are left to prior and edges. The covariance is the inverse of the left side, less the
+spurious information and what is lost to yaw jitter; for point-to-plane residuals that is sound
+(Bonnabel et al., arXiv 1410.7632).
 
-The yaw scale is a nuisance, eliminated by its Schur complement. ``native/descend.h`` computes all
-of it.
+The yaw scale is a nuisance parameter, eliminated by its Schur complement. ``native/descend.h``
+computes all of this.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.native import engine
-from scan3d_twin.core.registration.point_to_plane import pair_noise
+from scan3d_twin.core.registration.point_to_plane import combine_noise
 from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, PosePrior
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.registration.surfels import X
@@ -36,16 +36,16 @@ from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
 Dof = Literal["planar", "se3"]
 MIN_PAIRS = 12
-"""Fewer correspondences than this determine nothing reliably."""
-WANTED, WANTED_LAST = 3000, 12000
-"""Surfels used of a source, and in the very last step: fewer lose accuracy where the surface bends,
-as windows are small and overlap little there."""
+"""Least number of correspondences for a reliable step."""
+SAMPLE_SIZE, LAST_SAMPLE_SIZE = 3000, 12000
+"""Approximate number of the source's surfels in a step, and in the last one: there fewer would lose
+accuracy on curved surfaces, where windows are small and overlap little."""
 SAME_BASIN = 0.010
-"""Poses that displace the source by less than this from each other are one basin [m]."""
+"""Poses whose displacement of the source differs by less than this are one basin [m]."""
 
 
 class Criteria(NamedTuple):
-    """When the iteration ends, and the widest gate."""
+    """Convergence criteria of the iteration, and its first, widest gate [m, rad]."""
 
     max_iterations: int = 30
     translation_epsilon: float = 1e-4
@@ -55,21 +55,21 @@ class Criteria(NamedTuple):
 
 @dataclass(frozen=True)
 class RunResult:
-    """Where the iteration ended.
+    """Result of the iteration.
 
     Attributes:
         T: ``T_target_source`` (4, 4).
         yaw_scale: Relative error of the yaws of both sweeps.
-        covariance: Of x y z rx ry rz about the target's origin (6, 6).
+        covariance: Covariance of x y z rx ry rz about the target's origin (6, 6).
         information: Its inverse on the estimated entries (6, 6).
         degenerate: Directions (j, 6) that neither surfels nor edges determine.
-        predicted_rmse: RMS displacement of the source's surfels to be expected [m].
-        pairs: That took part in the last step.
+        predicted_rmse: Expected RMS displacement of the source's surfels [m].
+        pairs: Number of correspondences in the last step.
         square: Sum of their squared residuals [m2].
-        surfels: Of the source that took part in it.
-        iterations: Steps in all.
-        settled: Whether they became small enough.
-        overlap: Whether enough surfels found a partner.
+        surfels: Number of the source's surfels in the last step.
+        iterations: Number of steps.
+        settled: Whether the iteration converged.
+        overlap: Whether there were enough correspondences.
     """
 
     T: FloatArray
@@ -87,7 +87,7 @@ class RunResult:
 
     @staticmethod
     def of(value: native.RunResult) -> RunResult:
-        """Return the outcome that the engine wrote."""
+        """Return the result that the engine wrote."""
         return RunResult(
             value.numbers("T", 4, 4),
             value.nuisances[0],
@@ -106,7 +106,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class Problem:
-    """Two grids and what is known beforehand."""
+    """Two sweeps to register, the prior, and the options."""
 
     target: SurfelGrid
     source: SurfelGrid
@@ -124,8 +124,8 @@ class Problem:
         return PLANAR if self.dof == "planar" else (0, 1, 2, 3, 4, 5)
 
     @cached_property
-    def beforehand(self) -> native.Prior:
-        """The prior, and that of the yaw scale: its information is infinite where it is exact."""
+    def native_prior(self) -> native.Prior:
+        """The prior of pose and yaw scale; infinite information where the scale is exact."""
         sigma = max(self.target.noise.yaw_scale_sigma, self.source.noise.yaw_scale_sigma)
         return native.Prior(
             mean=self.prior.T if self.prior else np.eye(4),
@@ -138,26 +138,26 @@ class Problem:
 
     @cached_property
     def stride(self) -> int:
-        """Of the source's surfels in the steps at the last gate: 2 to 4."""
-        return min(4, max(2, round(math.sqrt(self.source.count / WANTED))))
+        """Stride of the source's surfels in the steps at the final gate: 2 to 4."""
+        return min(4, max(2, round(math.sqrt(self.source.count / SAMPLE_SIZE))))
 
     @property
     def last_stride(self) -> int:
-        """Of the source's surfels in the very last step."""
-        return max(1, round(math.sqrt(self.source.count / WANTED_LAST)))
+        """Stride of the source's surfels in the last step."""
+        return max(1, round(math.sqrt(self.source.count / LAST_SAMPLE_SIZE)))
 
     @cached_property
     def moments(self) -> Moments:
-        """Moments of the source's surfels, of those of the first steps."""
+        """Moments of the source's surfels that the first steps use."""
         return Moments.of(np.ascontiguousarray(self.source.sample(2 * self.stride).rows[:, X]))
 
     @property
     def reach(self) -> float:
-        """RMS distance of the source's points [m]: it makes turns comparable with shifts."""
+        """RMS distance of the source's points [m]: makes rotations comparable with translations."""
         return math.sqrt(np.trace(self.moments.second))
 
-    def laid(self, thinning: int = 1) -> native.Source:
-        """Return what is laid on the target, of every ``thinning``-th line and beam taken."""
+    def make_source(self, thinning: int = 1) -> native.Source:
+        """Return the source as the engine takes it, with all strides times ``thinning``."""
         fine = self.stride * thinning
         return native.Source(
             coarse=self.source.sample(2 * fine).value,
@@ -171,12 +171,12 @@ class Problem:
 
 
 def align(problem: Problem, init: FloatArray) -> RunResult:
-    """Return where Gauss-Newton steps from ``init`` (4, 4) end.
+    """Return the pose at which Gauss-Newton steps from ``init`` (4, 4) end, and its covariance.
 
     Raises:
-        RegistrationError: The scans do not overlap at ``init``, or lost each other on the way.
+        RegistrationError: The scans do not overlap at ``init``, or no longer after some steps.
     """
-    _, outcome = follow_starts(problem, problem.laid(), problem.criteria, init[None])
+    _, outcome = follow_starts(problem, problem.make_source(), problem.criteria, init[None])
     if not outcome.overlap:
         raise RegistrationError(
             f"no overlap: only {outcome.pairs} pairs of surfels in reach, "
@@ -188,15 +188,17 @@ def align(problem: Problem, init: FloatArray) -> RunResult:
 def follow_starts(
     problem: Problem, source: native.Source, criteria: Criteria, starts: FloatArray
 ) -> tuple[FloatArray, RunResult]:
-    """Return where the steps from ``starts`` (n, 4, 4) end (m, 4, 4), and how the last did.
+    """Return the poses where the steps from ``starts`` (n, 4, 4) end, and the last start's result.
 
-    Ends that met are one, those without overlap left out.
+    The poses (m, 4, 4) are distinct: of those in one basin the first is kept, and those without
+    overlap are left out.
     """
     starts = np.ascontiguousarray(starts)
     ends, last = np.empty_like(starts), native.RunResult()
-    n = engine.follow(
-        problem.target.target, source, pair_noise(problem.target, problem.source),
-        problem.beforehand, native.Criteria(**criteria._asdict()), starts, len(starts), ends, last,
+    n = engine.follow_starts(
+        problem.target.target, source, combine_noise(problem.target, problem.source),
+        problem.native_prior, native.Criteria(**criteria._asdict()),
+        starts, len(starts), ends, last,
     )  # fmt: skip
     if n < 0:
         raise MemoryError
@@ -204,13 +206,13 @@ def follow_starts(
 
 
 def distance_between(a: FloatArray, b: FloatArray, reach: float) -> float:
-    """Return by how much two poses (4, 4) displace points at a distance ``reach`` [m]."""
+    """Return the displacement [m] between two poses (4, 4) of points at a distance ``reach``."""
     shift, turn = a[:3, 3] - b[:3, 3], reach * (a[:3, :3] - b[:3, :3])
     return math.sqrt(np.sum(shift * shift) + np.sum(turn * turn) / 2.0)
 
 
-def report(outcome: RunResult, ambiguity_gap: float) -> RegistrationResult:
-    """Return the result for the last state."""
+def make_result(outcome: RunResult, ambiguity_gap: float) -> RegistrationResult:
+    """Return ``outcome`` as the result of a registration."""
     return RegistrationResult(
         T_target_source=read_only(outcome.T),
         covariance=read_only(outcome.covariance),

@@ -26,10 +26,10 @@ from scan3d_twin.core.types import (
 PLANAR = [0, 1, 5]
 """Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
 OVERLAP_DISTANCE = 0.03
-"""Points this near to the other scan are expected to show the same surface [m]: the odometry's
-error over a step plus a few times the range noise."""
+"""Points this near to the other scan are assumed to show the same surface [m]: the odometry's error
+over a step plus a few times the range noise."""
 MIN_PAIRS = 10
-"""Fewer correspondences than this determine nothing reliably."""
+"""Least number of correspondences for a reliable pose."""
 
 
 def register(
@@ -41,43 +41,47 @@ def register(
     config: RegistrationConfig | None = None,
     tree: cKDTree | None = None,
 ) -> RegistrationResult:
-    """Lay ``source`` on ``target`` by point-to-point ICP in the plane, eq. (1).
+    """Register ``source`` to ``target`` by point-to-point ICP in the plane, eq. (1).
 
     Args:
         target: Points (n, 3) [m], the paper's model set M.
         source: Points (m, 3) [m], the paper's data set D.
-        init_T_target_source: First guess; identity by default.
-        border: Target points (n,) behind which the surface goes on unseen: a source point whose
+        init_T_target_source: Initial guess; identity by default.
+        border: Target points (n,) beyond which the surface continues unseen: a source point whose
             nearest target point is one of them has no correspondence (Turk and Levoy 1994).
-        config: Thresholds; the defaults of ``RegistrationConfig``.
-        tree: ``cKDTree(target)`` when the caller has it already.
+        config: Thresholds; by default those of ``RegistrationConfig``.
+        tree: k-d tree of ``target``, if the caller has one.
 
     Returns:
-        The result; ``converged`` is False when the iterations ran out, when too few points found
-        a partner, or when a set is empty.
+        The result; ``converged`` is False if the iterations ran out, if there were too few
+        correspondences, or if a set is empty.
     """
     config = config or RegistrationConfig()
     pose = init_T_target_source or Pose2()
     if len(target) < MIN_PAIRS or len(source) < MIN_PAIRS:
-        return _failed(pose)
+        return _unregistered(pose)
+
+    # Iterate to convergence.
     source = _thin_out(source, config.max_points)
     tree = tree or cKDTree(target)
     settled, iterations = False, 0
     while not settled and iterations < config.max_iterations:
         iterations += 1
         moved = pose.apply(source)
-        paired, index, _ = _correspondences(tree, moved, border, config)
+        paired, index, _ = _find_correspondences(tree, moved, border, config)
         if np.count_nonzero(paired) < MIN_PAIRS:
-            return _failed(pose)
+            return _unregistered(pose)
         step = fit_planar(target[index[paired]], moved[paired])
         pose = step @ pose
         settled = (
             math.hypot(step.x, step.y) < config.translation_epsilon
             and abs(step.yaw) < config.rotation_epsilon
         )
+
+    # Judge the final correspondences.
     moved = pose.apply(source)
-    paired, _, distances = _correspondences(tree, moved, border, config)
-    return _judge(moved, distances[paired], pose, iterations, settled, config)
+    paired, _, distances = _find_correspondences(tree, moved, border, config)
+    return _make_result(moved, distances[paired], pose, iterations, settled, config)
 
 
 def fit_planar(target: FloatArray, source: FloatArray) -> Pose2:
@@ -91,11 +95,11 @@ def fit_planar(target: FloatArray, source: FloatArray) -> Pose2:
     return Pose2(float(shift[0]), float(shift[1]), turn.yaw)
 
 
-def overlapping_lines(target: Scan3D, source: Scan3D, init_T_target_source: Pose2) -> Scan3D:
-    """Return the lines of ``source`` expected on ``target``: half of whose points come near it.
+def select_overlapping_lines(target: Scan3D, source: Scan3D, init_T_target_source: Pose2) -> Scan3D:
+    """Return the lines of ``source`` that overlap ``target``: at least half their points are near.
 
-    The planner chose an overlap; registering whole images instead would drag one image onto the
-    other where they do not show the same surface.
+    The planner has chosen an overlap. Registering whole images instead would pull one image onto
+    the other where they do not show the same surface.
     """
     if len(target) == 0 or len(source) == 0:
         return source.select(np.zeros(len(source), dtype=bool))
@@ -106,8 +110,8 @@ def overlapping_lines(target: Scan3D, source: Scan3D, init_T_target_source: Pose
     return source.select((2 * hits >= total)[source.lines])
 
 
-def cut_lines(scan: Scan3D, *, right: bool) -> BoolArray:
-    """Tell which points (n,) are on the border: the first line and, if ``right``, the last.
+def find_border(scan: Scan3D, *, right: bool) -> BoolArray:
+    """Return whether each point (n,) is on the border: the first line and, if ``right``, the last.
 
     A scan that ends at a silhouette has no border there: the end of the surface is a feature.
     """
@@ -115,10 +119,10 @@ def cut_lines(scan: Scan3D, *, right: bool) -> BoolArray:
     return np.isin(scan.lines, ends)
 
 
-def _correspondences(
+def _find_correspondences(
     tree: cKDTree, moved: FloatArray, border: BoolArray | None, config: RegistrationConfig
 ) -> tuple[BoolArray, IntArray, FloatArray]:
-    """Return which points (m,) have a partner, its index and its distance [m]."""
+    """Return whether each point (m,) has a correspondence, its index and its distance [m]."""
     distances, index = find_nearest(tree, moved, config.max_correspondence_distance)
     paired = np.isfinite(distances)
     if border is not None and config.border == "drop":
@@ -126,7 +130,7 @@ def _correspondences(
     return paired, index, distances
 
 
-def _judge(
+def _make_result(
     moved: FloatArray,
     distances: FloatArray,
     pose: Pose2,
@@ -134,20 +138,23 @@ def _judge(
     settled: bool,
     config: RegistrationConfig,
 ) -> RegistrationResult:
-    """Return the result for the source at its final place and the distances of its pairs."""
+    """Return the result for the source at its final pose and the distances of its pairs."""
     pairs = len(distances)
     fitness = pairs / len(moved)
     rmse = float(np.sqrt(np.mean(distances**2))) if pairs else math.nan
+
+    # Covariance from the pairs.
     information = _information(moved, rmse)
     covariance = np.zeros((6, 6))
     covariance[np.ix_(PLANAR, PLANAR)] = np.linalg.pinv(information[np.ix_(PLANAR, PLANAR)])
+
     return RegistrationResult(
         T_target_source=read_only(pose.matrix()),
         covariance=read_only(covariance),
         information=read_only(information),
         fitness=fitness,
         inlier_rmse=rmse,
-        predicted_rmse=_spread(moved, covariance),
+        predicted_rmse=_predict_rmse(moved, covariance),
         num_inliers=pairs,
         iterations=iterations,
         converged=settled and fitness >= config.min_fitness,
@@ -159,8 +166,8 @@ def _judge(
 def _information(points: FloatArray, rmse: float) -> FloatArray:
     """Return J^T J / rmse^2 (6, 6) of point-to-point pairs at ``points`` (n, 3), planar part only.
 
-    Point-to-point pairs claim to fix every direction, a slide along a wall too (Bonnabel et al.,
-    arXiv 1410.7632): this is what the paper's ICP believes, not what is true.
+    Point-to-point pairs seem to constrain every direction, even a slide along a wall (Bonnabel et
+    al., arXiv 1410.7632): this is the information the paper's ICP claims, not what it has.
     """
     x, y = points[:, 0], points[:, 1]
     planar = np.array(
@@ -175,8 +182,8 @@ def _information(points: FloatArray, rmse: float) -> FloatArray:
     return information
 
 
-def _spread(points: FloatArray, covariance: FloatArray) -> float:
-    """Return the root mean square displacement of ``points`` (n, 3) under ``covariance`` [m]."""
+def _predict_rmse(points: FloatArray, covariance: FloatArray) -> float:
+    """Return the expected RMS displacement [m] of ``points`` (n, 3) under ``covariance`` (6, 6)."""
     C = covariance[np.ix_(PLANAR, PLANAR)]
     x, y = points[:, 0], points[:, 1]
     squares = C[0, 0] + C[1, 1] + C[2, 2] * (x * x + y * y) + 2 * (x * C[1, 2] - y * C[0, 2])
@@ -184,13 +191,13 @@ def _spread(points: FloatArray, covariance: FloatArray) -> float:
 
 
 def _thin_out(points: FloatArray, most: int) -> FloatArray:
-    """Return at most ``most`` of ``points``, evenly chosen."""
+    """Return at most ``most`` of ``points``, evenly spaced by index."""
     if len(points) <= most:
         return points
     return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
 
 
-def _failed(pose: Pose2) -> RegistrationResult:
-    """Return the result for sets that cannot be registered: the guess, not converged."""
+def _unregistered(pose: Pose2) -> RegistrationResult:
+    """Return the result for sets that cannot be registered: the initial guess, not converged."""
     nothing = read_only(np.zeros((6, 6)))
     return RegistrationResult.unregistered(read_only(pose.matrix()), nothing, nothing)

@@ -1,8 +1,8 @@
-"""Search of several basins: starts spread over the prior, judged by what they contradict.
+"""Multistart registration: starts spread over the prior, their basins judged by free space.
 
-A periodic surface fits as well one period off. Each basin's contradiction with free space tells
-them apart; where it does not, the gap between the best two says so, and the one nearest to the
-prior is taken.
+A periodic surface fits equally well one period off. The contradiction of each basin with free space
+separates them. If it does not, a small ambiguity gap says so, and the basin nearest to the prior is
+taken.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.free_space import contradiction
+from scan3d_twin.core.registration.free_space import measure_contradiction
 from scan3d_twin.core.registration.gauss_newton import (
     SAME_BASIN,
     Criteria,
@@ -25,26 +25,26 @@ from scan3d_twin.core.registration.gauss_newton import (
     align,
     distance_between,
     follow_starts,
-    report,
+    make_result,
 )
-from scan3d_twin.core.registration.pose_prior import PosePrior, displaced
+from scan3d_twin.core.registration.pose_prior import PosePrior, displace
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
 ROUGH_ITERATIONS = (2, 3)
-"""Steps of each start before those that met are made one, in two rounds."""
-THINNING = 2
-"""Factor of the stride for these steps."""
+"""Steps of each start in two rounds; after each, starts that met in one basin are merged."""
+ROUGH_THINNING = 2
+"""Factor on the stride in these steps."""
 NO_OVERLAP = "no overlap: none of {} starts found pairs of surfels; is the prior right?"
-MOST_BASINS = 6
-"""Basins, least contradictory first, that are worth aligning to the end."""
-AMBIGUOUS = 0.01
-"""A smaller gap in contradiction tells nothing: half of it is what two noisy scans show."""
+MAX_BASINS = 6
+"""Basins that are aligned to convergence, least contradictory first."""
+MIN_CONTRADICTION_GAP = 0.01
+"""Least significant gap in contradiction: twice what noise alone gives two scans."""
 
 
 @dataclass(frozen=True)
 class Basin:
-    """A pose that the iteration ends at, and its contradiction with free space, 0..1."""
+    """A pose at which the iteration converged, and its contradiction with free space, 0..1."""
 
     outcome: RunResult
     contradiction: float
@@ -65,16 +65,16 @@ def register_grids(
     criteria: Criteria | None = None,
     starts: int = 1,
 ) -> RegistrationResult:
-    """Lay the sweep ``source`` on the sweep ``target``.
+    """Register the sweep ``source`` to the sweep ``target``.
 
     Args:
-        target: Prepared by ``surfel_grid.prepare``.
-        source: Likewise.
-        init_T_target_source: First guess (4, 4); the prior's mean, or identity without one.
-        prior: What is known beforehand; it decides where the scans do not.
-        dof: Estimate x, y and theta, or all six.
-        criteria: When to stop.
-        starts: Starts spread over the prior; several find the right one of several basins.
+        target: From ``extract_surfels``.
+        source: From ``extract_surfels``.
+        init_T_target_source: Initial guess (4, 4); by default the prior's mean, else identity.
+        prior: Prior distribution of the pose; it decides in directions the scans leave free.
+        dof: ``planar`` estimates x, y and theta, ``se3`` all six.
+        criteria: Convergence criteria.
+        starts: Number of starts, spread over the prior, to find the best of several basins.
 
     Raises:
         ConfigError: A pose is not finite, or an option is wrong.
@@ -82,8 +82,8 @@ def register_grids(
     """
     problem = Problem(target, source, prior, dof, criteria or Criteria())
     init = _first_guess(init_T_target_source, prior)
-    basin, gap = search(problem, init, starts)
-    return report(basin.outcome, gap)
+    basin, gap = search_basins(problem, init, starts)
+    return make_result(basin.outcome, gap)
 
 
 def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
@@ -94,29 +94,33 @@ def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray
     return init
 
 
-def search(problem: Problem, init: FloatArray, starts: int) -> tuple[Basin, float]:
-    """Return the best basin and its gap to the next, 0..1; 1 where there is no other.
+def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[Basin, float]:
+    """Return the best basin and the gap in contradiction to the next, 0..1 (1 if alone).
 
     Raises:
-        ConfigError: Several starts without a prior to spread them over.
+        ConfigError: Several starts are wanted, but there is no prior to spread them over.
         RegistrationError: The scans overlap at none of the starts.
     """
     if starts < 1:
         raise ConfigError(f"starts must be >= 1, got {starts}")
     if starts == 1:
         return Basin(align(problem, init), 0.0), 1.0
-    poses, source = spread_starts(problem, init, starts), problem.laid(THINNING)
+
+    # Iterate roughly, merging basins.
+    poses, source = spread_starts(problem, init, starts), problem.make_source(ROUGH_THINNING)
     for iterations in ROUGH_ITERATIONS:
         criteria = problem.criteria._replace(max_iterations=iterations)
         poses = follow_starts(problem, source, criteria, poses)[0]
         if len(poses) == 0:
             raise RegistrationError(NO_OVERLAP.format(starts))
-    ranked = sorted(poses, key=lambda pose: _contradiction(problem, pose))[:MOST_BASINS]
+
+    # Align the least contradictory.
+    ranked = sorted(poses, key=lambda pose: _measure_contradiction(problem, pose))[:MAX_BASINS]
     basins = []
     for pose in ranked:
         with suppress(RegistrationError):
             outcome = align(problem, pose)
-            basins.append(Basin(outcome, _contradiction(problem, outcome.T)))
+            basins.append(Basin(outcome, _measure_contradiction(problem, outcome.T)))
     if not basins:
         raise RegistrationError(NO_OVERLAP.format(starts))
     return _choose(problem, basins)
@@ -129,12 +133,12 @@ def spread_starts(problem: Problem, init: FloatArray, starts: int) -> FloatArray
         ConfigError: There is no prior.
     """
     if problem.prior is None:
-        raise ConfigError("several starts need a prior to be spread over")
+        raise ConfigError("several starts need a prior to spread them over")
     dims = list(problem.dims)
     half = np.linalg.cholesky(problem.prior.covariance[np.ix_(dims, dims)])
     offsets = np.zeros((starts - 1, 6))
     offsets[:, dims] = spread_normal(starts - 1, len(dims)) @ half.T
-    return np.concatenate([init[None], displaced(problem.prior.T, offsets)])
+    return np.concatenate([init[None], displace(problem.prior.T, offsets)])
 
 
 @cache
@@ -151,12 +155,12 @@ def spread_normal(n: int, k: int) -> FloatArray:
     return read_only(ndtri((0.5 + np.arange(1, n + 1)[:, None] * steps) % 1.0))
 
 
-def _contradiction(problem: Problem, pose: FloatArray) -> float:
-    return contradiction(problem.target, problem.source, pose, 2 * problem.stride)
+def _measure_contradiction(problem: Problem, pose: FloatArray) -> float:
+    return measure_contradiction(problem.target, problem.source, pose, 2 * problem.stride)
 
 
 def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
-    """Return the least contradictory basin; among equals the one nearest to the prior."""
+    """Return the least contradictory basin and its gap; among equals the nearest to the prior."""
     distinct: list[Basin] = []
     for basin in sorted(basins, key=lambda basin: basin.contradiction):
         if all(distance_between(basin.T, b.T, problem.reach) > SAME_BASIN for b in distinct):
@@ -164,11 +168,13 @@ def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
     if len(distinct) == 1:
         return distinct[0], 1.0
     gap = distinct[1].contradiction - distinct[0].contradiction
-    equal = [b for b in distinct if b.contradiction - distinct[0].contradiction < AMBIGUOUS]
-    return min(equal, key=lambda basin: _unlikelihood(problem, basin.T)), gap
+    equal = [
+        b for b in distinct if b.contradiction - distinct[0].contradiction < MIN_CONTRADICTION_GAP
+    ]
+    return min(equal, key=lambda basin: _prior_distance(problem, basin.T)), gap
 
 
-def _unlikelihood(problem: Problem, pose: FloatArray) -> float:
+def _prior_distance(problem: Problem, pose: FloatArray) -> float:
     """Return the squared Mahalanobis distance of a pose from the prior's mean; 0 without one."""
     if problem.prior is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""What is known of a pose before registration, and small motions of one."""
+"""Prior distribution of a pose, small motions of one, and the displacement that they predict."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ PLANAR = (0, 1, 5)
 """Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
 _PLANAR_ROWS, _PLANAR_COLUMNS = np.ix_(PLANAR, PLANAR)
 SIGMA_Z = 0.001
-"""A robot on a floor keeps its height [m]: the floor's unevenness under three wheels."""
+"""Height error of a robot on a floor [m]: the floor's unevenness under three wheels."""
 SIGMA_TILT = 0.001
-"""... and stays upright [rad]."""
+"""Roll and pitch error of a robot on a floor [rad]."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class PosePrior:
     """A normal distribution of ``T_target_source`` about the viewpoint, the source's origin.
 
     Attributes:
-        T: Its mean (4, 4).
-        covariance: Of x, y, z [m] of the source's origin and of rx, ry, rz [rad] about it, all
-            along the target's axes (6, 6).
+        T: Mean (4, 4).
+        covariance: Covariance (6, 6) of x, y, z [m] of the source's origin and of rx, ry, rz [rad]
+            about it, all along the target's axes.
 
     >>> prior = s3d.PosePrior.planar(s3d.Pose2(0.0, -0.5, 0.4), sigma_xy=0.02, sigma_yaw=0.03)
     >>> prior.covariance.shape
@@ -42,12 +42,12 @@ class PosePrior:
         if self.T.shape != (4, 4) or not math.isfinite(np.sum(self.T)):
             raise ConfigError("the prior's pose must be a finite (4, 4) transform")
         C = self.covariance
-        if C.shape != (6, 6) or not positive_definite(C.tolist()):
+        if C.shape != (6, 6) or not is_positive_definite(C.tolist()):
             raise ConfigError("the prior's covariance must be (6, 6), finite and positive definite")
 
     @staticmethod
     def planar(pose: Pose2, sigma_xy: float, sigma_yaw: float) -> PosePrior:
-        """Return the prior of a robot on a floor, with the same error in x and y."""
+        """Return the prior of a robot on a floor with the same standard deviation in x and y."""
         covariance = np.zeros((3, 3))
         covariance[0, 0] = covariance[1, 1] = sigma_xy**2
         covariance[2, 2] = sigma_yaw**2
@@ -62,16 +62,16 @@ class PosePrior:
         return PosePrior(read_only(pose.matrix()), read_only(full))
 
     def information(self, dims: tuple[int, ...]) -> FloatArray:
-        """Return the inverse of the covariance of ``dims`` alone."""
+        """Return the information matrix of ``dims``: the inverse of their covariance."""
         return np.asarray(np.linalg.inv(self.covariance[np.ix_(dims, dims)]), dtype=np.float64)
 
     def deviation(self, T: FloatArray) -> FloatArray:
-        """Return by how much ``T`` (4, 4) lies off the mean (6,), x y z rx ry rz."""
+        """Return the deviation of ``T`` (4, 4) from the mean, as x y z rx ry rz (6,)."""
         return deviation(T, self.T)
 
 
-def positive_definite(rows: list[list[float]]) -> bool:
-    """Tell whether a symmetric matrix is finite and positive definite: its pivots are > 0."""
+def is_positive_definite(rows: list[list[float]]) -> bool:
+    """Return whether a symmetric matrix is finite and positive definite: all pivots are > 0."""
     n = len(rows)
     for k in range(n):
         if not 0.0 < rows[k][k] < math.inf:
@@ -86,24 +86,24 @@ def positive_definite(rows: list[list[float]]) -> bool:
 
 
 def deviation(T: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return by how much ``T`` lies off ``mean``, both (4, 4), as x y z rx ry rz (6,)."""
+    """Return the deviation of ``T`` from ``mean``, both (4, 4), as x y z rx ry rz (6,)."""
     off = np.empty(6)
-    engine.deviation(np.ascontiguousarray(T), np.ascontiguousarray(mean), off)
+    engine.find_deviation(np.ascontiguousarray(T), np.ascontiguousarray(mean), off)
     return off
 
 
-def displaced(T: FloatArray, step: FloatArray) -> FloatArray:
-    """Return ``T`` (4, 4) after small motions (..., 6) of the source about its own origin.
+def displace(T: FloatArray, step: FloatArray) -> FloatArray:
+    """Return ``T`` (4, 4) after motions (..., 6) of the source about its own origin.
 
-    Each starts from ``T``; the result has the shape (..., 4, 4).
+    Each motion starts from ``T``; the result has the shape (..., 4, 4).
     """
     moved, steps = np.empty((*step.shape[:-1], 4, 4)), np.ascontiguousarray(step)
-    engine.displaced(np.ascontiguousarray(T), steps, steps.size // 6, moved)
+    engine.displace(np.ascontiguousarray(T), steps, steps.size // 6, moved)
     return moved
 
 
-def about_target(T: FloatArray) -> FloatArray:
-    """Return the matrix (6, 6) from motions about the source's origin to those about the target's.
+def shift_to_target(T: FloatArray) -> FloatArray:
+    """Return the matrix (6, 6) that takes motions about the source's origin to the target's.
 
     With t the source's origin, d' = d + t x r and r' = r.
     """
@@ -115,7 +115,7 @@ def about_target(T: FloatArray) -> FloatArray:
 
 
 class Moments(NamedTuple):
-    """Mean (3,) and mean of p p^T (3, 3) of points p."""
+    """First and second moment of points p: the means of p (3,) and of p p^T (3, 3)."""
 
     first: FloatArray
     second: FloatArray
@@ -126,27 +126,27 @@ class Moments(NamedTuple):
         return Moments(points.sum(axis=0) / len(points), points.T @ points / len(points))
 
     def turned(self, yaw: float) -> Moments:
-        """Return the moments of the points turned by ``yaw`` [rad] about z."""
+        """Return the moments of the points rotated by ``yaw`` [rad] about z."""
         R = Pose2(0.0, 0.0, yaw).matrix()[:3, :3]
         return Moments(R @ self.first, R @ self.second @ R.T)
 
 
-def displacement(points: Moments, covariance: FloatArray) -> float:
+def predict_rmse_of_moments(points: Moments, covariance: FloatArray) -> float:
     """Return the expected RMS displacement [m] of points under a covariance (6, 6).
 
     E |d + r x p|^2 = tr D + tr S tr M - tr S M + 2 a . E(d x r), with a and M the moments of p and
     D and S the covariances of d and r.
 
     Args:
-        points: Relative to the place the covariance is about.
-        covariance: In the order x y z rx ry rz.
+        points: Moments relative to the origin that the covariance is about.
+        covariance: Covariance of x y z rx ry rz.
     """
     first, second, C = (
         np.ascontiguousarray(part) for part in (points.first, points.second, covariance)
     )
-    return float(engine.displacement(first, second, C))
+    return float(engine.expect_displacement(first, second, C))
 
 
-def spread(points: FloatArray, covariance: FloatArray) -> float:
-    """Return the expected RMS displacement [m] of ``points`` (n, 3): see ``displacement``."""
-    return displacement(Moments.of(points), covariance)
+def predict_rmse(points: FloatArray, covariance: FloatArray) -> float:
+    """Return the expected RMS displacement [m] of ``points`` (n, 3) under ``covariance`` (6, 6)."""
+    return predict_rmse_of_moments(Moments.of(points), covariance)

@@ -1,4 +1,4 @@
-"""From a point back to the line and beam of a yawing scanner that see it, in closed form.
+"""Projection of a point onto the line and beam of a yawing scanner that see it, in closed form.
 
 The scan plane at yaw psi has the normal Rz(psi) k, k = R_base_lidar e_y, and contains the lidar at
 Rz(psi) t. A point at azimuth phi and distance rho from the yaw axis lies in it where
@@ -10,8 +10,9 @@ with a and kappa + pi / 2 the length and azimuth of k in the plane of the floor.
 is seen ahead of the axis, the second over the zenith behind it. In the scan plane the elevation
 follows from the point relative to the lidar. Tables then give the nearest line and beam.
 
-No angle is computed: a direction (c, s) is looked up by how far round the square |c| + |s| = 1 it
-lies, which grows with its angle, by (c^2 + s^2) / (|c| + |s|)^2 per radian.
+The tables are indexed without computing an angle: by a pseudo-angle, the position of a direction
+(c, s) along the square |c| + |s| = 1. It grows with the angle, by (c^2 + s^2) / (|c| + |s|)^2 per
+radian.
 ``native/projection.h`` computes it.
 """
 
@@ -40,14 +41,14 @@ CELLS = 16384
 
 @dataclass(frozen=True)
 class Projection:
-    """Tables and mount of one sweep.
+    """Look-up tables of one sweep, and the mount of its lidar.
 
     Attributes:
         lines: Line by yaw of its middle beam (CELLS,); -1 where there is none.
         beams: Beam by elevation (CELLS,); -1 where there is none.
-        yaws: Of each beam (n_lines, n_beams) [rad].
-        middles: Yaw of each line's middle beam (n_lines,) [rad]; a line takes a tenth of a second,
-            so that the others are near.
+        yaws: Yaw of each beam (n_lines, n_beams) [rad].
+        middles: Yaw of each line's middle beam (n_lines,) [rad]; within a tenth of a second the
+            yaws of the other beams are near it.
         mount: cos kappa, sin kappa, a, k . t, k_z, then t (3), x axis (3), z axis (3) of the lidar
             in ``base`` (14,).
         backwards: Whether any beam looks back over the zenith or the nadir.
@@ -65,7 +66,7 @@ class Projection:
         """Return the projection of a sweep with lines typically ``line_spacing`` [rad] apart."""
         middles = image.yaws[:, image.spec.n_beams // 2].copy()
         elevations = np.ascontiguousarray(image.spec.elevations).tobytes()
-        beams, mount, backwards = _of_lidar(elevations, image.T_base_lidar.tobytes())
+        beams, mount, backwards = _project_lidar(elevations, image.T_base_lidar.tobytes())
         lines = tabulate_nearest(middles, line_spacing)
         return Projection(lines, beams, read_only(image.yaws), middles, mount, backwards)
 
@@ -88,34 +89,36 @@ class Projection:
     def lookup(self, points: FloatArray, seen: BoolArray) -> IntArray:
         """Return the flat index of the reading (m,) that sees each of ``points`` (m, 3), or -1.
 
-        Of two readings the one ahead of the axis counts, unless ``seen`` is False there.
+        If two readings see it, the one ahead of the axis counts, unless ``seen`` is False there.
 
         Args:
-            points: In ``scan`` [m].
-            seen: Readings that count (n_lines * n_beams,).
+            points: Points in frame ``scan`` [m].
+            seen: Whether a reading counts (n_lines * n_beams,).
         """
         found = np.empty(len(points), dtype=np.int64)
-        engine.lookup(self.value, np.ascontiguousarray(points), len(points), seen, found)
+        engine.find_readings(self.value, np.ascontiguousarray(points), len(points), seen, found)
         return found
 
 
 def tabulate_nearest(angles: FloatArray, spacing: float) -> SmallIntArray:
-    """Return the index of the nearest of ``angles`` (n,) [rad] for each cell, -1 beyond reach.
+    """Return for each cell the index of the nearest of ``angles`` (n,) [rad], -1 if none is near.
 
     Args:
-        angles: They rise or fall, and may lie anywhere around the turn.
-        spacing: Of two of them, typically [rad].
+        angles: Monotonic angles, of any multiple of a turn.
+        spacing: Typical spacing between two of them [rad].
     """
     table = np.empty(CELLS, dtype=np.int32)
     angles = np.ascontiguousarray(angles)
-    if engine.table(angles, len(angles), spacing, _cell_centres(), table) < 0:
+    if engine.tabulate_nearest(angles, len(angles), spacing, _cell_centres(), table) < 0:
         raise MemoryError
     return table
 
 
 @lru_cache(maxsize=16)
-def _of_lidar(elevations: bytes, T_base_lidar: bytes) -> tuple[SmallIntArray, FloatArray, bool]:
-    """Return ``beams``, ``mount`` and ``backwards``: a lidar's are the same in all its sweeps."""
+def _project_lidar(
+    elevations: bytes, T_base_lidar: bytes
+) -> tuple[SmallIntArray, FloatArray, bool]:
+    """Return ``beams``, ``mount`` and ``backwards``, which all sweeps of a lidar share."""
     angles, T = np.frombuffer(elevations), np.frombuffer(T_base_lidar).reshape(4, 4)
     R, t = T[:3, :3], T[:3, 3]
     k = R[:, 1]
@@ -131,5 +134,5 @@ def _of_lidar(elevations: bytes, T_base_lidar: bytes) -> tuple[SmallIntArray, Fl
 def _cell_centres() -> FloatArray:
     """Return the angles in the middle of the tables' entries (CELLS,) [rad]."""
     centres = np.empty(CELLS)
-    engine.cell_centres(centres)
+    engine.write_cell_centres(centres)
     return read_only(centres)

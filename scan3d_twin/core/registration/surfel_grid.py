@@ -1,4 +1,4 @@
-"""A sweep made ready for registration: its surfels, its edges and its noise."""
+"""Surfels of a sweep on its grid of lines and beams, with edges and noise, for registration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scan3d_twin.core.registration.edges import Edges, find_edges
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.projection import Projection
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
-from scan3d_twin.core.registration.surfels import Beams, known_rays, sweep_of
+from scan3d_twin.core.registration.surfels import Beams, classify_rays, make_native_sweep
 from scan3d_twin.core.types import (
     VALID,
     BoolArray,
@@ -26,20 +26,20 @@ from scan3d_twin.core.types import (
 )
 
 MIN_SURFELS = 50
-"""Fewer surfels than this determine nothing reliably."""
-LEAST_SAMPLE = 200
-"""Surfels that a thinned sample keeps at least, where there are as many."""
+"""Least number of surfels for a reliable registration."""
+MIN_SAMPLE = 200
+"""Least number of surfels in a thinned sample of a sweep that has this many."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Surfels taken from a sweep, sorted by line.
+    """Every ``stride``-th surfel of a sweep, sorted by line.
 
     Attributes:
-        columns: (8, m), as in ``surfels``.
-        yaws: At which each was measured, from the middle of the sweep (m,) [rad].
-        lines: Line of each (m,), ascending.
-        stride: Each stands for ``stride`` squared readings.
+        columns: Surfels by column (8, m), as in ``surfels``.
+        yaws: Yaw at which each was measured, relative to the middle of the sweep (m,) [rad].
+        lines: Line of each surfel (m,), ascending.
+        stride: Stride along lines and beams: each surfel represents ``stride`` squared readings.
         value: The sample as the engine takes it.
     """
 
@@ -63,12 +63,12 @@ class SurfelGrid:
     """Surfels of a sweep in frame ``scan``, on the grid of its lines and beams.
 
     Attributes:
-        image: What they were made from.
-        noise: What the sweep's readings were taken to err by.
-        rows: Surfels (m, 8), columns as in ``surfels``, line by line.
-        yaws: At which each was measured, from the middle of the sweep (m,) [rad].
-        index: Row of each reading (n_lines, n_beams), -1 where there is no surfel.
-        valid: Readings that are distances (n_lines, n_beams).
+        image: The sweep.
+        noise: Noise of its readings.
+        rows: Surfels (m, 8) line by line, columns as in ``surfels``.
+        yaws: Yaw at which each was measured, relative to the middle of the sweep (m,) [rad].
+        index: Row of each reading's surfel (n_lines, n_beams), -1 where there is none.
+        valid: Whether a reading is a distance (n_lines, n_beams).
         line_spacing: Typical angle between two lines [rad].
     """
 
@@ -87,12 +87,12 @@ class SurfelGrid:
 
     @cached_property
     def projection(self) -> Projection:
-        """The way from a point to the line and beam that see it."""
+        """Projection of a point onto the line and beam that see it."""
         return Projection.of(self.image, self.line_spacing)
 
     @cached_property
     def target(self) -> native.Target:
-        """What other scans are laid on, as the engine takes it."""
+        """The sweep as the engine takes a registration's target."""
         return native.Target(
             rows=self.rows,
             yaws=self.yaws,
@@ -104,22 +104,22 @@ class SurfelGrid:
 
     @cached_property
     def edges(self) -> Edges:
-        """Vertical edges at which surfaces end in view."""
+        """Vertical edges where surfaces end."""
         return Edges.of(self.edge_rows)
 
     @cached_property
     def edge_rows(self) -> FloatArray:
-        """The same as rows (n, 8), see ``edges``."""
+        """The edges as rows (n, 8), see ``Edges``."""
         return find_edges(self.image, self.rows, self.index, self.valid, self.noise.yaw_sigma)
 
     @cached_property
-    def known(self) -> native.ByteArray:
-        """What each reading knows of its ray (n_lines * n_beams,): see ``known_rays``."""
-        return known_rays(self.index, self.valid)
+    def ray_states(self) -> native.ByteArray:
+        """State of each reading's ray (n_lines * n_beams,): see ``classify_rays``."""
+        return classify_rays(self.index, self.valid)
 
     @cached_property
     def inflation(self) -> float:
-        """Factor on the variance of a reading for what it shares with its neighbours."""
+        """Inflation factor on the variance of a reading for the bias of its patch."""
         return self.noise.inflation(
             BIAS_PATCH**2 / (self.line_spacing * Beams.of(self.image).spacing)
         )
@@ -127,11 +127,10 @@ class SurfelGrid:
     def sample(self, stride: int) -> Sample:
         """Return every ``stride``-th surfel along lines and beams.
 
-        The first is half a stride from the corner. Where it would leave fewer than
-        ``LEAST_SAMPLE``, the stride is as long as leaves about so many: a small target keeps
-        enough of its surfels.
+        The first is half a stride from the corner. The stride is reduced where it would leave fewer
+        than about ``MIN_SAMPLE``, so that a small target keeps enough surfels.
         """
-        stride = max(1, min(stride, math.isqrt(self.count // LEAST_SAMPLE)))
+        stride = max(1, min(stride, math.isqrt(self.count // MIN_SAMPLE)))
         if stride not in self._samples:
             self._samples[stride] = self._sample(stride)
         return self._samples[stride]
@@ -145,7 +144,7 @@ class SurfelGrid:
         room = min(self.count, (n_lines // stride + 1) * (n_beams // stride + 1))
         columns, yaws, lines = np.empty((8, room)), np.empty(room), np.empty(room, np.int32)
         value = native.Sample(stride=stride, room=room, columns=columns, yaws=yaws, lines=lines)
-        engine.sample(self.index, n_lines, n_beams, self.rows, self.yaws, value)
+        engine.sample_surfels(self.index, n_lines, n_beams, self.rows, self.yaws, value)
         n = value.count
         return Sample(columns[:, :n], yaws[:n], lines[:n], stride, value)
 
@@ -155,23 +154,23 @@ class SurfelGrid:
         return len(self.rows)
 
 
-def prepare(
+def extract_surfels(
     image: RangeImage, *, keep: BoolArray | Scan3D | None = None, noise: ScanNoise | None = None
 ) -> SurfelGrid:
-    """Return the surfels of ``image``; they can serve for any number of registrations.
+    """Return the surfels of ``image``, for any number of registrations.
 
     Args:
-        image: A sweep; filled gaps are no readings.
+        image: A sweep; filled gaps are not used.
         keep: Readings (n_lines, n_beams), or their points, that get a surfel; all by default.
-        noise: Of the sweep; by default range noise and yaw jitter are estimated from it.
+        noise: Noise of the sweep; by default range noise and yaw jitter are estimated from it.
 
     Raises:
         RegistrationError: The sweep is empty or shows no surface.
         ConfigError: The image's parts do not fit together or its yaws are not finite.
     """
     _check(image)
-    mask = _mask(keep, image.codes.shape)
-    grid = _survey(image, mask, noise)
+    mask = _as_mask(keep, image.codes.shape)
+    grid = _extract(image, mask, noise)
     if grid.count < MIN_SURFELS:
         wanted = grid.valid if mask is None else grid.valid & mask
         raise RegistrationError(
@@ -181,22 +180,31 @@ def prepare(
     return grid
 
 
-def _survey(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None) -> SurfelGrid:
-    """Return what ``native/survey.h`` finds in a sweep."""
+def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None) -> SurfelGrid:
+    """Return the surfels and the noise of a sweep, by ``native/extract_surfels.h``."""
     most = np.count_nonzero(image.codes == VALID if mask is None else mask)
     rows, yaws = np.empty((most, 8)), np.empty(most)
     index, valid = np.empty(image.ranges.shape, np.int32), np.empty(image.ranges.shape, np.bool_)
-    sigmas = UNKNOWN if noise is None else noise.sigmas
-    found = native.Survey(rows=rows, yaws=yaws, index=index, valid=valid, noise=sigmas)
-    if engine.survey(sweep_of(image), read_only(image.codes, np.int64), mask, found) < 0:
+
+    # Extract surfels and, if unknown, noise.
+    sigmas = NOISE_UNKNOWN if noise is None else noise.sigmas
+    found = native.ScanSurfels(rows=rows, yaws=yaws, index=index, valid=valid, noise=sigmas)
+    if (
+        engine.extract_surfels(
+            make_native_sweep(image), read_only(image.codes, np.int64), mask, found
+        )
+        < 0
+    ):
         raise MemoryError
+
+    # Keep what was written.
     noise = noise or ScanNoise(*found.noise)
     n = found.count
     return SurfelGrid(image, noise, rows[:n], yaws[:n], index, valid, found.line_spacing)
 
 
-UNKNOWN = read_only([math.nan] * 3)
-"""The noise is to be estimated."""
+NOISE_UNKNOWN = read_only([math.nan] * 3)
+"""Stands for noise that the engine estimates."""
 
 
 def _check(image: RangeImage) -> None:
@@ -204,8 +212,8 @@ def _check(image: RangeImage) -> None:
     for name in ("yaws", "ranges", "codes"):
         if getattr(image, name).shape != shape:
             raise ConfigError(
-                f"range image: {name} has shape {getattr(image, name).shape}, but {shape[0]} lines "
-                f"of {shape[1]} beams were announced"
+                f"range image: {name} has shape {getattr(image, name).shape}, but expected are "
+                f"{shape[0]} lines of {shape[1]} beams"
             )
     if min(shape) < 5:
         raise RegistrationError(f"a scan of {shape[0]} lines and {shape[1]} beams is too small")
@@ -213,7 +221,7 @@ def _check(image: RangeImage) -> None:
         raise ConfigError("range image: yaws must be finite")
 
 
-def _mask(keep: BoolArray | Scan3D | None, shape: tuple[int, ...]) -> BoolArray | None:
+def _as_mask(keep: BoolArray | Scan3D | None, shape: tuple[int, ...]) -> BoolArray | None:
     if keep is None:
         return None
     if isinstance(keep, Scan3D):

@@ -1,26 +1,26 @@
-"""Surfels of a range image: the plane behind the noise at every reading.
+"""Surfels of a range image: a plane fitted around every reading, with its noise.
 
-A plane m . P = 1 seen along the beam P = o + r d, with o the lidar's place on its circle about the
-yaw axis, obeys, with the inverse range q = 1 / r,
+A plane m . P = 1 seen along the beam P = o + r d, with o the lidar's position on its circle about
+the yaw axis, obeys, with the inverse range q = 1 / r,
 
     q = m . x,    x = P / r = d + q o,
 
-which is linear in m, and in which the noise of q is the same over a small window. So the least
-squares m = A^-1 b, A = sum x x^T, b = sum x q, has no bias towards the rays, unlike a plane through
-the points (Badino et al., ICRA 2011, for o = 0). All sums over windows come from one summed-area
-table of 11 moments. Of several windows the largest counts over which the plane fits:
+which is linear in m, with noise of q that is constant over a small window. The least-squares
+solution m = A^-1 b, A = sum x x^T, b = sum x q, is therefore not biased towards the rays, unlike a
+plane through the points (Badino et al., ICRA 2011, for o = 0). All sums over windows come from one
+summed-area table of 11 moments. Each reading takes its largest window over which the plane fits:
 
     rss <= s^2 (n - 3) (1 + 1.5 sqrt(2 / (n - 3))),  s = q |m| sigma_n,   sigma_n = |n . d| sigma_r,
 
-with n = m / |m|. Where the yaw of each line errs by sigma_psi besides, its readings in the window
-of L lines move together along the normal, by l = n . (z x P) per radian, which adds up to
+with n = m / |m|. If each line also has a yaw error of sigma_psi, its readings in a window of L
+lines move together along the normal, by l = n . (z x P) per radian, which adds up to
 
     n q^2 |m|^2 l^2 sigma_psi^2 (1 + 1.5 sqrt(2 / L)).
 
-The noise of the normal is that of m: cov(n) = s^2 / |m|^2 (I - n n^T) A^-1
-(I - n n^T), of which the mean variance over the two tangents is kept.
+The noise of the normal follows from that of m: cov(n) = s^2 / |m|^2 (I - n n^T) A^-1 (I - n n^T);
+its mean variance over the two tangents is kept.
 
-``native/surfels.h`` computes them.
+``native/surfels.h`` computes the surfels.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ from scan3d_twin.core.types import (
 
 X, N, VARIANCE, NORMAL_VARIANCE = np.s_[0:3], np.s_[3:6], 6, 7
 """Columns of a surfel: its point on the central beam [m], its unit normal towards the lidar, the
-variance of one reading along the normal by range noise [m2], that of the normal [rad2]."""
-UNKNOWN, EMPTY, SURFACE = 0, 1, 2
-"""What a reading knows of its ray."""
+variance of one reading along the normal by range noise [m2], the variance of the normal [rad2]."""
+UNKNOWN_RAY, EMPTY_RAY, SURFACE_RAY = 0, 1, 2
+"""State of a reading's ray: unknown, empty, or ending on a surface."""
 
 
 class Beams(NamedTuple):
     """The beams of a lidar on its mount.
 
     Attributes:
-        directions: In ``base`` (n_beams, 3).
-        lever: Place of the lidar in ``base`` (3,) [m].
+        directions: Unit vectors in ``base`` (n_beams, 3).
+        lever: Position of the lidar in ``base`` (3,) [m].
         spacing: Typical angle between two beams [rad].
     """
 
@@ -64,16 +64,18 @@ class Beams(NamedTuple):
 
     @staticmethod
     def of(image: RangeImage) -> Beams:
-        """Return the beams of a sweep; they are the same in all sweeps of a lidar.
+        """Return the beams of a sweep, which all sweeps of a lidar share.
 
         Raises:
             ConfigError: Elevations or mount are not finite.
         """
-        return _beams(read_only(image.spec.elevations).tobytes(), image.T_base_lidar.tobytes())
+        return _compute_beams(
+            read_only(image.spec.elevations).tobytes(), image.T_base_lidar.tobytes()
+        )
 
 
 @lru_cache(maxsize=16)
-def _beams(elevations: bytes, T_base_lidar: bytes) -> Beams:
+def _compute_beams(elevations: bytes, T_base_lidar: bytes) -> Beams:
     e, T = np.frombuffer(elevations), np.frombuffer(T_base_lidar).reshape(4, 4)
     if not (np.all(np.isfinite(e)) and np.all(np.isfinite(T))):
         raise ConfigError("range image: elevations and T_base_lidar must be finite")
@@ -82,7 +84,7 @@ def _beams(elevations: bytes, T_base_lidar: bytes) -> Beams:
     return Beams(read_only(directions), read_only(T[:3, 3]), spacing)
 
 
-def sweep_of(image: RangeImage) -> native.Sweep:
+def make_native_sweep(image: RangeImage) -> native.Sweep:
     """Return the readings of a sweep as the engine takes them."""
     beams = Beams.of(image)
     return native.Sweep(
@@ -106,34 +108,34 @@ def fit_surfels(
     noise: FloatArray,
     windows: IntArray,
 ) -> tuple[FloatArray, FloatArray, SmallIntArray]:
-    """Return the surfels; the method is at the module's head.
+    """Return the surfels of a sweep; the module's head describes the method.
 
     Args:
-        sweep: Its readings.
-        valid: Readings that count (n_lines, n_beams).
-        keep: Readings that get a surfel (n_lines, n_beams).
-        noise: Range sigma at 0 [m], its growth per metre and the sigma of a line's yaw [rad] (3,).
+        sweep: The readings.
+        valid: Whether a reading is a distance (n_lines, n_beams).
+        keep: Whether a reading gets a surfel (n_lines, n_beams).
+        noise: Range sigma at 0 m [m], its growth per metre, sigma of a line's yaw [rad] (3,).
         windows: Half sizes in lines and beams, largest first (k, 2).
 
     Returns:
-        Rows (m, 8), columns as above, line by line; the yaw at which each was measured (m,) [rad];
-        and the row of each reading (n_lines, n_beams), -1 where no plane fits.
+        Surfels (m, 8) line by line, columns as above; the yaw at which each was measured (m,)
+        [rad]; and the row of each reading's surfel (n_lines, n_beams), -1 where no plane fits.
     """
     rows = np.empty((np.count_nonzero(keep), 8))
     yaws, index = np.empty(len(rows)), np.full(valid.shape, -1, dtype=np.int32)
-    n = engine.surfels(sweep, valid, keep, noise, windows, len(windows), rows, yaws, index)
+    n = engine.fit_surfels(sweep, valid, keep, noise, windows, len(windows), rows, yaws, index)
     if n < 0:
         raise MemoryError
     return rows[:n], yaws[:n], index
 
 
-def known_rays(index: SmallIntArray, valid: BoolArray) -> native.ByteArray:
-    """Return what each reading knows of its ray (n_lines * n_beams,).
+def classify_rays(index: SmallIntArray, valid: BoolArray) -> native.ByteArray:
+    """Return the state of each reading's ray (n_lines * n_beams,).
 
-    A surfel is a ``SURFACE``; a ray is ``EMPTY`` where nothing returned within two readings along
-    lines and beams, as single readings drop out; the rest is ``UNKNOWN``.
+    A ray with a surfel is a ``SURFACE_RAY``. It is an ``EMPTY_RAY`` if no reading within two lines
+    and beams returned, as single readings drop out; all others are an ``UNKNOWN_RAY``.
     """
     known = np.empty(index.size, dtype=np.uint8)
-    if engine.known(index, valid, *index.shape, known) < 0:
+    if engine.classify_rays(index, valid, *index.shape, known) < 0:
         raise MemoryError
     return known

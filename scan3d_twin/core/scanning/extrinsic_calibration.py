@@ -29,7 +29,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config, MountConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration import prepare
+from scan3d_twin.core.registration import extract_surfels
 from scan3d_twin.core.registration.surfels import VARIANCE, N, X
 from scan3d_twin.core.scanning.extrinsics import (
     compose_mounts,
@@ -240,7 +240,7 @@ def _gather_samples(places: Sequence[Sequence[RangeImage]]) -> Samples:
 def _sample_sweep(image: RangeImage, place: int) -> tuple[FloatArray | IntArray, ...]:
     """Return the fields of ``Samples`` for one sweep, each surfel's mean as its reading."""
     # Express the surfels as readings
-    table = prepare(image).at(np.s_[::STRIDE, ::STRIDE])
+    table = extract_surfels(image).at(np.s_[::STRIDE, ::STRIDE])
     yaws, e = image.yaws[::STRIDE, ::STRIDE], image.spec.elevations[::STRIDE]
     beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1)
     lidar = _rotate(np.broadcast_to(image.T_base_lidar[:3, 3], (*yaws.shape, 3)), yaws)
@@ -292,7 +292,7 @@ def _measure_seam(image: RangeImage) -> float | None:
 
     # Pair the surfels of both ends
     count = max(MIN_SEAM_LINES, int(np.count_nonzero(middle >= middle[-1] + math.tau)))
-    grid = prepare(image)
+    grid = extract_surfels(image)
     a, b = grid.at(np.s_[:count, :]), grid.at(np.s_[-count:, :])
     both = (a[..., VARIANCE] > 0) & (b[..., VARIANCE] > 0)
     n, m = a[both][:, N], b[both][:, N]

@@ -17,7 +17,7 @@ def fill_gaps(image: RangeImage, config: GapConfig) -> RangeImage:
     kept as they are; filled ones keep their error code. ``native/readings.h`` fills them.
     """
     ranges, elevations = image.ranges.copy(), read_only(image.spec.elevations)
-    engine.gaps(
+    engine.fill_gaps(
         ranges, elevations, read_only(image.yaws), *ranges.shape, config.max_angle,
         config.depth_edge,
     )  # fmt: skip

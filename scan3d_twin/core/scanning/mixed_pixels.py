@@ -31,7 +31,7 @@ def remove_mixed_pixels(image: RangeImage, config: GapConfig) -> RangeImage:
     """
     elevations, yaws = read_only(image.spec.elevations), read_only(image.yaws)
     mixed = np.zeros(image.ranges.shape, dtype=bool)
-    engine.mixed(
+    engine.mark_mixed_pixels(
         read_only(image.ranges), elevations, yaws, *mixed.shape, config.depth_edge,
         math.tan(MAX_INCIDENCE), mixed,
     )  # fmt: skip

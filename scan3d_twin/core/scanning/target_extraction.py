@@ -17,7 +17,7 @@ from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.neighbours import find_nearest
-from scan3d_twin.core.readings import Placed
+from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import (
     BoolArray,
@@ -46,7 +46,7 @@ def extract_points(image: RangeImage, config: Config) -> Scan3D:
     with np.errstate(invalid="ignore"):
         keep = image.ranges <= config.target.max_range
         keep &= image.heights > config.target.floor_height
-    points, lines, beams, distance = Placed.of(image, keep)
+    points, lines, beams, distance = SweepPoints.of(image, keep)
     sweep = Scan3D(points, lines, beams, image.n_lines)
     outside = distance > config.motion.self_radius
     return sweep if outside.all() else sweep.select(outside)
@@ -299,6 +299,9 @@ def _measure_pieces(image: RangeImage, scan: Scan3D) -> IntArray:
     sizes = np.empty(len(scan), dtype=np.int64)
     lines, beams = np.ascontiguousarray(scan.lines), np.ascontiguousarray(scan.beams)
     ranges = read_only(image.ranges)
-    if engine.pieces(ranges, *ranges.shape, lines, beams, len(scan), DEPTH_EDGE, sizes) < 0:
+    if (
+        engine.measure_components(ranges, *ranges.shape, lines, beams, len(scan), DEPTH_EDGE, sizes)
+        < 0
+    ):
         raise MemoryError
     return sizes

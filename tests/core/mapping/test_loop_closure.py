@@ -24,8 +24,8 @@ from scan3d_twin.core.mapping.loop_closure import (
     remove_prior,
     solve_alignment,
 )
-from scan3d_twin.core.registration import PosePrior, prepare, register
-from scan3d_twin.core.registration.pose_prior import PLANAR, about_target
+from scan3d_twin.core.registration import PosePrior, extract_surfels, register
+from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, RegistrationResult, read_only
 
@@ -171,7 +171,8 @@ def pair() -> tuple[RegistrationResult, PosePrior, RegistrationResult]:
     first, second = Pose2(0.0, 0.15, -0.05), Pose2(0.02, -0.15, 0.10)
     rng = np.random.default_rng(7)
     a, b = (
-        prepare(synthetic.observe(pose, sigma=0.005, rng=rng).image) for pose in (first, second)
+        extract_surfels(synthetic.observe(pose, sigma=0.005, rng=rng).image)
+        for pose in (first, second)
     )
     move = first.inverse() @ second
     off = PosePrior.planar(Pose2(move.x + 0.002, move.y - 0.003, move.yaw + 0.002), 0.0005, 0.0005)
@@ -181,7 +182,7 @@ def pair() -> tuple[RegistrationResult, PosePrior, RegistrationResult]:
 
 def planar(result: RegistrationResult, covariance: FloatArray) -> FloatArray:
     """Return a prior's covariance (3, 3) about the target's origin."""
-    shift = about_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
+    shift = shift_to_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
     return shift @ covariance[np.ix_(PLANAR, PLANAR)] @ shift.T
 
 
@@ -206,7 +207,7 @@ def test_an_ambiguous_pair_knows_no_more_than_its_prior() -> None:
 
 def test_scans_that_add_nothing_say_nothing() -> None:
     prior = PosePrior.planar(Pose2(0.1, 0.2, 0.3), 0.02, 0.03)
-    shift = about_target(prior.T)
+    shift = shift_to_target(prior.T)
     back = np.linalg.inv(shift)
     information = read_only(back.T @ np.linalg.inv(prior.covariance) @ back)
     result = RegistrationResult.unregistered(prior.T, prior.covariance, information)

@@ -9,7 +9,7 @@ import synthetic
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import register
 from scan3d_twin.core.registration.clouds import prepare_cloud
-from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, spread
+from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, predict_rmse
 from scan3d_twin.core.types import FloatArray, Pose2
 
 WALL = (synthetic.Box((1.0, -5.0, 0.0), (1.5, 5.0, 2.0)),)
@@ -68,7 +68,7 @@ def test_without_a_prior_an_init_will_do(boxes):
     assert error(result.T_target_source, source) < 0.004
     planar = result.covariance[np.ix_(PLANAR, PLANAR)]
     assert np.all(np.linalg.eigvalsh(planar) > 0)
-    assert spread(source, result.covariance) < 0.01
+    assert predict_rmse(source, result.covariance) < 0.01
 
 
 def test_bad_clouds_are_refused(boxes):

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import reference.algebra
 import reference.edges
+import reference.extract_surfels
 import reference.free_space
 import reference.gauss_newton
 import reference.grids
@@ -25,26 +26,25 @@ import reference.readings
 import reference.scan_arrays
 import reference.scan_noise
 import reference.surfels
-import reference.survey
 import synthetic
 
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.grids import dilate, label_cells
-from scan3d_twin.core.readings import Placed
+from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
 from scan3d_twin.core.registration.clouds import Tree, is_near, prepare_cloud
-from scan3d_twin.core.registration.edges import Edges, edge_equations
-from scan3d_twin.core.registration.free_space import _violations
+from scan3d_twin.core.registration.edges import Edges, linearise_edges
+from scan3d_twin.core.registration.free_space import _sum_violations
 from scan3d_twin.core.registration.gauss_newton import Criteria, Problem, align, follow_starts
 from scan3d_twin.core.registration.multistart import spread_starts
 from scan3d_twin.core.registration.native import Engine, engine
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
-from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displaced, spread
+from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displace, predict_rmse
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, prepare
-from scan3d_twin.core.registration.surfels import Beams, fit_surfels, sweep_of
+from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfels import Beams, fit_surfels, make_native_sweep
 from scan3d_twin.core.scanning.extrinsics import apply_mount
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
 
@@ -65,7 +65,7 @@ def image(seed: int, jitter: float = 0.0) -> RangeImage:
 @cache
 def grids(yaw_scale_sigma: float = 0.01) -> tuple[SurfelGrid, SurfelGrid]:
     """Two sweeps that have everything: range noise, jitter, a yaw scale, a bias and edges."""
-    made = (prepare(image(seed, 0.001)) for seed in (1, 2))
+    made = (extract_surfels(image(seed, 0.001)) for seed in (1, 2))
     first, second = (
         replace(grid, noise=replace(grid.noise, yaw_scale_sigma=yaw_scale_sigma, bias_sigma=0.002))
         for grid in made
@@ -113,14 +113,16 @@ def near(a: FloatArray, b: FloatArray, relative: float = 1e-9) -> bool:
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.001])
-def test_survey(jitter: float) -> None:
+def test_extract_surfels(jitter: float) -> None:
     sweep = image(1, jitter)
-    found, beams = prepare(sweep), Beams.of(sweep)
+    found, beams = extract_surfels(sweep), Beams.of(sweep)
     plain_beams = reference.scan_arrays.Beams(beams.directions, beams.lever, beams.spacing)
-    swept = reference.survey.Swept(
+    swept = reference.extract_surfels.Swept(
         np.array(sweep.ranges), np.array(sweep.yaws), sweep.codes, plain_beams
     )
-    plain = reference.survey.survey(swept, np.zeros((0, 0), bool), np.full(3, math.nan))
+    plain = reference.extract_surfels.extract_surfels(
+        swept, np.zeros((0, 0), bool), np.full(3, math.nan)
+    )
     assert np.mean((found.index >= 0) != (plain.row_of >= 0)) < 1e-4
     both = (found.index >= 0) & (plain.row_of >= 0)
     differ = np.abs(found.rows[found.index[both]] - plain.rows[plain.row_of[both]])[:, :6]
@@ -147,12 +149,12 @@ def test_range_noise() -> None:
 def test_line_residuals_and_jitter() -> None:
     grid = grids()[0]
     sums = np.empty((grid.image.n_lines, 2))
-    engine.line_residuals(sweep_of(grid.image), grid.rows, grid.index, sums)
+    engine.sum_line_residuals(make_native_sweep(grid.image), grid.rows, grid.index, sums)
     plain = reference.scan_noise.line_residuals(
         grid.image.ranges, grid.image.yaws, Beams.of(grid.image).lever, grid.rows, grid.index
     )
     assert near(sums, plain)
-    jitter = engine.yaw_jitter(sums, len(sums))
+    jitter = engine.estimate_yaw_jitter(sums, len(sums))
     assert jitter == pytest.approx(reference.scan_noise.yaw_jitter(plain), rel=1e-9)
     assert jitter > 0
 
@@ -167,9 +169,9 @@ def test_samples() -> None:
 
 
 def test_known_rays() -> None:
-    grid = prepare(synthetic.observe(FIRST, room=False).image)
-    assert np.array_equal(grid.known, reference.surfels.knowledge(grid.index, grid.valid))
-    assert set(np.unique(grid.known)) == {0, 1, 2}
+    grid = extract_surfels(synthetic.observe(FIRST, room=False).image)
+    assert np.array_equal(grid.ray_states, reference.surfels.knowledge(grid.index, grid.valid))
+    assert set(np.unique(grid.ray_states)) == {0, 1, 2}
 
 
 def test_edges() -> None:
@@ -186,7 +188,7 @@ def test_edges() -> None:
 def test_edge_equations() -> None:
     target, source = (Edges.of(grid.edge_rows) for grid in grids())
     T = MOVE.matrix()
-    own = edge_equations(target, source, T, 0.05, 2.0)
+    own = linearise_edges(target, source, T, 0.05, 2.0)
     plain = reference.edges.edge_sums(target.rows, source.rows, T, 0.05, 2.0)
     assert np.abs(plain[0]).max() > 0
     assert all(near(a, b) for a, b in zip(own, plain, strict=True))
@@ -207,7 +209,7 @@ def test_tables_and_lookup() -> None:
 
 def test_normal_equations() -> None:
     target, source = grids()
-    T = displaced(MOVE.matrix(), np.array([0.004, -0.003, 0.002, 0.001, -0.002, 0.01]))
+    T = displace(MOVE.matrix(), np.array([0.004, -0.003, 0.002, 0.001, -0.002, 0.01]))
     own = linearise(target, source, 2, T, 0.003, Gate(0.05, 2.0))
     plain = reference.point_to_plane.normal_equations(
         plain_target(target), plain_sample(source, 2), T, 0.003,
@@ -224,7 +226,7 @@ def test_normal_equations() -> None:
 @pytest.mark.parametrize("yaw_scale", [0.0, 0.01])
 def test_the_iteration(dof: str, yaw_scale: float) -> None:
     target, source = grids(yaw_scale)
-    guess = displaced(MOVE.matrix(), np.array([0.01, -0.02, 0.0, 0.0, 0.0, 0.02]))
+    guess = displace(MOVE.matrix(), np.array([0.01, -0.02, 0.0, 0.0, 0.0, 0.02]))
     prior = PosePrior(read_only(guess), PosePrior.planar(MOVE, 0.02, 0.035).covariance)
     problem = Problem(target, source, prior, dof)  # type: ignore[arg-type]
     own = align(problem, guess)
@@ -254,7 +256,7 @@ def test_starts_that_meet_are_one() -> None:
     prior = PosePrior.planar(MOVE, 0.02, 0.035)
     problem = Problem(target, source, prior)
     starts = spread_starts(problem, prior.T, 8)
-    ends, last = follow_starts(problem, problem.laid(), Criteria(), starts)
+    ends, last = follow_starts(problem, problem.make_source(), Criteria(), starts)
     assert len(ends) == 1
     assert np.abs(ends[0] - last.T).max() < 0.01
 
@@ -262,9 +264,9 @@ def test_starts_that_meet_are_one() -> None:
 def test_violations() -> None:
     target, source = grids()
     T = MOVE.matrix()
-    own = _violations(target, source.sample(4), T)
+    own = _sum_violations(target, source.sample(4), T)
     plain = reference.free_space.violations(
-        plain_target(target), target.known, source.sample(4).rows, T
+        plain_target(target), target.ray_states, source.sample(4).rows, T
     )
     assert own[1] == plain[1] > 100
     assert own[0] == pytest.approx(plain[0])
@@ -298,14 +300,14 @@ def test_a_nuisance_is_marginalised_by_its_schur_complement(known: float) -> Non
 def test_small_motions() -> None:
     rng = np.random.default_rng(0)
     for step in rng.normal(size=(20, 6)) * 0.4:
-        T = displaced(np.eye(4), rng.normal(size=6))
-        moved = displaced(T, step)
-        assert np.array_equal(displaced(T, np.stack([-step, step]))[1], moved)
+        T = displace(np.eye(4), rng.normal(size=6))
+        moved = displace(T, step)
+        assert np.array_equal(displace(T, np.stack([-step, step]))[1], moved)
         assert moved == pytest.approx(reference.pose_prior.displaced(T, step), abs=1e-14)
         assert deviation(moved, T) == pytest.approx(step, abs=1e-12)
     assert deviation(T, T) == pytest.approx(np.zeros(6), abs=1e-15)
     points, half = rng.normal(size=(50, 3)), rng.normal(size=(6, 6))
-    assert spread(points, half @ half.T) == pytest.approx(
+    assert predict_rmse(points, half @ half.T) == pytest.approx(
         reference.pose_prior.displacement(reference.pose_prior.Moments.of(points), half @ half.T)
     )
 
@@ -369,7 +371,7 @@ def test_mixed_pixels() -> None:
     for seed in range(5):
         given = readings(seed)
         found = np.zeros(given[0].shape, dtype=bool)
-        engine.mixed(*given, *found.shape, 0.04, 0.3, found)
+        engine.mark_mixed_pixels(*given, *found.shape, 0.04, 0.3, found)
         assert found.any()
         assert np.array_equal(found, reference.readings.mixed(*given, 0.04, 0.3))
 
@@ -378,7 +380,7 @@ def test_gaps() -> None:
     for seed in range(5):
         given = readings(seed)
         ranges = given[0].copy()
-        engine.gaps(ranges, *given[1:], *ranges.shape, 0.15, 0.1)
+        engine.fill_gaps(ranges, *given[1:], *ranges.shape, 0.15, 0.1)
         wanted = reference.readings.filled(*given, 0.15, 0.1)
         assert np.isfinite(ranges).sum() > np.isfinite(given[0]).sum()
         assert np.array_equal(ranges, wanted, equal_nan=True)
@@ -388,7 +390,7 @@ def test_neighbours_on_a_surface() -> None:
     ranges, elevations, yaws = readings(0)
     lines, beams = (np.ascontiguousarray(part) for part in np.nonzero(np.isfinite(ranges)))
     counts, n = np.empty(len(lines), dtype=np.int64), len(lines)
-    engine.neighbours(
+    engine.count_neighbours(
         ranges, yaws, elevations, *ranges.shape, lines, beams, n, 0.04, 0.3, counts
     )  # fmt: skip
     wanted = reference.readings.neighbours(ranges, elevations, yaws, 0.04, 0.3)
@@ -404,7 +406,7 @@ def test_placed_readings() -> None:
     for seen in (sweep, leaning):
         wanted = seen.ranges < 3.0
         for found, plain in zip(
-            Placed.of(seen, wanted), reference.readings.placed(seen, wanted), strict=True
+            SweepPoints.of(seen, wanted), reference.readings.placed(seen, wanted), strict=True
         ):
             assert len(found) > 1000
             assert np.array_equal(found, plain)
@@ -416,7 +418,7 @@ def test_free_reach() -> None:
     kinds[:, -3:][rng.random((50, 3)) < 0.9] = 1
     kinds[kinds == 2] *= rng.random((kinds == 2).sum()) < 0.1
     lines, reach = np.repeat(np.arange(50), 25), np.empty(50)
-    assert not engine.free_reach(
+    assert not engine.measure_free_reach(
         lines, distance.ravel(), kinds.ravel().astype(np.uint8), 1250, 50, 0.2, 0.45, 0.05, reach
     )
     floor, solid = (np.where(kinds == kind, distance, np.inf) for kind in (1, 2))
@@ -438,7 +440,9 @@ def test_pieces() -> None:
         there = np.isfinite(ranges) & (rng.random(ranges.shape) < 0.9)
         lines, beams = (np.ascontiguousarray(part) for part in np.nonzero(there))
         sizes = np.empty(len(lines), dtype=np.int64)
-        assert not engine.pieces(ranges, *ranges.shape, lines, beams, len(lines), 0.05, sizes)
+        assert not engine.measure_components(
+            ranges, *ranges.shape, lines, beams, len(lines), 0.05, sizes
+        )
         assert len(np.unique(sizes)) > 5
         assert np.array_equal(sizes, reference.grids.piece_sizes(ranges, there, 0.05))
 
@@ -475,14 +479,14 @@ def test_each_line_may_have_rays_of_its_own() -> None:
 
 
 def test_the_noise_of_each_reading_can_be_handed_in() -> None:
-    grid = prepare(image(1), noise=ScanNoise(SIGMA, 0.0))
-    sweep = sweep_of(grid.image)
+    grid = extract_surfels(image(1), noise=ScanNoise(SIGMA, 0.0))
+    sweep = make_native_sweep(grid.image)
     sigmas = np.full(grid.image.ranges.shape, 2 * SIGMA)
     sweep.sigmas = native.Doubles.from_param(sigmas)
     windows = np.array([[4, 6], [1, 1]], dtype=np.int64)
     noise = np.array([SIGMA, 0.0, 0.0])
     own, _, index = fit_surfels(sweep, grid.valid, grid.valid, noise, windows)
-    usual = fit_surfels(sweep_of(grid.image), grid.valid, grid.valid, noise, windows)
+    usual = fit_surfels(make_native_sweep(grid.image), grid.valid, grid.valid, noise, windows)
     both = (index >= 0) & (usual[2] >= 0)
     ratio = own[index[both], 6] / usual[0][usual[2][both], 6]
     assert np.median(ratio) == pytest.approx(4.0, rel=0.01)
@@ -493,12 +497,12 @@ def test_the_noise_of_each_reading_can_be_handed_in() -> None:
 
 def fingerprint() -> tuple[bytes, ...]:
     """Return the bytes of what a registration and its parts come to."""
-    target, source = (prepare(image(seed, 0.001)) for seed in (1, 2))
+    target, source = (extract_surfels(image(seed, 0.001)) for seed in (1, 2))
     prior = PosePrior.planar(MOVE, 0.02, 0.035)
     result = align(Problem(target, source, prior, "se3"), prior.T)
     cloud = prepare_cloud(target.rows[:2000, :3])
     parts = (
-        target.rows, target.index, target.edge_rows, target.known, target.projection.lines,
+        target.rows, target.index, target.edge_rows, target.ray_states, target.projection.lines,
         result.T, result.covariance, result.information, cloud.normals, cloud.tilt,
     )  # fmt: skip
     return tuple(np.ascontiguousarray(part).tobytes() for part in parts)
@@ -539,7 +543,7 @@ def test_another_build_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.M
 
 def test_both_sides_agree_on_the_values() -> None:
     sizes = np.empty(len(native.VALUES), dtype=np.int64)
-    engine.sizes(sizes)
+    engine.write_struct_sizes(sizes)
     assert sizes.tolist() == [ctypes.sizeof(each) for each in native.VALUES]
 
 
@@ -552,9 +556,9 @@ def test_the_address_of_an_array_is_that_of_its_first_number() -> None:
 def test_arrays_of_another_type_or_layout_are_refused() -> None:
     centres = np.zeros(16384)
     with pytest.raises(ctypes.ArgumentError, match="float64"):
-        engine.cell_centres(centres.astype(np.float32))
+        engine.write_cell_centres(centres.astype(np.float32))
     with pytest.raises(ctypes.ArgumentError, match="contiguous"):
-        engine.cell_centres(np.zeros(2 * 16384)[::2])
+        engine.write_cell_centres(np.zeros(2 * 16384)[::2])
     with pytest.raises(TypeError, match="int32"):
         native.Target(index=np.zeros(3))
     with pytest.raises(AttributeError, match="no function"):

@@ -19,11 +19,11 @@ from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import (
     PosePrior,
-    displaced,
-    spread,
+    displace,
+    predict_rmse,
 )
 from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, prepare
+from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
 
 WALL = (synthetic.Box((1.0, -5.0, 0.0), (1.5, 5.0, 2.0)),)
@@ -42,7 +42,7 @@ def take(
 def no_floor(image: RangeImage) -> SurfelGrid:
     with np.errstate(invalid="ignore"):
         keep = (image.points[..., 2] > 0.03) & (image.ranges < 4.0)
-    return prepare(image, keep=keep, noise=ScanNoise(SIGMA))
+    return extract_surfels(image, keep=keep, noise=ScanNoise(SIGMA))
 
 
 @cache
@@ -100,11 +100,11 @@ def test_on_a_wall_it_is_never_worse_than_odometry(x: float, y: float, yaw: floa
 def test_the_gradient_is_the_derivative_of_the_cost() -> None:
     target, source = featureful()
     gate = Gate(0.05, 1e6)  # as good as no robust kernel
-    T = displaced(MOVE.matrix(), np.array([0.002, -0.001, 0.001, 0.001, -0.002, 0.002]))
+    T = displace(MOVE.matrix(), np.array([0.002, -0.001, 0.001, 0.001, -0.002, 0.002]))
 
     def cost(step: FloatArray) -> float:
         """Sum of squares over the pairs of ``T``: the association is left as it is there."""
-        return _frozen_cost(target, source, displaced(T, step), T)
+        return _frozen_cost(target, source, displace(T, step), T)
 
     gradient = linearise(target, source, 4, T, 0.0, gate).gradient[:6]
     h = 1e-6
@@ -143,7 +143,7 @@ def test_the_covariance_is_that_of_many_registrations() -> None:
 
 def test_six_degrees_of_freedom_with_a_prior() -> None:
     target, source = featureful()
-    T = displaced(MOVE.matrix(), np.array([0.01, -0.02, 0.0, 0.0, 0.0, 0.02]))
+    T = displace(MOVE.matrix(), np.array([0.01, -0.02, 0.0, 0.0, 0.0, 0.02]))
     prior = PosePrior(read_only(T), prior_at(MOVE).covariance)
     result = register_grids(target, source, prior=prior, dof="se3")
     assert error(source, result.T_target_source) < 0.002
@@ -173,7 +173,7 @@ def test_a_wrong_wheel_base_is_found_from_two_sweeps() -> None:
         keep = (image.points[..., 2] > 0.03) & (image.ranges < 4.0)
         bent = replace(image, yaws=read_only(image.yaws * (1 + wrong)))
         noise = ScanNoise(SIGMA, yaw_scale_sigma=0.02)
-        grids.append(prepare(bent, keep=keep, noise=noise))
+        grids.append(extract_surfels(bent, keep=keep, noise=noise))
     problem = Problem(grids[0], grids[1], prior_at(MOVE))
     assert align(problem, MOVE.matrix()).yaw_scale == pytest.approx(-wrong, abs=0.006)
 
@@ -228,7 +228,7 @@ def test_spread_is_the_mean_displacement() -> None:
     draws = rng.standard_normal((4000, 6)) @ half.T
     moved = draws[:, None, :3] + np.cross(draws[:, None, 3:], points[None])
     numeric = np.sqrt(np.mean(np.sum(moved**2, axis=2)))
-    assert spread(points, half @ half.T) == pytest.approx(numeric, rel=0.03)
+    assert predict_rmse(points, half @ half.T) == pytest.approx(numeric, rel=0.03)
 
 
 def test_a_step_at_the_solution_is_nothing() -> None:

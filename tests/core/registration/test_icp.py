@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from paper import paper_config, paper_registration
 from synthetic import THREE_BOXES, observe
 
-from scan3d_twin.core.registration.icp import cut_lines, fit_planar, overlapping_lines, register
+from scan3d_twin.core.registration.icp import (
+    find_border,
+    fit_planar,
+    register,
+    select_overlapping_lines,
+)
 from scan3d_twin.core.scanning.target_extraction import extract_points
 from scan3d_twin.core.types import FloatArray, Pose2, Scan3D, rms
 
@@ -84,7 +89,7 @@ def test_plain_icp_cannot_see_a_slide_along_a_wall() -> None:
     noisy = slid + 0.004 * rng.normal(size=slid.shape)
     result = register(target, noisy[np.abs(slid[:, 1]) < 0.4], border=border)
     left = Pose2.from_matrix(result.T_target_source).y + 0.03
-    assert left > 0.015  # most of the slide stays, and the residual does not tell
+    assert left > 0.015  # most of the slide stays, and the residual does not show it
     assert result.inlier_rmse < 0.02
 
 
@@ -137,18 +142,18 @@ def test_only_lines_on_the_shared_surface_overlap() -> None:
     pose = Pose2(-0.4, 0.1, 0.0)
     source = boxes_scan(pose)
     init = Pose2(0.0, -0.5, 0.0)
-    overlap = overlapping_lines(target, source, init)
+    overlap = select_overlapping_lines(target, source, init)
     y = init.apply(overlap.points)[:, 1]
     assert 0 < len(overlap) < len(source)
     assert y.min() > target.points[:, 1].min() - 0.05
-    assert len(overlapping_lines(target, source.select(source.lines < 0), init)) == 0
+    assert len(select_overlapping_lines(target, source.select(source.lines < 0), init)) == 0
 
 
 def test_cut_lines_are_the_first_and_the_last() -> None:
     lines = np.array([2, 2, 5, 9])
     scan = Scan3D(np.zeros((4, 3)), lines, lines, 12)
-    assert list(cut_lines(scan, right=True)) == [True, True, False, True]
-    assert list(cut_lines(scan, right=False)) == [True, True, False, False]
+    assert list(find_border(scan, right=True)) == [True, True, False, True]
+    assert list(find_border(scan, right=False)) == [True, True, False, False]
 
 
 def test_same_input_same_result(scan: Scan3D) -> None:

@@ -10,7 +10,7 @@ import synthetic
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
-from scan3d_twin.core.registration.surfel_grid import prepare
+from scan3d_twin.core.registration.surfel_grid import extract_surfels
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N
 from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
 
@@ -29,7 +29,7 @@ def upright(image: RangeImage) -> np.ndarray:
 
 def test_surfels_of_a_noise_free_wall_lie_on_it() -> None:
     image = wall(0.0)
-    grid = prepare(image, keep=upright(image), noise=ScanNoise(0.004))
+    grid = extract_surfels(image, keep=upright(image), noise=ScanNoise(0.004))
     rows = grid.rows
     deep = rows[(rows[:, 2] > 0.1) & (rows[:, 2] < 1.9)]
     assert np.abs(deep[:, 0] - 1.0).max() < 1e-9
@@ -39,7 +39,7 @@ def test_surfels_of_a_noise_free_wall_lie_on_it() -> None:
 def test_normals_have_no_bias_and_the_stated_variance() -> None:
     """A plane fitted to the points would lean towards the rays by several degrees here."""
     image = wall(0.010)
-    grid = prepare(image, keep=upright(image), noise=ScanNoise(0.010))
+    grid = extract_surfels(image, keep=upright(image), noise=ScanNoise(0.010))
     rows = grid.rows[grid.index[10:35][grid.index[10:35] >= 0]]  # incidence 12 to 25 deg
     rows = rows[(rows[:, 2] > 0.2) & (rows[:, 2] < 1.0)]
     lean = rows[:, 4]
@@ -49,7 +49,7 @@ def test_normals_have_no_bias_and_the_stated_variance() -> None:
 
 def test_smoothing_leaves_a_fraction_of_the_noise() -> None:
     image = wall(0.010)
-    rows = prepare(image, keep=upright(image), noise=ScanNoise(0.010)).rows
+    rows = extract_surfels(image, keep=upright(image), noise=ScanNoise(0.010)).rows
     assert np.std(rows[:, 0]) < 0.004
 
 
@@ -68,7 +68,7 @@ def test_yaw_jitter_is_estimated_where_surfaces_are_seen_flat_enough(jitter: flo
     ).image
     errors = jitter * rng.standard_normal(image.n_lines)
     shaken = replace(image, yaws=read_only(image.yaws + errors[:, None]))
-    found = prepare(shaken).noise.yaw_sigma
+    found = extract_surfels(shaken).noise.yaw_sigma
     assert found == pytest.approx(jitter, abs=0.0007)
 
 
@@ -85,7 +85,7 @@ def test_points_project_back_to_the_reading_they_came_from() -> None:
     tilted[1, 3] = 0.02
     for mount in (image.T_base_lidar, tilted):
         mounted = replace(image, T_base_lidar=read_only(mount))
-        grid = prepare(mounted)
+        grid = extract_surfels(mounted)
         seen = np.isfinite(mounted.ranges).reshape(-1)
         points = mounted.points.reshape(-1, 3)
         far = seen & (np.hypot(points[:, 0], points[:, 1]) > 0.3)
@@ -103,16 +103,16 @@ def test_bad_images_are_refused() -> None:
         codes=read_only(np.zeros_like(image.codes), np.int64),
     )
     with pytest.raises(RegistrationError, match="too little surface"):
-        prepare(nothing)
+        extract_surfels(nothing)
     with pytest.raises(RegistrationError, match="too small"):
-        prepare(replace(image, stamps=image.stamps[:3], yaws=image.yaws[:3],
+        extract_surfels(replace(image, stamps=image.stamps[:3], yaws=image.yaws[:3],
                         ranges=image.ranges[:3], codes=image.codes[:3]))  # fmt: skip
     with pytest.raises(ConfigError, match="ranges has shape"):
-        prepare(replace(image, ranges=image.ranges[:, :100]))
+        extract_surfels(replace(image, ranges=image.ranges[:, :100]))
     with pytest.raises(ConfigError, match="finite"):
-        prepare(replace(image, yaws=read_only(image.yaws * np.nan)))
+        extract_surfels(replace(image, yaws=read_only(image.yaws * np.nan)))
     with pytest.raises(ConfigError, match="keep has shape"):
-        prepare(image, keep=np.ones((2, 2), dtype=bool))
+        extract_surfels(image, keep=np.ones((2, 2), dtype=bool))
     with pytest.raises(ConfigError, match="range_sigma"):
         ScanNoise(range_sigma=float("nan"))
 
@@ -121,7 +121,7 @@ def test_filled_gaps_are_no_readings() -> None:
     image = wall(0.004)
     codes = np.array(image.codes)
     codes[:, 300:340] = 0
-    grid = prepare(replace(image, codes=read_only(codes, np.int64)))
+    grid = extract_surfels(replace(image, codes=read_only(codes, np.int64)))
     assert (grid.index[:, 300:340] < 0).all()
     assert not grid.at(np.s_[:, 300:340]).any()
     assert VALID not in codes[:, 300:340]

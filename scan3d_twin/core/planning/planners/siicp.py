@@ -24,7 +24,7 @@ from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
 from scan3d_twin.core.planning.overlap_search import list_overlaps, plan_smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
-from scan3d_twin.core.registration.icp import cut_lines, register
+from scan3d_twin.core.registration.icp import find_border, register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, Scan3D
 
@@ -88,7 +88,7 @@ def simulate_error(
     Q = context.P.last_lines(n_Q)
     Q_prime = _select_surface(context, config).last_lines(n_Q)
     Q_prime = Q_prime.middle_lines(max(1, round(config.alpha * n_Q)))  # eq. (5)
-    border = cut_lines(Q, right=not context.has_end_in_view)
+    border = find_border(Q, right=not context.has_end_in_view)
     tree = cKDTree(Q.points)
 
     # Displace and register each draw

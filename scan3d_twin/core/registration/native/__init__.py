@@ -1,12 +1,12 @@
-"""The compiled engine, and its border: what crosses it and how it is checked.
+"""Binding of the compiled engine: its structures, its functions, and how the library is found.
 
-``engine.h`` says what the values mean; the classes here mirror them field by field. The functions
+``engine.h`` documents the structures; the classes here mirror them field by field. The functions
 of ``engine.c`` are attributes of ``engine``: they take contiguous arrays of the right type
-(anything else is an error at the border) and give up the interpreter lock while they run.
+(anything else is a ``TypeError``) and release the interpreter lock while they run.
 
-The library holds its functions once for each level of the processor; the highest that this one can
-run is taken. All levels give the same bits. It is built by ``hatch_build.py``, into the wheel or,
-in a checkout, beside its sources; there it is refused when it was built from others.
+The library holds each function once per processor level and the highest that can run here is used;
+all levels give the same result to the last bit. ``hatch_build.py`` builds it into the wheel or, in
+a checkout, beside its sources; a library built from other sources is refused.
 """
 
 from __future__ import annotations
@@ -33,19 +33,17 @@ ByteArray = npt.NDArray[np.uint8]
 
 STATE = 8
 """Rows of the matrices of ``Equations``, whatever their size."""
-MOST_NEIGHBOURS = 64
-"""Nearest neighbours that can be asked for."""
+MAX_NEIGHBOURS = 64
+"""Most neighbours that a query can return."""
 
-
-HEAD = object.__basicsize__
-"""Bytes of an array object before the address of its numbers: that is the first field of NumPy's
-``PyArrayObject``. ``array.ctypes.data`` is the same, but describes the whole array first, which
-takes longer than some of the functions here."""
+ARRAY_HEADER = object.__basicsize__
+"""Bytes of an array object before its data pointer, the first field of NumPy's ``PyArrayObject``.
+``array.ctypes.data`` gives the same address, but takes longer than some of the functions here."""
 
 
 def address_of(array: npt.NDArray[Any]) -> int:
-    """Return where the numbers of ``array`` are."""
-    return ctypes.c_size_t.from_address(id(array) + HEAD).value
+    """Return the address of the data of ``array``."""
+    return ctypes.c_size_t.from_address(id(array) + ARRAY_HEADER).value
 
 
 class Array(ctypes.c_void_p):
@@ -68,49 +66,49 @@ class Array(ctypes.c_void_p):
 
 
 class Doubles(Array):
-    """Of float64."""
+    """Array of float64."""
 
     dtype = np.dtype(np.float64)
 
 
 class Ints(Array):
-    """Of int32."""
+    """Array of int32."""
 
     dtype = np.dtype(np.int32)
 
 
 class Longs(Array):
-    """Of int64."""
+    """Array of int64."""
 
     dtype = np.dtype(np.int64)
 
 
 class Flags(Array):
-    """Of bool."""
+    """Array of bool."""
 
     dtype = np.dtype(np.bool_)
 
 
 class Bytes(Array):
-    """Of uint8."""
+    """Array of uint8."""
 
     dtype = np.dtype(np.uint8)
 
 
 class Value(ctypes.Structure):
-    """A value of ``engine.h``; it keeps the arrays alive that it points to."""
+    """A structure of ``engine.h``; it keeps alive the arrays that it points to."""
 
     converters: ClassVar[dict[str, Callable[[Any], Any]]]
 
     def __init_subclass__(cls) -> None:
         cls.converters = {
-            name: kind.from_param if issubclass(kind, Array) else partial(_filled, kind)
+            name: kind.from_param if issubclass(kind, Array) else partial(_fill_field, kind)
             for name, kind, *_ in cls._fields_
             if issubclass(kind, (Array, ctypes.Array))
         }
 
     def __init__(self, **fields: Any) -> None:
-        """Set ``fields``: arrays by their address, numbers of a field of several one by one."""
+        """Set ``fields``: array arguments by address, fixed-size arrays by value."""
         super().__init__()
         self.alive = fields
         for name, value in fields.items():
@@ -118,20 +116,20 @@ class Value(ctypes.Structure):
             setattr(self, name, convert(value) if convert else value)
 
     def numbers(self, name: str, *shape: int) -> npt.NDArray[np.float64]:
-        """Return a copy of the first numbers of a field, in ``shape``."""
+        """Return a copy of the first numbers of an array field, in ``shape``."""
         first = int(getattr(type(self), name).offset)
         return np.frombuffer(bytes(self), np.float64, math.prod(shape), first).reshape(shape).copy()
 
 
-def _filled(kind: Any, numbers: Any) -> Any:
-    """Return a field of several numbers; those that are not given are 0."""
+def _fill_field(kind: Any, numbers: Any) -> Any:
+    """Return a fixed-size array field; numbers that are not given are 0."""
     if isinstance(numbers, np.ndarray):
         return kind.from_buffer_copy(np.ascontiguousarray(numbers, kind._type_))
     return kind(*numbers)
 
 
 class Sweep(Value):
-    """A sweep: lines by beams."""
+    """A sweep of lines by beams."""
 
     _fields_ = (
         ("n_lines", c_int64), ("n_beams", c_int64), ("stride", c_int64), ("ranges", Doubles),
@@ -140,8 +138,8 @@ class Sweep(Value):
     )  # fmt: skip
 
 
-class Survey(Value):
-    """What a sweep shows."""
+class ScanSurfels(Value):
+    """The surfels of a sweep and its noise."""
 
     _fields_ = (
         ("rows", Doubles), ("yaws", Doubles), ("index", Ints), ("valid", Flags),
@@ -150,7 +148,7 @@ class Survey(Value):
 
 
 class Projection(Value):
-    """From a point to the reading of a sweep that sees it."""
+    """Projection of a point onto the reading of a sweep that sees it."""
 
     _fields_ = (
         ("n_lines", c_int64), ("n_beams", c_int64), ("lines", Ints), ("beams", Ints),
@@ -160,7 +158,7 @@ class Projection(Value):
 
 
 class Target(Value):
-    """What other sweeps are laid on."""
+    """The sweep that others are registered to."""
 
     _fields_ = (
         ("rows", Doubles), ("yaws", Doubles), ("index", Ints), ("edges", Doubles),
@@ -169,7 +167,7 @@ class Target(Value):
 
 
 class Sample(Value):
-    """Surfels of a sweep, every ``stride``-th along lines and beams."""
+    """Every ``stride``-th surfel of a sweep along lines and beams."""
 
     _fields_ = (
         ("count", c_int64), ("stride", c_int64), ("room", c_int64), ("columns", Doubles),
@@ -178,7 +176,7 @@ class Sample(Value):
 
 
 class Source(Value):
-    """What the iteration lays on the target."""
+    """The sweep that the iteration moves onto the target."""
 
     _fields_ = (
         ("coarse", Sample), ("fine", Sample), ("every", Sample), ("edges", Doubles),
@@ -187,7 +185,7 @@ class Source(Value):
 
 
 class PairNoise(Value):
-    """What two sweeps err by beside the noise of single readings."""
+    """Errors of two sweeps beyond the noise of single readings."""
 
     _fields_ = tuple(
         (name, c_double) for name in ("jitter", "target_jitter", "density", "share", "tilt")
@@ -195,7 +193,7 @@ class PairNoise(Value):
 
 
 class Prior(Value):
-    """What is known beforehand."""
+    """Prior distribution of the pose and the nuisance parameters."""
 
     _fields_ = (
         ("mean", c_double * 16), ("covariance", c_double * 36), ("n_entries", c_int64),
@@ -204,7 +202,7 @@ class Prior(Value):
 
 
 class Criteria(Value):
-    """When the iteration ends, and the widest gate."""
+    """Convergence criteria of the iteration, and its first gate."""
 
     _fields_ = (
         ("max_iterations", c_int64), ("translation_epsilon", c_double),
@@ -213,13 +211,13 @@ class Criteria(Value):
 
 
 class Gate(Value):
-    """Which pairs count."""
+    """Gate for correspondences."""
 
     _fields_ = (("distance", c_double), ("robust", c_double))
 
 
 class Equations(Value):
-    """Normal equations, in the first rows and columns of (STATE, STATE)."""
+    """Normal equations, in the first rows and columns of (STATE, STATE) matrices."""
 
     _fields_ = (
         ("size", c_int64), ("information", c_double * STATE**2), ("lost", c_double * STATE**2),
@@ -229,7 +227,7 @@ class Equations(Value):
 
 
 class RunResult(Value):
-    """Where the iteration from one start ended."""
+    """Result of the iteration from one start."""
 
     _fields_ = (
         ("T", c_double * 16), ("nuisances", c_double * 2), ("covariance", c_double * 36),
@@ -240,62 +238,68 @@ class RunResult(Value):
 
 
 VALUES = (
-    Sweep, Survey, Projection, Target, Sample, Source, PairNoise, Prior, Criteria, Gate, Equations,
-    RunResult,
+    Sweep, ScanSurfels, Projection, Target, Sample, Source, PairNoise, Prior, Criteria, Gate,
+    Equations, RunResult,
 )  # fmt: skip
-"""In the order of ``engine.h``."""
+"""The structures, in the order of ``engine.h``."""
 
 FUNCTIONS: dict[str, tuple[Any, ...]] = {
-    "range_noise": (None, Sweep, Flags, Doubles),
-    "line_residuals": (None, Sweep, Doubles, Ints, Doubles),
-    "yaw_jitter": (c_double, Doubles, c_int64),
-    "surfels": (c_int64, Sweep, Flags, Flags, Doubles, Longs, c_int64, Doubles, Doubles, Ints),
-    "survey": (c_int64, Sweep, Longs, Flags, Survey),
-    "sample": (None, Ints, c_int64, c_int64, Doubles, Doubles, Sample),
-    "known": (c_int64, Ints, Flags, c_int64, c_int64, Bytes),
-    "edges": (c_int64, Sweep, Doubles, Ints, Flags, c_double, Doubles, c_int64),
-    "edge_equations": (
+    "estimate_range_noise": (None, Sweep, Flags, Doubles),
+    "sum_line_residuals": (None, Sweep, Doubles, Ints, Doubles),
+    "estimate_yaw_jitter": (c_double, Doubles, c_int64),
+    "fit_surfels": (c_int64, Sweep, Flags, Flags, Doubles, Longs, c_int64, Doubles, Doubles, Ints),
+    "extract_surfels": (c_int64, Sweep, Longs, Flags, ScanSurfels),
+    "sample_surfels": (None, Ints, c_int64, c_int64, Doubles, Doubles, Sample),
+    "classify_rays": (c_int64, Ints, Flags, c_int64, c_int64, Bytes),
+    "find_edges": (c_int64, Sweep, Doubles, Ints, Flags, c_double, Doubles, c_int64),
+    "linearise_edges": (
         None, Doubles, c_int64, Doubles, c_int64, Doubles, c_double, c_double, Doubles, Doubles,
     ),
-    "cell_centres": (None, Doubles),
-    "table": (c_int64, Doubles, c_int64, c_double, Doubles, Ints),
-    "lookup": (None, Projection, Doubles, c_int64, Flags, Longs),
-    "equations": (c_int64, Target, Sample, Doubles, Doubles, Gate, PairNoise, Prior, Equations),
-    "follow": (
+    "write_cell_centres": (None, Doubles),
+    "tabulate_nearest": (c_int64, Doubles, c_int64, c_double, Doubles, Ints),
+    "find_readings": (None, Projection, Doubles, c_int64, Flags, Longs),
+    "build_equations": (
+        c_int64, Target, Sample, Doubles, Doubles, Gate, PairNoise, Prior, Equations,
+    ),
+    "follow_starts": (
         c_int64, Target, Source, PairNoise, Prior, Criteria, Doubles, c_int64, Doubles, RunResult,
     ),
-    "violations": (c_double, Target, Bytes, Sample, Doubles, Longs),
-    "determined": (
+    "sum_violations": (c_double, Target, Bytes, Sample, Doubles, Longs),
+    "find_determined": (
         c_int64, Doubles, Doubles, Longs, c_int64, c_double, Doubles, Doubles, Doubles,
     ),
-    "inverse": (None, Doubles, c_int64, c_double, Doubles),
-    "marginal": (None, Doubles, c_int64, c_int64, Doubles, Doubles),
-    "displaced": (None, Doubles, Doubles, c_int64, Doubles),
-    "deviation": (None, Doubles, Doubles, Doubles),
-    "displacement": (c_double, Doubles, Doubles, Doubles),
-    "tree": (None, Doubles, c_int64, Doubles, Ints, Bytes),
-    "nearest": (None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_int64, Doubles, Ints),
-    "neighbourhoods": (None, Doubles, Ints, Bytes, c_int64, c_int64, Doubles, Doubles, Doubles),
-    "near": (c_int64, Doubles, c_int64, Doubles, c_int64, c_double, Flags),
-    "mixed": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double, Flags),
-    "gaps": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double),
-    "placed": (
+    "invert_information": (None, Doubles, c_int64, c_double, Doubles),
+    "marginalise": (None, Doubles, c_int64, c_int64, Doubles, Doubles),
+    "displace": (None, Doubles, Doubles, c_int64, Doubles),
+    "find_deviation": (None, Doubles, Doubles, Doubles),
+    "expect_displacement": (c_double, Doubles, Doubles, Doubles),
+    "build_tree": (None, Doubles, c_int64, Doubles, Ints, Bytes),
+    "find_nearest": (None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_int64, Doubles, Ints),
+    "fit_neighbourhoods": (None, Doubles, Ints, Bytes, c_int64, c_int64, Doubles, Doubles, Doubles),
+    "find_near": (c_int64, Doubles, c_int64, Doubles, c_int64, c_double, Flags),
+    "mark_mixed_pixels": (
+        None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double, Flags,
+    ),
+    "fill_gaps": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double),
+    "place_readings": (
         None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Longs,
         Longs, Doubles,
     ),
-    "free_reach": (
+    "measure_free_reach": (
         c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
     ),
-    "neighbours": (
+    "count_neighbours": (
         None, Doubles, Doubles, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double,
         c_double, Longs,
     ),
-    "dilated": (c_int64, Flags, c_int64, c_int64, Longs, c_int64, Flags),
-    "labels": (c_int64, Flags, c_int64, c_int64, Ints),
-    "pieces": (c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs),
-    "sizes": (None, Longs),
+    "dilate": (c_int64, Flags, c_int64, c_int64, Longs, c_int64, Flags),
+    "label_components": (c_int64, Flags, c_int64, c_int64, Ints),
+    "measure_components": (
+        c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs,
+    ),
+    "write_struct_sizes": (None, Longs),
 }  # fmt: skip
-"""What each function of ``engine.c`` returns and takes."""
+"""Return and argument types of the functions of ``engine.c``."""
 
 
 def digest_sources(folder: Path = FOLDER) -> str | None:
@@ -307,11 +311,11 @@ def digest_sources(folder: Path = FOLDER) -> str | None:
 
 
 class Engine:
-    """The functions of the library at one level of the processor, bound when first called.
+    """The functions of the library at one processor level, bound when first used.
 
     Attributes:
         path: The library.
-        level: Of its functions; the highest that this processor can run by default.
+        level: Processor level of its functions; by default the highest that can run here.
     """
 
     def __init__(self, path: Path = LIBRARY, level: int | None = None) -> None:
@@ -323,7 +327,7 @@ class Engine:
         """The loaded library.
 
         Raises:
-            FileError: It is missing, of another platform, or older than its sources.
+            FileError: It is missing, built for another platform, or older than its sources.
         """
         try:
             library = ctypes.CDLL(str(self.path))
@@ -337,11 +341,11 @@ class Engine:
 
     @cached_property
     def level(self) -> int:
-        """Level of the functions."""
+        """Processor level of the functions."""
         return self._level or int(self.library.engine_level())
 
     def __getattr__(self, name: str) -> Any:
-        """Return the function ``name``."""
+        """Return the function ``name``, bound with its argument types."""
         if name not in FUNCTIONS:
             raise AttributeError(f"the engine has no function {name!r}")
         returns, *arguments = FUNCTIONS[name]

@@ -1,21 +1,23 @@
-/* Small algebra on poses and normal equations: algebra.py and pose_prior.py describe it. Matrices are
- * (n, n) within rows of STATE numbers, unless they are said to be dense. */
+/* Algebra of poses and normal equations: algebra.py and pose_prior.py describe it. Matrices are (n, n)
+ * in rows of STATE numbers unless they are called dense. */
 #pragma once
 
 #include "pairs.h"
 
-#define SIGNAL 2.0      /* a direction is determined by so many times the information of noise alone */
-#define UNKNOWN 1e-9    /* share of the largest information below which a direction is unknown */
+#define MIN_SIGNAL_RATIO 2.0        /* least information of a determined direction, per spurious one */
+#define MIN_INFORMATION_SHARE 1e-9  /* of the largest information; a direction with less is unknown */
 
-enum { SWEEPS = 30 };   /* of the eigenvalue iteration at most; 5 to 8 are usual */
+enum { MAX_ROTATION_SWEEPS = 30 };  /* of the eigenvalue iteration; 5 to 8 are usual */
 
-/* Write the eigenvalues of a symmetric matrix, ascending, and its eigenvectors as columns of V. By
- * cyclic Jacobi rotations (Golub and Van Loan, Matrix Computations, 8.5). */
+/* Write the eigenvalues of a symmetric matrix, ascending, and its eigenvectors as columns of V, by cyclic
+ * Jacobi rotations (Golub and Van Loan, Matrix Computations, 8.5). */
 static void find_eigen(const double *M, int n, double *values, double *V) {
     double A[STATE][STATE];
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) A[i][j] = M[STATE * i + j], V[STATE * i + j] = i == j;
-    for (int sweep = 0; sweep < SWEEPS; sweep++) {
+
+    /* rotate until diagonal */
+    for (int sweep = 0; sweep < MAX_ROTATION_SWEEPS; sweep++) {
         double off = 0, scale = 0;
         for (int i = 0; i < n; i++)
             for (int j = 0; j <= i; j++)
@@ -39,6 +41,8 @@ static void find_eigen(const double *M, int n, double *values, double *V) {
                 }
             }
     }
+
+    /* sort by eigenvalue */
     for (int i = 0; i < n; i++) values[i] = A[i][i];
     for (int i = 1; i < n; i++)
         for (int j = i; j > 0 && values[j] < values[j - 1]; j--) {
@@ -51,8 +55,9 @@ static void find_eigen(const double *M, int n, double *values, double *V) {
         }
 }
 
-/* Write the inverse of an information; 0 on directions of at most `least` times the largest. */
-static void invert(const double *information, int n, double least, double *inverse) {
+/* Write the inverse of an information matrix; 0 on directions with at most `least` times the largest
+ * eigenvalue. */
+static void invert_information(const double *information, int n, double least, double *inverse) {
     double values[STATE], V[STATE * STATE];
     find_eigen(information, n, values, V);
     for (int i = 0; i < n; i++)
@@ -78,6 +83,7 @@ static void project(const double *K, const double *M, int n, double *out) {
         }
 }
 
+/* Return v^T M v. */
 static double quadratic(const double *M, const double *v, int n) {
     double sum = 0;
     for (int i = 0; i < n; i++)
@@ -85,17 +91,22 @@ static double quadratic(const double *M, const double *v, int n) {
     return sum;
 }
 
-/* Which directions of the pose the sweeps determine, and which they do not. */
+/* Directions of the pose that two sweeps determine, and those that they do not. */
 typedef struct {
-    double kept[STATE * STATE];     /* K, such that K H K^T and K g keep the determined ones */
-    double honest[STATE * STATE];   /* K with each shortened by the root of the share that is real */
-    double dropped[POSE][STATE];    /* the others, as unit rows */
+    double kept[STATE * STATE];     /* projector K: K H K^T and K g keep the determined directions */
+    double honest[STATE * STATE];   /* K, each direction times the root of its share that is no noise */
+    double dropped[POSE][STATE];    /* the degenerate directions, as unit rows */
     int n_dropped;
 } Determined;
+
+/* Test each eigenvector of H for degeneracy against the information that noise alone gives; `reach`
+ * makes rotations comparable with translations. */
 
 static void find_determined(const double *H, const double *spurious, const int64_t *entries, int n,
                             double reach, Determined *out) {
     double unit[STATE], scaled[STATE * STATE] = {0}, values[STATE], V[STATE * STATE];
+
+    /* eigenvectors, in metres throughout */
     for (int i = 0; i < n; i++) unit[i] = entries[i] < 3 ? 1 : 1 / reach;
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) scaled[STATE * i + j] = H[STATE * i + j] * unit[i] * unit[j];
@@ -107,13 +118,17 @@ static void find_determined(const double *H, const double *spurious, const int64
             direction[i] = V[STATE * i + m] * unit[i];
             square += direction[i] * direction[i];
         }
+
+        /* drop what noise could give */
         double noise = quadratic(spurious, direction, n);
-        double floor = 1e-12 * values[n - 1], least = SIGNAL * (noise > floor ? noise : floor);
+        double floor = 1e-12 * values[n - 1], least = MIN_SIGNAL_RATIO * (noise > floor ? noise : floor);
         if (!(values[m] > 0 && values[m] >= least)) {
             for (int i = 0; i < n; i++) out->dropped[out->n_dropped][i] = direction[i] / sqrt(square);
             out->n_dropped++;
             continue;
         }
+
+        /* keep the rest */
         double share = sqrt(1 - noise / values[m]);
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++) {
@@ -124,13 +139,13 @@ static void find_determined(const double *H, const double *spurious, const int64
     }
 }
 
-/* The pose's part of normal equations without nuisances, and what is needed to find their steps. */
+/* Normal equations with the nuisances eliminated; their rows remain for the back substitution. */
 typedef struct {
     double H[STATE * STATE], g[STATE];
 } Reduced;
 
-/* Eliminate the nuisances, last first, by their Schur complements; rows of eliminated ones stay as
- * they were then. */
+/* Eliminate the nuisances, last first, by their Schur complements; the row of each stays as it was when
+ * it was eliminated. */
 static void eliminate_nuisances(const Equations *equations, const Prior *prior,
                                 const double *nuisances, Reduced *out) {
     int size = (int)equations->size, pose = (int)prior->n_entries;
@@ -152,7 +167,7 @@ static void eliminate_nuisances(const Equations *equations, const Prior *prior,
     }
 }
 
-/* Write the steps of the nuisances behind those of the pose in `step`. */
+/* Write the steps of the nuisances after those of the pose in `step`, by back substitution. */
 static void substitute_nuisances(const Reduced *reduced, const Prior *prior, double *step) {
     int pose = (int)prior->n_entries, size = pose + (int)prior->n_nuisances;
     for (int n = pose; n < size; n++) {
@@ -163,16 +178,20 @@ static void substitute_nuisances(const Reduced *reduced, const Prior *prior, dou
     }
 }
 
-/* Write T (4, 4) after a small motion x y z rx ry rz of the source about its own origin. */
+/* Write T (4, 4) after a motion x y z rx ry rz of the source about its own origin. */
 static void displace(const double *T, const double *step, double *out) {
     double x = step[3], y = step[4], z = step[5], square = x * x + y * y + z * z;
     double angle = sqrt(square);
     Turn turn = turn_by(angle);
     double c = turn.c, s = angle < 1e-8 ? 1 : turn.s / angle;
     double v = angle < 1e-8 ? 0.5 : (1 - turn.c) / square;
+
+    /* rotation by Rodrigues' formula */
     const double R[9] = {c + v * x * x, v * x * y - s * z, v * x * z + s * y,
                          v * x * y + s * z, c + v * y * y, v * y * z - s * x,
                          v * x * z - s * y, v * y * z + s * x, c + v * z * z};
+
+    /* turn about the source's origin, then shift */
     double moved[16];
     memcpy(moved, T, sizeof moved);
     for (int i = 0; i < 3; i++) {
@@ -183,7 +202,7 @@ static void displace(const double *T, const double *step, double *out) {
     memcpy(out, moved, sizeof moved);
 }
 
-/* Write by how much T lies off `mean`, both (4, 4), as x y z rx ry rz. */
+/* Write the deviation of T from `mean`, both (4, 4), as x y z rx ry rz. */
 static void find_deviation(const double *T, const double *mean, double *off) {
     double R[9] = {0};
     for (int i = 0; i < 3; i++) {
@@ -197,7 +216,8 @@ static void find_deviation(const double *T, const double *mean, double *off) {
     for (int i = 0; i < 3; i++) off[3 + i] = sine < 1e-9 ? axis[i] : axis[i] * (angle / sine);
 }
 
-/* Write the matrix from motions about the source's origin to those about the target's. */
+/* Write the matrix (6, 6) that takes motions about the source's origin to motions about the target's, or
+ * back if `sign` is -1. */
 static void shift_to_target(const double *T, double sign, double *out) {
     memset(out, 0, sizeof *out * STATE * STATE);
     for (int i = 0; i < POSE; i++) out[STATE * i + i] = 1;
@@ -207,9 +227,9 @@ static void shift_to_target(const double *T, double sign, double *out) {
     out[STATE + 5] = -x, out[2 * STATE + 4] = x;
 }
 
-/* Expected RMS displacement of points of mean `a` and second moment M (3, 3) under C:
+/* Return the expected RMS displacement of points with mean `a` and second moment M (3, 3) under C:
  * E |d + r x p|^2 = tr D + tr S tr M - tr S M + 2 a . E(d x r). */
-static double displacement(const double *a, const double *M, const double *C) {
+static double expect_displacement(const double *a, const double *M, const double *C) {
     double square = 0;
     for (int i = 0; i < 3; i++) {
         square += C[STATE * i + i];

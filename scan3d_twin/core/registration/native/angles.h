@@ -1,5 +1,5 @@
-/* Sine, cosine and arc tangent by their series: those of a C library differ between libraries and
- * processors in the last bit. */
+/* Sine, cosine and arc tangent by their series: those of C libraries differ in the last bit from one
+ * library or processor to another. */
 #pragma once
 
 #include <math.h>
@@ -35,8 +35,9 @@ static inline Turn turn_by(double angle) {
     }
 }
 
-/* The turn `t` and a small angle more: exact to 1e-12 up to SMALL_TURN. */
 #define SMALL_TURN 0.03
+
+/* Add the small angle `a` to the turn `t`: exact to 1e-12 up to SMALL_TURN. */
 
 static inline Turn turn_further(Turn t, double a) {
     double q = a * a;
@@ -51,7 +52,7 @@ static inline double angle_of(double c, double s) {
     if (length == 0) return 0;
     double x = fabs(c) < fabs(s) ? fabs(c) : fabs(s);
     double t = x / (length + (fabs(c) < fabs(s) ? fabs(s) : fabs(c)));  /* tan of half the angle */
-    t = t / (1 + sqrt(1 + t * t));                                      /* of a quarter: <= 0.2 */
+    t = t / (1 + sqrt(1 + t * t));                                      /* tan of a quarter: <= 0.2 */
     double q = t * t, series = 0;
     for (int k = 23; k >= 1; k -= 2) series = 1.0 / k - q * series;
     double angle = 4 * t * series;

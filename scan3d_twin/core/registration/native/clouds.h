@@ -1,15 +1,15 @@
-/* Nearest neighbours and planes of clouds without lines and beams: see clouds.py.
+/* Nearest neighbours and plane fits of unorganised point clouds: see clouds.py.
  *
- * The neighbours come from a balanced k-d tree (Bentley 1975): the points between `low` and `high` are
- * split at their median along the widest side of their box. It is kept as the points in its order. */
+ * Neighbours come from a balanced k-d tree (Bentley 1975), stored as an order of the points: those between
+ * `low` and `high` are split at their median along the widest side of their bounding box. */
 #pragma once
 
 #include "free_space.h"
 
-enum { LEAF = 12, MOST_NEIGHBOURS = 64 };
+enum { LEAF = 12, MAX_NEIGHBOURS = 64 };
 
-/* `points` (n, 3) in the order of the tree, `order` (n,) where each stood, `axes` of the splits (n,) by
- * the place of the median. */
+/* `points` (n, 3) in the order of the tree, `order` (n,) their former indices, `axes` (n,) of the splits at
+ * the positions of the medians. */
 typedef struct {
     int64_t n;
     double *points;
@@ -42,7 +42,7 @@ static int widest_axis(const double *points, int64_t low, int64_t high) {
     return axis;
 }
 
-/* Put the k-th smallest along an axis of the points from `low` to `high` at its place. */
+/* Reorder the points from `low` to `high` so that the k-th along an axis is at its sorted position. */
 static void select_point(Tree *tree, int64_t low, int64_t high, int64_t k, int axis) {
     const double *p = tree->points + axis;
     for (high--; low < high;) {
@@ -70,14 +70,14 @@ static void build_tree(Tree *tree, int64_t low, int64_t high) {
     }
 }
 
-/* The nearest so far, farthest last. */
+/* The nearest points found up to now, farthest last. */
 typedef struct {
     int64_t wanted, count;
-    double squares[MOST_NEIGHBOURS];
-    int32_t places[MOST_NEIGHBOURS];
+    double squares[MAX_NEIGHBOURS];
+    int32_t places[MAX_NEIGHBOURS];
 } Nearest;
 
-static inline void offer(const Tree *tree, const double *from, int64_t place, Nearest *nearest) {
+static inline void keep_if_nearer(const Tree *tree, const double *from, int64_t place, Nearest *nearest) {
     const double *p = tree->points + 3 * place;
     double x = p[0] - from[0], y = p[1] - from[1], z = p[2] - from[2], square = x * x + y * y + z * z;
     int64_t k = nearest->count;
@@ -98,16 +98,16 @@ static void search_tree(const Tree *tree, int64_t low, int64_t high, const doubl
         int axis = tree->axes[middle];
         double apart = from[axis] - tree->points[3 * middle + axis];
         search_tree(tree, apart < 0 ? low : middle + 1, apart < 0 ? middle : high, from, nearest);
-        offer(tree, from, middle, nearest);
+        keep_if_nearer(tree, from, middle, nearest);
         int64_t last = nearest->count - 1;
         if (nearest->count == nearest->wanted && apart * apart >= nearest->squares[last]) return;
         if (apart < 0) low = middle + 1;
         else high = middle;
     }
-    for (int64_t place = low; place < high; place++) offer(tree, from, place, nearest);
+    for (int64_t place = low; place < high; place++) keep_if_nearer(tree, from, place, nearest);
 }
 
-/* Write squared distances and indices (m, k) of the k nearest of the tree's points, nearest first;
+/* Write squared distances and indices (m, k) of the k nearest points of the tree, nearest first;
  * infinity and -1 where there are fewer. */
 static void find_nearest(const Tree *tree, const double *from, int64_t m, int64_t k, double *squares,
                          int32_t *indices) {
@@ -122,13 +122,15 @@ static void find_nearest(const Tree *tree, const double *from, int64_t m, int64_
     }
 }
 
-/* Write centroid, unit normal and the two smaller variances of the k nearest of each point of the tree,
- * in the order that the points came in. */
+/* Fit a plane to the k nearest neighbours of each point of the tree: write centroid, unit normal and the
+ * two smaller variances, in the original order of the points. */
 static void fit_neighbourhoods(const Tree *tree, int64_t k, double *centroids, double *normals,
                                double *variances) {
     for (int64_t i = 0; i < tree->n; i++) {
         Nearest nearest = {.wanted = k};
         search_tree(tree, 0, tree->n, tree->points + 3 * i, &nearest);
+
+        /* centroid and covariance */
         double sum[3] = {0}, M[STATE * STATE] = {0}, values[STATE], V[STATE * STATE];
         for (int64_t j = 0; j < nearest.count; j++)
             for (int a = 0; a < 3; a++)
@@ -139,6 +141,8 @@ static void fit_neighbourhoods(const Tree *tree, int64_t k, double *centroids, d
                     M[STATE * a + b] += (tree->points[3 * nearest.places[j] + a] - sum[a])
                                       * (tree->points[3 * nearest.places[j] + b] - sum[b])
                                       / (double)nearest.count;
+
+        /* normal: direction of least variance */
         find_eigen(M, 3, values, V);
         int64_t at = tree->order[i];
         for (int a = 0; a < 3; a++) {

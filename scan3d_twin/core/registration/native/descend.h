@@ -3,30 +3,30 @@
 
 #include "algebra.h"
 
-#define TIGHTEN 0.7         /* factor of the gate from one step to the next ... */
-#define LAST_GATE 0.03      /* ... down to this [m]: a few times the range noise, ... */
-#define LAST_ROBUST 1.5     /* ... with a robust kernel of so many sigma ... */
-#define FIRST_ROBUST 4.0    /* ... instead of those of the first step */
-#define SAME_BASIN 0.010    /* poses that displace the source by less are one basin [m] */
-#define EDGE_ROBUST 2.0     /* kernel of edges, in kernels of surfels: their errors are uniform */
+#define GATE_FACTOR 0.7         /* of gate and kernel from one step to the next */
+#define FINAL_GATE 0.03         /* least gate [m]: a few times the range noise */
+#define FIRST_KERNEL 4.0        /* robust kernel c of the first step [sigma] */
+#define FINAL_KERNEL 1.5        /* least kernel [sigma] */
+#define SAME_BASIN 0.010        /* poses that displace the source by less are one basin [m] */
+#define EDGE_KERNEL_FACTOR 2.0  /* kernel of edges per kernel of surfels: their errors are uniform */
 
-enum { MIN_PAIRS = 12 };    /* fewer correspondences determine nothing reliably */
+enum { MIN_PAIRS = 12 };        /* correspondences that a reliable step needs */
 
-/* One Gauss-Newton step, and what is known where it starts. */
+/* One Gauss-Newton step, and the equations that it solves. */
 typedef struct {
     double step[POSE], nuisance_step[NUISANCES];
-    double information[STATE * STATE];  /* left side of the equation, less what is spurious */
+    double information[STATE * STATE];  /* left side of the equation, less the spurious share */
     double edges[STATE * STATE];        /* information of the edges */
     Determined determined;
     Equations equations;
 } Solution;
 
-/* Root mean square distance of the source's points: it makes turns comparable with shifts. */
+/* Return the RMS distance of the source's points, which makes rotations comparable with translations. */
 static double find_reach(const Source *source) {
     return sqrt(source->second[0] + source->second[4] + source->second[8]);
 }
 
-/* By how much two poses displace points at a distance `reach`. */
+/* Return the displacement between two poses of points at a distance `reach`. */
 static double distance_between(const double *a, const double *b, double reach) {
     double square = 0;
     for (int i = 0; i < 3; i++) {
@@ -39,16 +39,17 @@ static double distance_between(const double *a, const double *b, double reach) {
     return sqrt(square);
 }
 
-static Gate gate_of(int64_t iteration, double widest) {
-    double tight = 1, narrowest = LAST_GATE < widest ? LAST_GATE : widest;
-    for (int64_t k = 0; k < iteration; k++) tight *= TIGHTEN;
-    Gate gate = {tight * widest, FIRST_ROBUST * tight};
+/* Return the gate and kernel of a step, tightened from step to step. */
+static Gate choose_gate(int64_t iteration, double widest) {
+    double tight = 1, narrowest = FINAL_GATE < widest ? FINAL_GATE : widest;
+    for (int64_t k = 0; k < iteration; k++) tight *= GATE_FACTOR;
+    Gate gate = {tight * widest, FIRST_KERNEL * tight};
     gate.distance = gate.distance > narrowest ? gate.distance : narrowest;
-    gate.robust = gate.robust > LAST_ROBUST ? gate.robust : LAST_ROBUST;
+    gate.robust = gate.robust > FINAL_KERNEL ? gate.robust : FINAL_KERNEL;
     return gate;
 }
 
-/* Write L0, the information of the prior on the estimated entries. */
+/* Write L0, the information matrix of the prior on the estimated entries. */
 static void find_prior_information(const Prior *prior, double *L0) {
     int n = (int)prior->n_entries;
     double covariance[STATE * STATE];
@@ -57,22 +58,22 @@ static void find_prior_information(const Prior *prior, double *L0) {
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
             covariance[STATE * i + j] = prior->covariance[POSE * prior->entries[i] + prior->entries[j]];
-    invert(covariance, n, 0, L0);
+    invert_information(covariance, n, 0, L0);
 }
 
-/* Least share of the largest information that counts: with a prior all is known. */
+/* Return the share of the largest information below which a direction is unknown: 0 with a prior. */
 static double least_share(const Prior *prior) {
-    return prior->covariance[0] > 0 ? 0 : UNKNOWN;
+    return prior->covariance[0] > 0 ? 0 : MIN_INFORMATION_SHARE;
 }
 
-/* Write the step at T: gauss_newton.py has the equation, L0 is from `find_prior_information`. */
+/* Write the Gauss-Newton step at T by the equation of gauss_newton.py, with the prior information L0. */
 static void solve(const Target *target, const Source *source, const PairNoise *noise,
                   const Prior *prior, const double *L0, const double *T, const double *nuisances,
                   const Sample *sample, Gate gate, Chunk *scratch, Solution *out) {
     int n = (int)prior->n_entries;
     const int64_t *entries = prior->entries;
 
-    /* sweeps, without nuisances and directions that they leave free */
+    /* surfels, without nuisances and degenerate directions */
     Reduced reduced;
     build_equations(target, sample, T, nuisances, gate, noise, prior, scratch, &out->equations);
     eliminate_nuisances(&out->equations, prior, nuisances, &reduced);
@@ -81,8 +82,8 @@ static void solve(const Target *target, const Source *source, const PairNoise *n
 
     /* edges and prior */
     double H[POSE * POSE] = {0}, g[POSE] = {0}, off[POSE];
-    add_edges(target->edges, target->n_edges, source->edges, source->n_edges, T, gate.distance,
-              EDGE_ROBUST * gate.robust, H, g);
+    linearise_edges(target->edges, target->n_edges, source->edges, source->n_edges, T, gate.distance,
+              EDGE_KERNEL_FACTOR * gate.robust, H, g);
     find_deviation(T, prior->mean, off);
 
     /* the equation */
@@ -99,7 +100,9 @@ static void solve(const Target *target, const Source *source, const PairNoise *n
             right[i] += out->determined.kept[at] * reduced.g[j] + L0[at] * off[entries[j]];
         }
     }
-    invert(left, n, least_share(prior), inverse);
+
+    /* the step */
+    invert_information(left, n, least_share(prior), inverse);
     memset(out->step, 0, sizeof out->step);
     for (int i = 0; i < n; i++) {
         for (int j = 0; j < n; j++) step[i] -= inverse[STATE * i + j] * right[j];
@@ -109,13 +112,13 @@ static void solve(const Target *target, const Source *source, const PairNoise *n
     for (int k = 0; k < prior->n_nuisances; k++) out->nuisance_step[k] = step[n + k];
 }
 
-/* Write what is known at the end, by the solution whose step led there. */
-static void conclude(const Source *source, const Prior *prior, const double *L0,
-                     const Solution *solution, Outcome *out) {
+/* Write covariance, information and degenerate directions of the result, from the last step's solution. */
+static void write_result(const Source *source, const Prior *prior, const double *L0,
+                     const Solution *solution, RunResult *out) {
     int n = (int)prior->n_entries;
     const int64_t *entries = prior->entries;
     double small[STATE * STATE], covariance[STATE * STATE] = {0}, information[STATE * STATE] = {0};
-    invert(solution->information, n, least_share(prior), small);
+    invert_information(solution->information, n, least_share(prior), small);
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) {
             covariance[STATE * entries[i] + entries[j]] = small[STATE * i + j];
@@ -137,7 +140,7 @@ static void conclude(const Source *source, const Prior *prior, const double *L0,
             out->information[POSE * i + j] = weighed[STATE * i + j];
         }
 
-    /* directions that nothing determines */
+    /* degenerate directions, unless edges determine them */
     out->n_degenerate = 0;
     for (int m = 0; m < solution->determined.n_dropped; m++) {
         const double *v = solution->determined.dropped[m];
@@ -160,21 +163,22 @@ static void conclude(const Source *source, const Prior *prior, const double *L0,
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
             for (int k = 0; k < 3; k++) second[3 * i + j] += half[3 * i + k] * T[4 * j + k];
-    out->predicted_rmse = displacement(first, second, covariance);
+    out->predicted_rmse = expect_displacement(first, second, covariance);
 }
 
-/* Whether T lies in none of the basins of `n` others. */
+/* Return whether T lies in none of the basins of `n` other poses. */
 static int is_new_basin(const double *T, const double *others, int64_t n, double reach) {
     for (int64_t k = 0; k < n; k++)
         if (distance_between(T, others + 16 * k, reach) <= SAME_BASIN) return 0;
     return 1;
 }
 
-/* Write where the steps from `n` starts (n, 4, 4) end; return how many ends there are, or -1 without
- * memory. Ends that met are one, those without overlap are left out. `last` is that of the last. */
+/* Iterate from each of `n` starts (n, 4, 4) and write the distinct poses where they end; return their
+ * number, or -1 if memory runs out. Ends without overlap are left out. `last` is the result of the last
+ * start. */
 static int64_t follow_starts(const Target *target, const Source *source, const PairNoise *noise,
                              const Prior *prior, const Criteria *criteria, const double *starts,
-                             int64_t n, double *ends, Outcome *last) {
+                             int64_t n, double *ends, RunResult *last) {
     double L0[STATE * STATE];
     int64_t n_ends = 0;
     Chunk *scratch = aligned_alloc(64, (sizeof *scratch + 63) / 64 * 64);
@@ -186,30 +190,36 @@ static int64_t follow_starts(const Target *target, const Source *source, const P
         memcpy(last->T, starts + 16 * start, sizeof last->T);
         const Sample *sample = &source->coarse;
         for (int64_t iteration = 0; iteration < criteria->max_iterations; iteration++) {
-            Gate gate = gate_of(iteration, criteria->max_correspondence_distance);
-            int final = gate.distance <= LAST_GATE && gate.robust <= LAST_ROBUST;
+            Gate gate = choose_gate(iteration, criteria->max_correspondence_distance);
+            int final = gate.distance <= FINAL_GATE && gate.robust <= FINAL_KERNEL;
             sample = last->settled ? &source->every : final ? &source->fine : &source->coarse;
             solve(target, source, noise, prior, L0, last->T, last->nuisances, sample, gate, scratch,
                   &solution);
+
+            /* move by the step */
             displace(last->T, solution.step, last->T);
             for (int k = 0; k < prior->n_nuisances; k++)
                 last->nuisances[k] += solution.nuisance_step[k];
             last->iterations = iteration + 1;
             last->overlap = solution.equations.pairs >= MIN_PAIRS;
             if (last->settled || !last->overlap) break;
+
+            /* converged? */
             const double *d = solution.step;
             double shift = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
             double turn = sqrt(d[3] * d[3] + d[4] * d[4] + d[5] * d[5]);
             last->settled = final && shift < criteria->translation_epsilon
                          && turn < criteria->rotation_epsilon;
         }
+
+        /* keep the pose of a new basin */
         last->pairs = solution.equations.pairs;
         last->square = solution.equations.square;
         last->surfels = sample->count;
         if (last->overlap && is_new_basin(last->T, ends, n_ends, find_reach(source)))
             memcpy(ends + 16 * n_ends++, last->T, sizeof last->T);
     }
-    conclude(source, prior, L0, &solution, last);
+    write_result(source, prior, L0, &solution, last);
     free(scratch);
     return n_ends;
 }

@@ -1,26 +1,27 @@
-/* Yes-or-no grids of square cells, and the pieces of a sweep: see grids.py and target.py. */
+/* Binary grids of square cells, and connected components of a sweep: see grids.py and
+ * target_extraction.py. */
 #pragma once
 
 #include "readings.h"
 
-enum { FAR = UINT16_MAX };  /* more cells than any disc is wide */
+enum { MAX_DISTANCE = UINT16_MAX };  /* exceeds the width of any disc */
 
-/* Write how many cells away along its row the nearest of a row of n cells is. */
+/* Write the distance along the row from each of n cells to the nearest cell that is set. */
 static void find_distance(const uint8_t *row, int64_t n, uint16_t *distance) {
-    uint16_t away = FAR;
+    uint16_t away = MAX_DISTANCE;
     for (int64_t j = 0; j < n; j++) {
-        away = row[j] ? 0 : away < FAR ? away + 1 : FAR;
+        away = row[j] ? 0 : away < MAX_DISTANCE ? away + 1 : MAX_DISTANCE;
         distance[j] = away;
     }
-    away = FAR;
+    away = MAX_DISTANCE;
     for (int64_t j = n - 1; j >= 0; j--) {
-        away = row[j] ? 0 : away < FAR ? away + 1 : FAR;
+        away = row[j] ? 0 : away < MAX_DISTANCE ? away + 1 : MAX_DISTANCE;
         distance[j] = away < distance[j] ? away : distance[j];
     }
 }
 
-/* Write the cells of a grid (nx, ny) within a disc of one of them. The disc is n_rows pairs: rows away
- * to either side, and half width in cells. Returns 0, or -1 if there is no memory. */
+/* Dilate a grid (nx, ny) by a disc, given as n_rows pairs: row offset to either side, and half width in
+ * cells. Return 0, or -1 if memory runs out. */
 static int dilate(const uint8_t *grid, int64_t nx, int64_t ny, const int64_t *disc, int64_t n_rows,
                   uint8_t *out) {
     uint16_t *distance = malloc(sizeof *distance * (size_t)(ny + 1));
@@ -31,7 +32,8 @@ static int dilate(const uint8_t *grid, int64_t nx, int64_t ny, const int64_t *di
         find_distance(grid + i * ny, ny, distance);
         for (int64_t k = 0; k < n_rows; k++) {
             int64_t away = disc[2 * k];
-            uint16_t half = disc[2 * k + 1] < FAR - 1 ? (uint16_t)disc[2 * k + 1] : FAR - 1;
+            int64_t given = disc[2 * k + 1];
+            uint16_t half = given < MAX_DISTANCE - 1 ? (uint16_t)given : MAX_DISTANCE - 1;
             for (int64_t to = i - away; to <= i + away; to += away > 0 ? 2 * away : 1) {
                 if (to < 0 || to >= nx) continue;
                 for (int64_t j = 0; j < ny; j++) out[to * ny + j] |= distance[j] <= half;
@@ -42,10 +44,9 @@ static int dilate(const uint8_t *grid, int64_t nx, int64_t ny, const int64_t *di
     return 0;
 }
 
-/* Write a number for each cell of a grid (nx, ny): 0 outside of it, else one that it shares with the
- * cells it hangs together with, corners included, in the order of their first cells. Returns the highest
- * number, or -1 if there is no memory. */
-static int64_t label(const uint8_t *grid, int64_t nx, int64_t ny, int32_t *labels) {
+/* Label the 8-connected components of a grid (nx, ny): 0 outside of it, else 1, 2, ... in the order of
+ * their first cells. Return the number of components, or -1 if memory runs out. */
+static int64_t label_components(const uint8_t *grid, int64_t nx, int64_t ny, int32_t *labels) {
     int32_t *open = malloc(sizeof *open * (size_t)(nx * ny + 1)), count = 0;
     if (!open) return -1;
     memset(labels, 0, sizeof *labels * (size_t)(nx * ny));
@@ -67,13 +68,15 @@ static int64_t label(const uint8_t *grid, int64_t nx, int64_t ny, int32_t *label
     return count;
 }
 
-/* Write how many of n readings of a sweep each hangs together with, itself included: neighbours along
- * and across lines do that differ by less than `most`. Returns 0, or -1 if there is no memory. */
-static int measure_pieces(const double *ranges, int64_t n_lines, int64_t n_beams, const int64_t *lines,
-                          const int64_t *beams, int64_t n, double most, int64_t *sizes) {
+/* Write, for each of n readings of a sweep, the size of its connected component: neighbours along and
+ * across lines are connected if their ranges differ by less than `most`. Return 0, or -1 if memory runs
+ * out. */
+static int measure_components(const double *ranges, int64_t n_lines, int64_t n_beams,
+                              const int64_t *lines, const int64_t *beams, int64_t n, double most,
+                              int64_t *sizes) {
     size_t readings = (size_t)(n_lines * n_beams);
     int32_t *row = calloc(readings, sizeof *row), *piece = malloc(sizeof *piece * (size_t)(n + 1));
-    int done = row && piece ? 0 : -1;   /* row: number in the list, from 1; 0 once it was seen */
+    int done = row && piece ? 0 : -1;   /* row: position in the list, from 1; 0 once visited */
     for (int64_t k = 0; done == 0 && k < n; k++) row[lines[k] * n_beams + beams[k]] = (int32_t)(k + 1);
     for (int64_t first = 0; done == 0 && first < n; first++) {
         int64_t at = lines[first] * n_beams + beams[first], end = 0;

@@ -1,7 +1,7 @@
-/* Sums whose order does not depend on the width of the registers.
+/* Vectorised sums whose order does not depend on the register width.
  *
- * A sum over an array is made in LANES partial sums, which are added at the end. So the result is the
- * same bit by bit whether a processor adds two, four or eight numbers at once. */
+ * A sum over an array consists of LANES partial sums, which are added at the end. The result is the same
+ * to the last bit whether a processor adds two, four or eight numbers at once. */
 #pragma once
 
 #include <string.h>

@@ -1,12 +1,12 @@
-/* What the library says of itself: its sources, and which of its levels this processor can run. */
+/* The digest of the sources the library was built from, and the processor level it can run at. */
 #include <stdint.h>
 
 #define PUBLIC __attribute__((visibility("default")))
 
 PUBLIC const char engine_digest[] = DIGEST;
 
-/* Levels from 1: that every processor of the architecture has, then the x86-64 levels 3 (AVX2) and
- * 4 (AVX-512) of the System V ABI. */
+/* Return the highest processor level that can run here: 1 on every processor of the architecture, else
+ * the x86-64 levels 3 (AVX2) and 4 (AVX-512) of the System V ABI. */
 PUBLIC int64_t engine_level(void) {
 #ifdef __x86_64__
     __builtin_cpu_init();

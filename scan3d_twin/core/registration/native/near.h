@@ -1,11 +1,11 @@
-/* Which places have a point near by: see clouds.py. */
+/* Fixed-radius neighbour test on a grid of cubes: see clouds.py. */
 #pragma once
 
 #include "clouds.h"
 
-#define MOST_CELLS (1 << 20)    /* of the grid that points are sorted into */
+#define MAX_CUBES (1 << 20)     /* cubes that the points are sorted into, at most */
 
-/* Points sorted into cubes: those of cell k are order[first[k]] to order[first[k + 1] - 1]. */
+/* Points sorted into cubes: those of cube k are order[first[k]] to order[first[k + 1] - 1]. */
 typedef struct {
     double low[3], high[3], side;
     int64_t size[3];
@@ -22,7 +22,8 @@ static int64_t cube_of(const Cubes *cubes, const double *p) {
     return (i * cubes->size[1] + j) * cubes->size[2] + cube_along(cubes, 2, p[2]);
 }
 
-/* Choose cubes with sides of `side` or, for want of room, more; return how many. */
+/* Lay cubes over the points, with sides of `side` or, if that gives more than MAX_CUBES, larger ones;
+ * return their number. */
 static int64_t lay_cubes(Cubes *cubes, const double *points, int64_t n, double side) {
     for (int axis = 0; axis < 3; axis++) {
         cubes->low[axis] = INFINITY, cubes->high[axis] = -INFINITY;
@@ -36,20 +37,20 @@ static int64_t lay_cubes(Cubes *cubes, const double *points, int64_t n, double s
         double count = 1;
         for (int axis = 0; axis < 3; axis++)
             count *= floor((cubes->high[axis] - cubes->low[axis]) / cubes->side) + 1;
-        if (count > MOST_CELLS) continue;
+        if (count > MAX_CUBES) continue;
         for (int axis = 0; axis < 3; axis++)
             cubes->size[axis] = (int64_t)((cubes->high[axis] - cubes->low[axis]) / cubes->side) + 1;
         return (int64_t)count;
     }
 }
 
-/* Sort points into cubes; returns 0, or -1 if there is no memory. */
+/* Sort points into cubes; return 0, or -1 if memory runs out. */
 static int sort_into_cubes(Cubes *cubes, const double *points, int64_t n, double side) {
     int64_t count = lay_cubes(cubes, points, n, side);
     cubes->first = calloc((size_t)count + 2, sizeof *cubes->first);
     cubes->order = malloc(sizeof *cubes->order * (size_t)n);
     if (!cubes->first || !cubes->order) return -1;
-    int32_t *next = cubes->first + 1;   /* ends as the first of each, as all move on by one */
+    int32_t *next = cubes->first + 1;   /* sorting advances each entry to the start of the next cube */
     for (int64_t k = 0; k < n; k++) next[cube_of(cubes, points + 3 * k) + 1]++;
     for (int64_t k = 0; k < count; k++) next[k + 1] += next[k];
     for (int64_t k = 0; k < n; k++) cubes->order[next[cube_of(cubes, points + 3 * k)]++] = (int32_t)k;
@@ -76,8 +77,8 @@ static int is_near(const Cubes *cubes, const double *points, const double *p, do
     return 0;
 }
 
-/* Tell which of m places have one of n points closer than `within`; returns 0, or -1 if there is no
- * memory. */
+/* Mark which of m places have one of n points closer than `within`; return 0, or -1 if memory runs
+ * out. */
 static int find_near(const double *points, int64_t n, const double *places, int64_t m, double within,
                      uint8_t *near) {
     Cubes cubes = {0};

@@ -1,27 +1,27 @@
-/* The normal equations of two sweeps: point_to_plane.py describes the method.
+/* Correspondences of two sweeps and their normal equations: point_to_plane.py describes the method.
  *
- * Surfels are taken CHUNK at once, as columns of scratch memory in the fastest cache, by loops without
- * branches. */
+ * Surfels are processed CHUNK at a time, as columns in scratch memory that fits the first-level cache, by
+ * loops without branches. */
 #pragma once
 
 #include "projection.h"
 
-#define MIN_NORMAL_COSINE 0.7   /* normals that differ by more (45 deg) are of different faces */
-#define MOST_ALONG_RAY 3.0      /* a pair may lie so many gates apart along the ray; across, one */
-#define MOST_LINES 20.0         /* lines of one sweep for each of the other, for grazing views */
+#define MIN_NORMAL_COSINE 0.7   /* between the normals of a pair (45 deg): others are of two faces */
+#define MAX_GATES_ALONG_RAY 3.0 /* distance of a pair's points, in gates; along the normal it is one */
+#define MAX_LINE_RATIO 20.0     /* lines of one sweep per line of the other, at grazing incidence */
 
 enum { CHUNK = 256 };
 
 typedef struct {
     double elevation[CHUNK], yaw[CHUNK], rate[CHUNK];
-    int32_t row[CHUNK];                             /* of the target's surfel that is met, or -1 */
+    int32_t row[CHUNK];                             /* of the paired surfel of the target, or -1 */
     double target[SURFEL][CHUNK], target_yaw[CHUNK];
     double J[STATE][CHUNK];                         /* derivatives: see point_to_plane.py */
     double e[CHUNK], weight[CHUNK], normal_weight[CHUNK], line_error[CHUNK];
     double a[3][CHUNK];                             /* lever arms */
 } Chunk;
 
-/* Write the row of the target's surfel that each of `n` source points at T meets, or -1. */
+/* Pair each of `n` source points at T with the target's surfel on the reading that sees it, or -1. */
 static void associate(const Target *target, const double *restrict xs, const double *restrict ys,
                       const double *restrict zs, int64_t n, const double *T, Chunk *restrict w) {
     const Projection *p = &target->projection;
@@ -31,15 +31,19 @@ static void associate(const Target *target, const double *restrict xs, const dou
     const double t6 = T[6], t7 = T[7], t8 = T[8], t9 = T[9], t10 = T[10], t11 = T[11];
     for (int64_t k = 0; k < n; k++) {
         double x = xs[k], y = ys[k], z = zs[k];
-        Way way = way_to(t0 * x + t1 * y + t2 * z + t3, t4 * x + t5 * y + t6 * z + t7,
+        Direction way = direction_to(t0 * x + t1 * y + t2 * z + t3, t4 * x + t5 * y + t6 * z + t7,
                          t8 * x + t9 * y + t10 * z + t11, AHEAD, mount);
         w->elevation[k] = way.elevation, w->yaw[k] = way.yaw, w->rate[k] = way.rate;
     }
+
+    /* readings ahead of the axis */
     for (int64_t k = 0; k < n; k++) {
         int32_t reading = reading_at(w->elevation[k], w->yaw[k], w->rate[k], p);
         int32_t row = target->index[reading > 0 ? reading : 0];
         w->row[k] = reading >= 0 ? row : -1;
     }
+
+    /* else behind it, if any looks back */
     for (int64_t k = 0; p->backwards && k < n; k++) {
         if (w->row[k] >= 0) continue;
         double x = xs[k], y = ys[k], z = zs[k];
@@ -49,7 +53,7 @@ static void associate(const Target *target, const double *restrict xs, const dou
     }
 }
 
-/* Copy the surfels that are met to the columns, the first one where none is. */
+/* Copy the paired surfels of the target to the columns; the first surfel where there is no pair. */
 static void gather(const Target *target, int64_t n, Chunk *w) {
     for (int64_t k = n; k < whole_lanes(n); k++) w->row[k] = -1;
     for (int64_t k = 0; k < n; k += LANES) {
@@ -64,8 +68,8 @@ static void gather(const Target *target, int64_t n, Chunk *w) {
     }
 }
 
-/* Write derivatives, residuals and weights of `n` pairs; the weight of a pair that does not count is
- * 0. Adds those that do to the equations' pairs and square. */
+/* Write Jacobian, residuals and weights of `n` pairs; the weight of a pair outside the gate is 0. Add the
+ * others to the equations' pairs and square. */
 static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, const double *T,
                             const double *nuisances, Gate gate, const PairNoise *noise,
                             Chunk *restrict w, Equations *sums) {
@@ -73,7 +77,7 @@ static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, cons
     for (int m = 0; m < SURFEL; m++) source[m] = sample->columns + m * sample->room + first;
     const double area = (double)(sample->stride * sample->stride);
     const double c2 = gate.robust * gate.robust, distance = gate.distance;
-    const double farthest = MOST_ALONG_RAY * distance * MOST_ALONG_RAY * distance;
+    const double farthest = MAX_GATES_ALONG_RAY * distance * MAX_GATES_ALONG_RAY * distance;
     const double jitter = noise->jitter, target_jitter = noise->target_jitter;
     const double density = noise->density, whole = noise->share * area, tilt = noise->tilt;
     const double yaw_scale = nuisances[0];
@@ -108,13 +112,15 @@ static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, cons
         double crossing = fabs(nx * ax + ny * ay) * (qx * qx + qy * qy);
         double crossed = fabs(nx * qx + ny * qy) * (ax * ax + ay * ay);
         double lines = density * crossing / (crossed > 1e-9 ? crossed : 1e-9);
-        lines = lines < 1 / MOST_LINES ? 1 / MOST_LINES : lines > MOST_LINES ? MOST_LINES : lines;
+        lines = lines < 1 / MAX_LINE_RATIO ? 1 / MAX_LINE_RATIO
+              : lines > MAX_LINE_RATIO ? MAX_LINE_RATIO : lines;
         double line_error = sqrt(jitter * swing * swing + target_jitter * lines * turn * turn);
         double robust = c2 / (c2 + e * e / (variance + line_error * line_error));
         int counts = (w->row[k] >= 0) & (cosine > MIN_NORMAL_COSINE) & (fabs(e) < distance)
                    & (ux * ux + uy * uy + uz * uz < farthest);
         double weight = counts ? whole / variance * robust * robust : 0;
 
+        /* Jacobian */
         w->J[0][k] = nx, w->J[1][k] = ny, w->J[2][k] = nz;
         w->J[3][k] = ay * nz - az * ny, w->J[4][k] = az * nx - ax * nz, w->J[5][k] = swing;
         w->J[6][k] = g;
@@ -124,19 +130,22 @@ static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, cons
         w->a[0][k] = ax, w->a[1][k] = ay, w->a[2][k] = az;
         w->line_error[k] = swing < 0 ? -line_error : line_error;
     }
+
+    /* inliers and their residuals */
     for (int64_t k = 0; k < n; k++) {
         sums->pairs += w->weight[k] > 0;
         sums->square += w->e[k] * w->e[k];
     }
 }
 
-/* Sums over the pairs of a source line, whose yaw error is marginalised: see point_to_plane.py. */
+/* Sums over the pairs of a source line for the marginalisation of its yaw error: see point_to_plane.py. */
 typedef struct {
     int32_t line;
     double h[STATE], residual, square;
 } LineSums;
 
-static void take_line(LineSums *line, double stride, Equations *sums) {
+/* Marginalise the yaw error of a line, and begin the sums of the next. */
+static void marginalise_line(LineSums *line, double stride, Equations *sums) {
     double share = 1 / (stride + line->square);
     for (int i = 0; i < sums->size; i++) {
         sums->gradient[i] -= share * line->h[i] * line->residual;
@@ -145,12 +154,13 @@ static void take_line(LineSums *line, double stride, Equations *sums) {
     *line = (LineSums){.line = line->line};
 }
 
-static void add_lines(int64_t n, const int32_t *lines, const int *columns, double stride,
+/* Add `n` pairs, sorted by line, to the sums of their lines. */
+static void add_line_errors(int64_t n, const int32_t *lines, const int *columns, double stride,
                       const Chunk *w, LineSums *line, Equations *sums) {
     for (int64_t k = 0; k < n; k++) {
         if (w->weight[k] == 0) continue;
         if (lines[k] != line->line) {
-            take_line(line, stride, sums);
+            marginalise_line(line, stride, sums);
             line->line = lines[k];
         }
         double weighted = w->weight[k] * w->line_error[k];
@@ -160,8 +170,8 @@ static void add_lines(int64_t n, const int32_t *lines, const int *columns, doubl
     }
 }
 
-/* Add `n` pairs to the lower triangles of the sums. `size` and `pose` are constants where it is called,
- * so that the sums stay in registers. */
+/* Add `n` pairs to the lower triangles of the sums. Callers pass constants as `size` and `pose`, so that
+ * the sums stay in registers. */
 static inline __attribute__((always_inline)) void add_pairs(int64_t n, int size, int pose,
                                                             const int *columns, const Chunk *w,
                                                             Equations *sums) {
@@ -186,14 +196,14 @@ static inline __attribute__((always_inline)) void add_pairs(int64_t n, int size,
         for (int m = 0; m <= i; m++) sums->spurious[STATE * i + m] -= total(S[i][m]);
 }
 
-/* Sums of w nu, w nu a and w nu a a^T over pairs. */
+/* Sums of w nu, w nu a and w nu a a^T over the pairs, with a the lever arm. */
 typedef struct {
     double weight, first[3], second[6];
-} Swing;
+} LeverSums;
 
-/* Add `n` pairs; on a plane only what turns about z needs. */
-static inline __attribute__((always_inline)) void add_swing(int64_t n, int planar, const Chunk *w,
-                                                            Swing *swing) {
+/* Add `n` pairs; if `planar`, only what rotations about z need. */
+static inline __attribute__((always_inline)) void sum_levers(int64_t n, int planar, const Chunk *w,
+                                                            LeverSums *swing) {
     Lanes weight = {0}, first[3] = {0}, second[6] = {0};
     for (int64_t k = 0; k < n; k += LANES) {
         Lanes nu = load(w->normal_weight + k);
@@ -209,8 +219,8 @@ static inline __attribute__((always_inline)) void add_swing(int64_t n, int plana
     for (int i = 0; i < 6; i++) swing->second[i] += total(second[i]);
 }
 
-/* Add sum w nu B B^T to what noise of the normals adds: B = (I, [a]x). */
-static void add_spurious(const Swing *swing, const int *columns, int pose, Equations *sums) {
+/* Add sum w nu B B^T to the spurious information: B = (I, [a]x). */
+static void add_spurious(const LeverSums *swing, const int *columns, int pose, Equations *sums) {
     double W = swing->weight, x = swing->first[0], y = swing->first[1], z = swing->first[2];
     const double *s = swing->second;
     const double trace = s[0] + s[2] + s[5];
@@ -225,12 +235,13 @@ static void add_spurious(const Swing *swing, const int *columns, int pose, Equat
             sums->spurious[STATE * i + m] += full[columns[i]][columns[m]];
 }
 
+/* Copy the lower triangle of a matrix to the upper. */
 static void mirror(double *M, int64_t size) {
     for (int i = 0; i < size; i++)
         for (int m = 0; m < i; m++) M[STATE * m + i] = M[STATE * i + m];
 }
 
-/* Write the normal equations of a sample at T on the prior's entries and nuisances. */
+/* Write the normal equations of a sample at T for the prior's entries and nuisances. */
 static void build_equations(const Target *target, const Sample *sample, const double *T,
                             const double *nuisances, Gate gate, const PairNoise *noise,
                             const Prior *prior, Chunk *w, Equations *sums) {
@@ -239,13 +250,15 @@ static void build_equations(const Target *target, const Sample *sample, const do
     int columns[STATE], pose = (int)prior->n_entries, size = pose + (int)prior->n_nuisances;
     for (int i = 0; i < size; i++) columns[i] = i < pose ? (int)prior->entries[i] : POSE + i - pose;
     LineSums line = {.line = -1};
-    Swing swing = {0};
+    LeverSums swing = {0};
     memset(sums, 0, sizeof *sums);
     sums->size = size;
 
     for (int64_t first = 0; first < sample->count; first += CHUNK) {
         int64_t n = sample->count - first < CHUNK ? sample->count - first : CHUNK;
         const double *points = sample->columns + first;
+
+        /* correspondences, residuals and weights */
         associate(target, points, points + sample->room, points + 2 * sample->room, n, T, w);
         gather(target, n, w);
         linearise_pairs(sample, first, n, T, nuisances, gate, noise, w, sums);
@@ -253,30 +266,36 @@ static void build_equations(const Target *target, const Sample *sample, const do
             for (int i = 0; i < STATE; i++) w->J[i][k] = 0;
             w->a[0][k] = w->a[1][k] = w->a[2][k] = w->e[k] = w->weight[k] = w->normal_weight[k] = 0;
         }
-        if (jittery) add_lines(n, sample->lines + first, columns, stride, w, &line, sums);
+
+        /* sums */
+        if (jittery) add_line_errors(n, sample->lines + first, columns, stride, w, &line, sums);
         if (size == 4 && pose == 3 && columns[2] == 5) {
             add_pairs(n, 4, 3, columns, w, sums);
-            add_swing(n, 1, w, &swing);
+            sum_levers(n, 1, w, &swing);
         } else {
             add_pairs(n, size, pose, columns, w, sums);
-            add_swing(n, 0, w, &swing);
+            sum_levers(n, 0, w, &swing);
         }
     }
-    take_line(&line, stride, sums);
+
+    /* last line, noise of normals, upper triangles */
+    marginalise_line(&line, stride, sums);
     add_spurious(&swing, columns, pose, sums);
     mirror(sums->information, size);
     mirror(sums->lost, size);
     mirror(sums->spurious, pose);
 }
 
-/* Add information (6, 6) and gradient (6,) of edges at T: edges.py describes the method. */
-static void add_edges(const double *target, int64_t n_target, const double *source, int64_t n_source,
+/* Add information (6, 6) and gradient (6,) of the edges at T: edges.py describes the method. */
+static void linearise_edges(const double *target, int64_t n_target, const double *source, int64_t n_source,
                       const double *T, double distance, double robust, double *H, double *g) {
     const double c2 = robust * robust;
     for (int64_t i = 0; i < n_source; i++) {
         const double *s = source + EDGE * i, *nearest = NULL;
         double x = T[0] * s[PLACE_X] + T[1] * s[PLACE_Y], y = T[4] * s[PLACE_X] + T[5] * s[PLACE_Y];
         double best = distance * distance;
+
+        /* nearest edge of the same side and height */
         for (int64_t k = 0; k < n_target; k++) {
             const double *q = target + EDGE * k;
             double high = s[HIGH] < q[HIGH] ? s[HIGH] : q[HIGH], low = s[LOW] > q[LOW] ? s[LOW] : q[LOW];
@@ -285,6 +304,8 @@ static void add_edges(const double *target, int64_t n_target, const double *sour
             if (far < best) nearest = q, best = far;
         }
         if (!nearest) continue;
+
+        /* residual across the ray, weighted */
         double nx = nearest[ACROSS_X], ny = nearest[ACROSS_Y];
         double e = nx * (x + T[3] - nearest[PLACE_X]) + ny * (y + T[7] - nearest[PLACE_Y]);
         double variance = s[EDGE_VARIANCE] + nearest[EDGE_VARIANCE];

@@ -1,32 +1,32 @@
-/* From a point to the reading of a sweep that sees it: projection.py describes the method. */
+/* Projection of a point onto the reading of a sweep that sees it: projection.py describes the method. */
 #pragma once
 
 #include "edges.h"
 
 #define QUARTER (CELLS / 4)
-#define REACH 0.75      /* a direction belongs to the nearest line or beam within so many spacings */
+#define MAX_SPACINGS_OFF 0.75   /* largest distance of a direction from its line or beam, in spacings */
 
-enum { CELLS = 16384 }; /* of a table over a full turn: 0.016 to 0.031 deg each */
+enum { CELLS = 16384 }; /* entries of a table over a full turn: 0.016 to 0.031 deg each */
 
-/* How far round a direction (c, s) lies, in cells of the tables, 0 to CELLS. */
-static inline double way_round(double c, double s) {
+/* Return the pseudo-angle of a direction (c, s) in cells of the tables, 0 to CELLS. */
+static inline double angle_in_cells(double c, double s) {
     double shrunk = 1 / (fabs(c) + fabs(s) + 1e-9), way = s * shrunk;
     way = c < 0 ? 2 - way : s < 0 ? 4 + way : way;
     return QUARTER * way;
 }
 
-/* Cells a radian takes at the direction (c, s). */
+/* Return the cells per radian at the direction (c, s). */
 static inline double cells_per_radian(double c, double s) {
     double shrunk = 1 / (fabs(c) + fabs(s) + 1e-9);
     return QUARTER * (c * c + s * s) * shrunk * shrunk;
 }
 
-/* Under which elevation and yaw a point is seen, and the cells that a radian of yaw takes there. */
+/* Elevation and yaw at which a point is seen, in cells, and the cells per radian of yaw there. */
 typedef struct {
     double elevation, yaw, rate;
-} Way;
+} Direction;
 
-static inline Way way_to(double x, double y, double z, double branch, const double *mount) {
+static inline Direction direction_to(double x, double y, double z, double branch, const double *mount) {
     double cos_kappa = mount[0], sin_kappa = mount[1], a = mount[2], k_t = mount[3], k_z = mount[4];
     const double *t = mount + 5, *x_axis = mount + 8, *z_axis = mount + 11;
     double rho = sqrt(x * x + y * y);
@@ -39,11 +39,12 @@ static inline Way way_to(double x, double y, double z, double branch, const doub
     double ahead = forward * x_axis[0] + left * x_axis[1] + up * x_axis[2];
     double above = forward * z_axis[0] + left * z_axis[1] + up * z_axis[2];
     double yaw_c = x * c + y * s, yaw_s = y * c - x * s;
-    return (Way){way_round(ahead, above), way_round(yaw_c, yaw_s), cells_per_radian(yaw_c, yaw_s)};
+    return (Direction){angle_in_cells(ahead, above), angle_in_cells(yaw_c, yaw_s),
+                       cells_per_radian(yaw_c, yaw_s)};
 }
 
-/* Flat index of the reading that looks this way, or -1; no branches. A line takes a tenth of a second,
- * in which the base turns: the yaw of the beam itself decides on the line. */
+/* Return the flat index of the reading in this direction, or -1; without branches. The base turns by some
+ * cells during the tenth of a second of a line, so the yaw of the beam itself decides on the line. */
 static inline int32_t reading_at(double elevation, double yaw, double rate, const Projection *p) {
     int32_t cell = (int32_t)elevation & (CELLS - 1);
     int32_t line = p->lines[(int32_t)yaw & (CELLS - 1)];
@@ -58,7 +59,7 @@ static inline int32_t reading_at(double elevation, double yaw, double rate, cons
 enum { AHEAD = 1, BEHIND = -1 };
 
 static inline int32_t reading_of(double x, double y, double z, int branch, const Projection *p) {
-    Way way = way_to(x, y, z, branch, p->mount);
+    Direction way = direction_to(x, y, z, branch, p->mount);
     return reading_at(way.elevation, way.yaw, way.rate, p);
 }
 
@@ -70,7 +71,7 @@ static void write_cell_centres(double *centres) {
     }
 }
 
-/* First cell whose centre is at least `angle`. */
+/* Return the first cell whose centre is at least `angle`. */
 static int64_t cell_from(const double *centres, double angle) {
     int64_t low = 0, high = CELLS;
     while (low < high) {
@@ -81,17 +82,17 @@ static int64_t cell_from(const double *centres, double angle) {
     return low;
 }
 
-/* Write the index of the nearest of `n` angles of `spacing` for each cell, -1 beyond their reach.
- * Returns 0, or -1 without memory. */
-static int make_table(const double *angles, int64_t n, double spacing, const double *centres,
-                      int32_t *table) {
+/* Write for each cell the index of the nearest of `n` angles, typically `spacing` apart, or -1 where none
+ * is near. Return 0, or -1 if memory runs out. */
+static int tabulate_nearest(const double *angles, int64_t n, double spacing, const double *centres,
+                            int32_t *table) {
     double *around = malloc(sizeof *around * (size_t)(n + 2));
     int32_t *index = malloc(sizeof *index * (size_t)(n + 2));
     int failed = !around || !index;
     for (int64_t c = 0; c < CELLS; c++) table[c] = -1;
     if (failed || n == 0) goto done;
 
-    /* sort by the angle round the turn; they rise or fall already, but for one jump */
+    /* sort by angle: already monotonic but for one wrap */
     int falling = angles[n - 1] < angles[0];
     for (int64_t k = 0; k < n; k++) {
         int64_t own = falling ? n - 1 - k : k, at = k;
@@ -103,8 +104,8 @@ static int make_table(const double *angles, int64_t n, double spacing, const dou
     around[0] = around[n] - TAU, index[0] = index[n];
     around[n + 1] = around[1] + TAU, index[n + 1] = index[1];
 
-    /* each takes the cells up to halfway to its neighbours, and no more than its reach */
-    double reach = REACH * spacing > TAU / CELLS ? REACH * spacing : TAU / CELLS;
+    /* cells up to halfway to the neighbours, within reach */
+    double reach = MAX_SPACINGS_OFF * spacing > TAU / CELLS ? MAX_SPACINGS_OFF * spacing : TAU / CELLS;
     for (int64_t k = 0; k < n + 2; k++) {
         double low = around[k] - reach, high = around[k] + reach;
         if (k > 0) {
@@ -124,8 +125,8 @@ done:
     return failed ? -1 : 0;
 }
 
-/* Write the flat index of the reading that sees each point, or -1. Of two readings the one ahead
- * counts, unless `seen` is 0 there. */
+/* Write the flat index of the reading that sees each point, or -1. Where two readings see it, the one ahead
+ * of the axis counts, unless `seen` is 0 there. */
 static void find_readings(const Projection *p, const double *points, int64_t n, const uint8_t *seen,
                           int64_t *found) {
     for (int64_t m = 0; m < n; m++) {

@@ -1,20 +1,21 @@
-/* What is done to the readings of a sweep before anything is made of them: see mixed_pixels.py, gaps.py,
- * readings.py, costmap.py and model.py. Lines by beams, dense; NaN is no reading. */
+/* Filters of the readings of a sweep: see mixed_pixels.py, gap_filling.py, readings.py, costmap.py and
+ * fused_cloud.py. Arrays are dense, lines by beams; NaN is no reading. */
 #pragma once
 
 #include "near.h"
 
-/* Return 1 or -1 where the range steps up or down from `a` to `b`, beams `angle` apart, further than
- * any surface does, else 0. */
+/* Return 1 if the range steps up from `a` to `b`, beams `angle` apart, by more than the steepest measurable
+ * surface allows, -1 if it steps down, else 0. */
 static inline int step_between(double a, double b, double angle, double noise, double steepest) {
     double nearer = a < b ? a : b, most = nearer * angle * steepest;
     most = most > noise ? most : noise;
     return (b - a > most) - (b - a < -most);
 }
 
-/* Add to `mixed` which readings the range runs through in two such steps, along and across lines. */
-static void mark_mixed(const double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
-                       int64_t n_beams, double noise, double steepest, uint8_t *mixed) {
+/* Mark the readings with a step of the same sign on both sides, along or across lines. */
+static void mark_mixed_pixels(const double *ranges, const double *elevations, const double *yaws,
+                              int64_t n_lines, int64_t n_beams, double noise, double steepest,
+                              uint8_t *mixed) {
     for (int64_t i = 0; i < n_lines; i++)
         for (int64_t j = 1; j < n_beams - 1; j++) {
             const double *r = ranges + i * n_beams + j, *e = elevations + j;
@@ -31,8 +32,8 @@ static void mark_mixed(const double *ranges, const double *elevations, const dou
         }
 }
 
-/* Fill the gaps of a row of n readings `stride` apart, whose angles `angle_stride` apart rise times
- * `sign` along it, by straight lines. */
+/* Fill the gaps of a row of n readings by linear interpolation over the angle. Readings are `stride`
+ * doubles apart, their angles `angle_stride`; `sign` times the angle rises along the row. */
 static void fill_row(double *ranges, int64_t n, int64_t stride, const double *angles, int64_t angle_stride,
                      double sign, double max_angle, double depth_edge) {
     int64_t before = -1;
@@ -59,8 +60,8 @@ static void fill_gaps(double *ranges, const double *elevations, const double *ya
         fill_row(ranges + j, n_lines, n_beams, yaws + j, n_beams, -1, max_angle, depth_edge);
 }
 
-/* Write the points of n readings, given by ascending index, their lines, beams and distances from the
- * axis, the base turned by angles of cosine `c` and sine `s`. */
+/* Write the points of n readings, given by ascending index, with their lines, beams and distances from the
+ * yaw axis; the base is turned by angles of cosine `c` and sine `s`. */
 static void place_readings(const int64_t *index, int64_t n, int64_t n_beams, const double *ranges,
                            const double *c, const double *s, const double *rays, const double *lever,
                            double *points, int64_t *lines, int64_t *beams, double *distance) {
@@ -77,19 +78,20 @@ static void place_readings(const int64_t *index, int64_t n, int64_t n_beams, con
     }
 }
 
-enum { FLOOR = 1, SOLID = 2 };
-/* What a reading that looks ahead can be of. */
+enum { FLOOR = 1, SOLID = 2 };  /* kinds of readings ahead of the robot */
 
-/* Write how far each line sees an unbroken floor with nothing on it, from n readings line by line, at
- * `distance` in the top view. No two hits of the floor may lie farther apart than `most`, nor the first
- * farther than that beyond `start`; a thing ends it `margin` before. `scratch` has room for n. */
-static void find_free_reach(const int64_t *lines, const double *distance, const uint8_t *kinds, int64_t n,
-                            int64_t n_lines, double start, double most, double margin, double *scratch,
-                            double *reach) {
+/* Write the distance up to which each line sees a free floor, from n readings sorted by line, at `distance`
+ * in the top view. Neighbouring hits of the floor lie at most `most` apart, the first at most that far
+ * beyond `start`; an obstacle ends the free floor `margin` before it. `scratch` has room for n. */
+static void measure_free_reach(const int64_t *lines, const double *distance, const uint8_t *kinds,
+                               int64_t n, int64_t n_lines, double start, double most, double margin,
+                               double *scratch, double *reach) {
     int64_t at = 0;
     for (int64_t i = 0; i < n_lines; i++) {
         int64_t count = 0, k = 0;
         double blocked = INFINITY, last = start;
+
+        /* nearest obstacle, and hits of the floor by distance */
         for (; at < n && lines[at] == i; at++) {
             double d = distance[at];
             if (kinds[at] == SOLID) blocked = d < blocked ? d : blocked;
@@ -97,14 +99,16 @@ static void find_free_reach(const int64_t *lines, const double *distance, const 
             for (k = count++; k > 0 && scratch[k - 1] > d; k--) scratch[k] = scratch[k - 1];
             scratch[k] = d;
         }
+
+        /* unbroken floor up to the obstacle */
         for (k = 0; k < count && !(scratch[k] - last > most); k++) last = scratch[k];
         double free = k > 0 ? last : 0;
         reach[i] = blocked - margin < free ? blocked - margin : free;
     }
 }
 
-/* Write how many of the eight readings around each of n can lie on its surface: a surface from the one to
- * the other is no steeper than one that a lidar measures. */
+/* Write, for each of n readings, how many of its eight neighbours can lie on the same surface: one between
+ * the two would be no steeper than a lidar can measure. */
 static void count_neighbours(const double *ranges, const double *yaws, const double *elevations,
                              int64_t n_lines, int64_t n_beams, const int64_t *lines, const int64_t *beams,
                              int64_t n, double noise, double steepest, int64_t *counts) {

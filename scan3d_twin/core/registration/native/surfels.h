@@ -1,7 +1,7 @@
-/* Surfels of a sweep: surfels.py describes the method.
+/* Surfels of a sweep, by plane fits over windows: surfels.py describes the method.
  *
- * Of the summed-area table only the rows in use are kept. The beams of a line are taken BLOCK at once,
- * by loops without branches; a block is done when all its readings have a surfel. */
+ * Only the rows in use of the summed-area table are kept. The beams of a line are processed BLOCK at a
+ * time, by loops without branches; a block is finished when all its readings have a surfel. */
 #pragma once
 
 #include "angles.h"
@@ -9,16 +9,16 @@
 #include "lanes.h"
 #include <stdlib.h>
 
-#define FILLED 0.6            /* a window counts when this share of its readings is there */
-#define TOLERANCE 1.5         /* a plane fits while its rss is within so many sigma of noise alone */
-#define MIN_COSINE 0.05       /* flatter than this (87 deg from the normal) no plane is believed */
+#define MIN_FILLED_SHARE 0.6    /* share of a window's readings that a fit needs */
+#define MAX_RSS_SIGMAS 1.5      /* residual sum of squares of a fit, in sigma above that of noise alone */
+#define MIN_COSINE 0.05         /* of incidence: a plane seen flatter (87 deg) is not trusted */
 
 enum { MOMENTS = 11, BLOCK = 2 * LANES };
 
-/* Neighbouring beams of a line that are fitted at once, from `first` on. */
+/* Adjacent beams of a line that are fitted together, from `first` on. */
 typedef struct {
     double ray[3][BLOCK], eye[2][BLOCK], inverse_range[BLOCK], sigma[BLOCK];
-    double open[BLOCK];             /* 1 where a surfel is wanted and no plane has fitted yet */
+    double open[BLOCK];             /* 1 where a surfel is wanted but no plane has fitted yet */
     double found[SURFEL][BLOCK];    /* the surfels */
     int64_t first;
 } __attribute__((aligned(64))) Block;
@@ -44,8 +44,8 @@ static void turn_line(const double *restrict yaws, int64_t n, double *restrict t
     }
 }
 
-/* Write a line's row of the summed-area table below another; rows have `margin` + 1 columns before
- * the first beam and `margin` after the last. */
+/* Write the row of the summed-area table below `above` that adds a line; rows have `margin` + 1 columns
+ * before the first beam and `margin` after the last. */
 static void add_line(const Sweep *sweep, int64_t line, const uint8_t *valid, const double *turns,
                      int64_t margin, int64_t width, const double *restrict above,
                      double *restrict below) {
@@ -55,8 +55,12 @@ static void add_line(const Sweep *sweep, int64_t line, const uint8_t *valid, con
     int64_t n_beams = sweep->n_beams, first = 0, end = n_beams;
     while (first < end && !valid[first]) first++;
     while (end > first && !valid[end - 1]) end--;
+
+    /* unchanged before the first reading */
     for (int m = 0; m < MOMENTS; m++)
         memcpy(below + m * width, above + m * width, sizeof *below * (size_t)(margin + 1 + first));
+
+    /* add moments of each reading */
     for (int64_t j = first; j < end; j++) {
         if (valid[j]) {
             double q = 1 / ranges[j], c = turns[j], s = turns[n_beams + j];
@@ -71,13 +75,15 @@ static void add_line(const Sweep *sweep, int64_t line, const uint8_t *valid, con
         int64_t at = margin + 1 + j;
         for (int m = 0; m < MOMENTS; m++) below[m * width + at] = above[m * width + at] + sum[m];
     }
+
+    /* constant after the last */
     for (int m = 0; m < MOMENTS; m++)
         for (int64_t at = margin + 1 + end; at < width; at++)
             below[m * width + at] = above[m * width + at] + sum[m];
 }
 
-/* Read ray, place of the lidar, inverse range and noise of the first `n` beams of a block. `n` is a
- * constant where it is called for whole blocks, so that the loop needs no rest. */
+/* Read ray, position of the lidar, inverse range and noise of the first `n` beams of a block. Callers pass
+ * a constant `n` for full blocks, so that the loop has no remainder. */
 static inline __attribute__((always_inline)) void read_beams(const Sweep *sweep, int64_t line,
                                                              const double *restrict turns,
                                                              const double noise[2], int64_t n,
@@ -101,7 +107,7 @@ static inline __attribute__((always_inline)) void read_beams(const Sweep *sweep,
     if (sweep->sigmas) memcpy(w->sigma, sweep->sigmas + at, sizeof *w->sigma * (size_t)n);
 }
 
-/* Read the beams of a line from `first` on, of those that are there; return how many get a surfel. */
+/* Read the beams of a line from `first` on, as far as it goes; return how many want a surfel. */
 static int64_t read_block(const Sweep *sweep, int64_t line, const uint8_t *wanted, const double *turns,
                           const double noise[2], int64_t first, Block *w) {
     int64_t n = sweep->n_beams - first, open = 0;
@@ -116,20 +122,22 @@ static int64_t read_block(const Sweep *sweep, int64_t line, const uint8_t *wante
     return open;
 }
 
-/* A summed-area table between two lines. */
+/* Two rows of the summed-area table, and the lines between them. */
 typedef struct {
     const double *above, *below;    /* rows of the table (MOMENTS, width) */
-    int64_t margin, width;          /* columns before the first beam but one, and in all */
+    int64_t margin, width;          /* columns before the first beam less one, and in all */
     int64_t lines, n_beams;
 } Strip;
 
-/* Fit planes to windows of `half` beams to either side and take those of open readings that fit; return
+/* Fit planes to windows of `half` beams to either side and keep those that fit for open readings; return
  * how many stay open. */
 static int64_t fit_planes(const Strip *strip, int64_t half, double height, double yaw_variance,
                           Block *restrict w) {
-    const double per_line = 1 + TOLERANCE * sqrt(2.0 / (double)strip->lines);
+    const double per_line = 1 + MAX_RSS_SIGMAS * sqrt(2.0 / (double)strip->lines);
     double moments[MOMENTS][BLOCK], area[BLOCK], made[SURFEL][BLOCK], taken[BLOCK];
     const int64_t left = strip->margin + w->first - half, right = left + 2 * half + 1;
+
+    /* sums over the windows, and their size */
     for (int m = 0; m < MOMENTS; m++) {
         const double *above = strip->above + m * strip->width, *below = strip->below + m * strip->width;
         for (int64_t k = 0; k < BLOCK; k++)
@@ -167,8 +175,8 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
         double rss = qq - mx * bx - my * by - mz * bz, swing = my * x - mx * y;
         double by_yaw = readings * q * q * swing * swing * yaw_variance * per_line;
         double free = readings - 3 > 1 ? readings - 3 : 1;
-        double most = scatter * (free + TOLERANCE * sqrt(2 * free)) + by_yaw;
-        int fits = (w->open[k] > 0) & (readings >= FILLED * area[k]) & (readings > 5)
+        double most = scatter * (free + MAX_RSS_SIGMAS * sqrt(2 * free)) + by_yaw;
+        int fits = (w->open[k] > 0) & (readings >= MIN_FILLED_SHARE * area[k]) & (readings > 5)
                  & (r > 0) & (rss <= most) & (det > 1e-12 * trace * trace * trace)
                  & (along * along > MIN_COSINE * MIN_COSINE * square);
 
@@ -183,6 +191,8 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
         made[NORMAL_VARIANCE][k] = tangents * scatter / (2 * square);
         taken[k] = fits ? 1 : 0;
     }
+
+    /* keep the planes that fit */
     for (int m = 0; m < SURFEL; m++)
         for (int64_t k = 0; k < BLOCK; k++)
             w->found[m][k] = taken[k] > 0 ? made[m][k] : w->found[m][k];
@@ -194,8 +204,8 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
     return open;
 }
 
-/* Append the surfels of the readings that were wanted and are open no more, and their yaws; return how
- * many there are then. */
+/* Append the surfels of the wanted readings that are no longer open, and their yaws; return the new
+ * number of surfels. */
 static int64_t append_surfels(const Block *w, const uint8_t *wanted, const double *yaws, int64_t n_beams,
                               int64_t count, double *rows, double *of_rows, int32_t *index) {
     for (int64_t k = 0; k < BLOCK; k += LANES) {
@@ -211,8 +221,8 @@ static int64_t append_surfels(const Block *w, const uint8_t *wanted, const doubl
     return count;
 }
 
-/* The part of a sweep up to the last windows of readings to `keep`: no sum needs what lies beyond. */
-static Sweep up_to_last(const Sweep *sweep, const uint8_t *keep, int64_t tallest, int64_t widest) {
+/* Return the part of a sweep up to the last windows around readings to `keep`: no sum needs the rest. */
+static Sweep crop_to_windows(const Sweep *sweep, const uint8_t *keep, int64_t tallest, int64_t widest) {
     int64_t lines = 0, beams = 0;
     for (int64_t i = 0; i < sweep->n_lines; i++) {
         int64_t end = sweep->n_beams;
@@ -226,16 +236,19 @@ static Sweep up_to_last(const Sweep *sweep, const uint8_t *keep, int64_t tallest
     return part;
 }
 
-/* Write the surfels of the readings to `keep`; return how many there are. `index` is -1 elsewhere. */
+/* Write the surfels of the readings to `keep`; return their number, or -1 if memory runs out. `index` is
+ * written only where there is a surfel. */
 static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8_t *keep,
                            const double noise[3], Windows windows, double *rows, double *of_rows,
                            int32_t *index) {
     int64_t tallest = 0, margin = 0, count = 0, summed = 0;
+
+    /* size of the table in use */
     for (int64_t k = 0; k < windows.count; k++) {
         tallest = windows.half[k][0] > tallest ? windows.half[k][0] : tallest;
         margin = windows.half[k][1] > margin ? windows.half[k][1] : margin;
     }
-    const Sweep needed = up_to_last(sweep, keep, tallest, margin);
+    const Sweep needed = crop_to_windows(sweep, keep, tallest, margin);
     int64_t n_lines = needed.n_lines, n_beams = needed.n_beams, stride = sweep->stride;
     int64_t depth = 2 * tallest + 2, width = n_beams + 1 + 2 * margin + BLOCK, row = MOMENTS * width;
     double *sums = malloc(sizeof *sums * (size_t)(depth * row));
@@ -281,10 +294,9 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
     return count;
 }
 
-/* Write every `stride`-th surfel along lines and beams, the first half a stride from the corner, to the
- * arrays of `out`. */
-static void take_sample(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
-                        const double *of_rows, Sample *out) {
+/* Write every `stride`-th surfel along lines and beams, beginning half a stride from the corner. */
+static void sample_surfels(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
+                           const double *of_rows, Sample *out) {
     const int64_t stride = out->stride, room = out->room;
     double *restrict columns = out->columns, *restrict yaws = out->yaws;
     int32_t *restrict lines = out->lines;

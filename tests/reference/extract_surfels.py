@@ -1,4 +1,4 @@
-"""What a sweep tells of itself: its readings, their noise and the surfels behind them."""
+"""Extraction of surfels, range noise and yaw jitter from a sweep, in NumPy."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from reference.surfels import fit_surfels
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray, SmallIntArray
 
 WINDOWS = tuple(math.radians(angle) for angle in (2.1, 1.45, 0.85, 0.0))
-"""Half sizes of the windows along lines and beams [rad]; at least one reading to each side ..."""
+"""Half sizes of the windows along lines and beams [rad]; at least one reading to each side."""
 MOST_HALF = 12
-"""... and at most so many."""
+"""Largest half size of a window in readings."""
 
 
 class Swept(NamedTuple):
@@ -38,8 +38,8 @@ class Swept(NamedTuple):
     beams: Beams
 
 
-class Survey(NamedTuple):
-    """What is known of a sweep.
+class ScanSurfels(NamedTuple):
+    """The surfels of a sweep and its noise.
 
     Attributes:
         rows: Surfels (m, 8), columns as in ``surfels``, line by line.
@@ -58,15 +58,15 @@ class Survey(NamedTuple):
     line_spacing: float
 
 
-def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
-    """Return what a sweep shows.
+def extract_surfels(swept: Swept, keep: BoolArray, noise: FloatArray) -> ScanSurfels:
+    """Return the surfels and the noise of a sweep.
 
-    Only the part from the first to the last line and beam with a reading is looked at.
+    Only the part from the first to the last line and beam with a reading is used.
 
     Args:
         swept: The sweep.
         keep: Readings (n_lines, n_beams) that get a surfel; (0, 0) for all.
-        noise: As in ``Survey``, NaN where it is to be estimated (3,).
+        noise: As in ``ScanSurfels``, NaN where it is to be estimated (3,).
     """
     valid = (swept.codes == VALID) & (swept.ranges > 0) & (swept.ranges < np.inf)
     l0, l1 = extent(np.sum(valid, axis=1))
@@ -86,13 +86,13 @@ def survey(swept: Swept, keep: BoolArray, noise: FloatArray) -> Survey:
     rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
     if jittery:
         noise[2] = yaw_jitter(line_residuals(ranges, yaws, lever, rows, found))
-    if jittery and noise[2] > 0.0:  # larger windows fit, which tell it better, too
+    if jittery and noise[2] > 0.0:  # with a known jitter larger windows fit
         rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
         noise[2] = max(noise[2], yaw_jitter(line_residuals(ranges, yaws, lever, rows, found)))
     row_of = np.full(valid.shape, -1, dtype=np.int32)
     row_of[l0:l1, b0:b1] = found
     of_rows -= np.mean(middles)
-    return Survey(rows, of_rows, row_of, valid, noise, line_spacing)
+    return ScanSurfels(rows, of_rows, row_of, valid, noise, line_spacing)
 
 
 def half_sizes(line_spacing: float, beam_spacing: float) -> IntArray:

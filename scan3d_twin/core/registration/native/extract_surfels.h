@@ -1,23 +1,23 @@
-/* All that registration needs of a sweep, in one pass: see surfel_grid.py. */
+/* Extraction of surfels, range noise and yaw jitter from a sweep in one pass: see surfel_grid.py. */
 #pragma once
 
 #include "noise.h"
 
 #define DEGREES (TAU / 360)
-#define WINDOW_SIZES {2.1 * DEGREES, 1.45 * DEGREES, 0.85 * DEGREES, 0}  /* half sizes of the windows */
+#define HALF_WINDOWS {2.1 * DEGREES, 1.45 * DEGREES, 0.85 * DEGREES, 0} /* half sizes, largest first */
 
 enum {
     WINDOWS = 4,
-    MOST_HALF = 12,     /* readings in half a window at most; one at least */
-    VALID = -1,         /* code of a reading that is a distance: types.py */
+    MAX_HALF_WINDOW = 12,     /* readings in half a window; at least one */
+    VALID = -1,         /* code of a reading that is a distance, as in types.py */
 };
 
 static int64_t readings_in(double angle, double spacing) {
     double n = floor(angle / (spacing > 1e-4 ? spacing : 1e-4) + 0.5);
-    return n < 1 ? 1 : n > MOST_HALF ? MOST_HALF : (int64_t)n;
+    return n < 1 ? 1 : n > MAX_HALF_WINDOW ? MAX_HALF_WINDOW : (int64_t)n;
 }
 
-/* Typical angle between two lines, by the yaws of their middle beams. */
+/* Return the median angle between two lines, by the yaws of their middle beams. */
 static double typical_line_spacing(const Sweep *sweep, double *scratch) {
     const double *middle = sweep->yaws + sweep->n_beams / 2;
     for (int64_t i = 0; i + 1 < sweep->n_lines; i++)
@@ -25,11 +25,12 @@ static double typical_line_spacing(const Sweep *sweep, double *scratch) {
     return median(scratch, sweep->n_lines - 1);
 }
 
+/* Lines and beams of a part of a sweep. */
 typedef struct {
     int64_t first_line, end_line, first_beam, end_beam;
 } Extent;
 
-/* Mark which readings are distances; return where the first and last line and beam with one are. */
+/* Mark the readings that are distances; return their extent. */
 static Extent mark_valid(const Sweep *sweep, const int64_t *codes, uint8_t *valid) {
     Extent extent = {sweep->n_lines, 0, sweep->n_beams, 0};
     for (int64_t i = 0; i < sweep->n_lines; i++) {
@@ -50,8 +51,8 @@ static Extent mark_valid(const Sweep *sweep, const int64_t *codes, uint8_t *vali
     return extent;
 }
 
-/* The part of a sweep that `extent` names. */
-static Sweep cropped(const Sweep *sweep, Extent extent) {
+/* Return the part of a sweep within `extent`. */
+static Sweep crop_sweep(const Sweep *sweep, Extent extent) {
     int64_t offset = extent.first_line * sweep->stride + extent.first_beam;
     Sweep part = *sweep;
     part.n_lines = extent.end_line - extent.first_line;
@@ -62,9 +63,10 @@ static Sweep cropped(const Sweep *sweep, Extent extent) {
     return part;
 }
 
-/* Write what a sweep shows. Readings outside `keep` (NULL: none) get no surfel; where `noise` is NaN
- * it is estimated. Returns 0, or -1 if there is no memory. */
-static int make_survey(const Sweep *sweep, const int64_t *codes, const uint8_t *keep, Survey *out) {
+/* Write the surfels and the noise of a sweep. Readings outside `keep` get no surfel (NULL: all do); where
+ * `noise` is NaN it is estimated. Return 0, or -1 if memory runs out. */
+static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8_t *keep,
+                           ScanSurfels *out) {
     size_t readings = (size_t)(sweep->n_lines * sweep->stride);
     uint8_t *wanted = malloc(readings);
     double *sums = malloc(sizeof *sums * 2 * (size_t)sweep->n_lines);
@@ -72,17 +74,17 @@ static int make_survey(const Sweep *sweep, const int64_t *codes, const uint8_t *
     memset(out->index, 0xff, sizeof *out->index * readings);
     if (out->count < 0) goto done;
 
-    /* readings that count */
+    /* valid readings and their extent */
     Extent extent = mark_valid(sweep, codes, out->valid);
     out->line_spacing = typical_line_spacing(sweep, sums);
     if (extent.end_line == 0) {
-        out->noise[0] = isnan(out->noise[0]) ? USUAL_SIGMA : out->noise[0];
-        out->noise[1] = isnan(out->noise[1]) ? USUAL_GROWTH : out->noise[1];
+        out->noise[0] = isnan(out->noise[0]) ? DEFAULT_SIGMA : out->noise[0];
+        out->noise[1] = isnan(out->noise[1]) ? DEFAULT_GROWTH : out->noise[1];
         out->noise[2] = isnan(out->noise[2]) ? 0 : out->noise[2];
         goto done;
     }
     for (size_t at = 0; keep && at < readings; at++) wanted[at] = out->valid[at] & keep[at];
-    Sweep part = cropped(sweep, extent);
+    Sweep part = crop_sweep(sweep, extent);
     int64_t offset = part.ranges - sweep->ranges;
     const uint8_t *valid = out->valid + offset, *wanted_part = (keep ? wanted : out->valid) + offset;
     int32_t *index = out->index + offset;
@@ -92,7 +94,7 @@ static int make_survey(const Sweep *sweep, const int64_t *codes, const uint8_t *
     if (isnan(out->noise[0]))
         estimate_range_noise(part.ranges, valid, part.n_lines, part.n_beams, part.stride, out->noise);
     if (jittery) out->noise[2] = 0;
-    const double angles[WINDOWS] = WINDOW_SIZES;
+    const double angles[WINDOWS] = HALF_WINDOWS;
     int64_t half[WINDOWS][2];
     for (int k = 0; k < WINDOWS; k++) {
         half[k][0] = readings_in(angles[k], out->line_spacing);
@@ -100,7 +102,7 @@ static int make_survey(const Sweep *sweep, const int64_t *codes, const uint8_t *
     }
     Windows windows = {WINDOWS, (const int64_t (*)[2])half};
 
-    /* surfels, and jitter from them; larger windows fit then, which show it better, too */
+    /* surfels, jitter from their residuals, and both once more: with a known jitter larger windows fit */
     out->count = fit_surfels(&part, valid, wanted_part, out->noise, windows, out->rows, out->yaws, index);
     for (int round = 0; round < 2 && jittery && out->count >= 0; round++) {
         sum_line_residuals(&part, out->rows, index, sums);
@@ -112,7 +114,7 @@ static int make_survey(const Sweep *sweep, const int64_t *codes, const uint8_t *
                                  index);
     }
 
-    /* yaws from the middle of the sweep */
+    /* yaws relative to the middle of the sweep */
     double mean = 0;
     for (int64_t i = 0; i < sweep->n_lines; i++)
         mean += sweep->yaws[i * sweep->stride + sweep->n_beams / 2];

@@ -1,4 +1,4 @@
-"""Who takes the sweeps of an episode: the twin with its physics, or the robot without any."""
+"""Scan sources of an episode: the twin with its physics, or the kinematic robot without."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from scan3d_twin.core.navigation.motion_control import follow_path
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, LidarSpec, Observation, Pose2, ScanLine
-from scan3d_twin.envs.stage import Stage
+from scan3d_twin.envs.prepared_scenes import PreparedScene
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import KinematicRobot, Thinning
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.world import Solver
 
 
-class EpisodeScout(ABC):
-    """A ``ScanSource`` that remembers the floor it has seen and the way it has driven.
+class EpisodeScanSource(ABC):
+    """A ``ScanSource`` that keeps the costmap of an episode and the distance driven.
 
     Attributes:
-        driven: [m].
-        truth: For rewards and metrics alone.
+        driven: Distance driven [m].
+        truth: True poses and surface, for rewards and metrics only.
     """
 
     truth: Truth
@@ -42,16 +42,16 @@ class EpisodeScout(ABC):
     @property
     @abstractmethod
     def here(self) -> Pose2:
-        """Where the robot stands, ``T_odom_base``."""
+        """Pose of the robot, ``T_odom_base``."""
 
     @property
     @abstractmethod
     def time(self) -> float:
-        """Since the robot was opened [s]."""
+        """Time since the robot was opened [s]."""
 
     @abstractmethod
-    def _look(self) -> Observation:
-        """Look around."""
+    def _take_panorama(self) -> Observation:
+        """Take a panorama."""
 
     @abstractmethod
     def _go(self, path: FloatArray, yaw: float) -> Observation:
@@ -63,25 +63,25 @@ class EpisodeScout(ABC):
 
     def take_panorama(self, session: Session | None = None) -> Observation:
         """See ``ScanSource``."""
-        return self._noted(self._look())
+        return self._update_costmap(self._take_panorama())
 
     def observe(self, viewpoint: Pose2, session: Session) -> Observation:
         """See ``ScanSource``."""
-        path = find_path(self.floor(self.here), viewpoint)
+        path = find_path(self.costmap_from(self.here), viewpoint)
         here = self.here
         places = [np.array([here.x, here.y]), *path]
         self.driven += sum(float(np.linalg.norm(b - a)) for a, b in pairwise(places))
-        return self._noted(self._go(path, viewpoint.yaw))
+        return self._update_costmap(self._go(path, viewpoint.yaw))
 
-    def floor(self, start: Pose2) -> Costmap:
-        """Return where the robot can go from ``start`` in ``odom``."""
+    def costmap_from(self, start: Pose2) -> Costmap:
+        """Return the costmap with the robot at ``start`` in ``odom``."""
         if self._costmap is None:
-            raise ValueError("nothing was seen yet: look around first")
+            raise ValueError("there is no costmap yet: take a panorama first")
         if (start.x, start.y) != tuple(self._costmap.start):
             self._costmap = replace(self._costmap, start=np.array([start.x, start.y]))
         return self._costmap
 
-    def _noted(self, seen: Observation) -> Observation:
+    def _update_costmap(self, seen: Observation) -> Observation:
         place = seen.T_odom_scan
         if self._costmap is None:
             self._costmap = build_costmap((seen,), self.config, place)
@@ -90,12 +90,12 @@ class EpisodeScout(ABC):
         return seen
 
 
-class PhysicsScout(EpisodeScout):
-    """Drives the twin."""
+class PhysicsScanSource(EpisodeScanSource):
+    """Scans with the twin in MuJoCo."""
 
     def __init__(
         self,
-        stage: Stage,
+        prepared: PreparedScene,
         seed: int,
         config: Config,
         twin: TwinConfig,
@@ -105,59 +105,64 @@ class PhysicsScout(EpisodeScout):
     ) -> None:
         super().__init__(config)
         self._open = ExitStack()
-        opening = open_sim(stage.scene, seed, twin, solver=solver, spec=spec)
+        opening = open_sim(prepared.scene, seed, twin, solver=solver, spec=spec)
         self._robot, self.truth = self._open.enter_context(opening)
 
     @property
     def here(self) -> Pose2:
-        """See ``EpisodeScout``."""
+        """See ``EpisodeScanSource``."""
         return self._robot.base.odometry().T_odom_base
 
     @property
     def time(self) -> float:
-        """See ``EpisodeScout``."""
+        """See ``EpisodeScanSource``."""
         return self._robot.clock.now()
 
     def close(self) -> None:
-        """See ``EpisodeScout``."""
+        """See ``EpisodeScanSource``."""
         self._open.close()
 
-    def _look(self) -> Observation:
-        return take_panorama(self._robot, self.config, _unseen)
+    def _take_panorama(self) -> Observation:
+        return take_panorama(self._robot, self.config, _ignore_line)
 
     def _go(self, path: FloatArray, yaw: float) -> Observation:
         follow_path(self._robot, path, self.config.motion)
-        return sweep(self._robot, yaw, self.config, _unseen)
+        return sweep(self._robot, yaw, self.config, _ignore_line)
 
 
-def _unseen(line: ScanLine) -> None:
-    """Nobody watches the lines."""
+def _ignore_line(line: ScanLine) -> None:
+    """Ignore a line: an episode has no observer."""
 
 
-class KinematicScout(EpisodeScout):
-    """Moves the robot without physics."""
+class KinematicScanSource(EpisodeScanSource):
+    """Scans with a kinematic robot, without physics."""
 
     def __init__(
-        self, stage: Stage, seed: int, config: Config, twin: TwinConfig, thinning: Thinning
+        self,
+        prepared: PreparedScene,
+        seed: int,
+        config: Config,
+        twin: TwinConfig,
+        thinning: Thinning,
     ) -> None:
         super().__init__(config)
-        self._robot = KinematicRobot(stage.scene, stage.caster, seed, twin, config, thinning)
+        self._robot = KinematicRobot(prepared.scene, prepared.caster, seed, twin, config, thinning)
         self.truth = self._robot.truth
 
     @property
     def here(self) -> Pose2:
-        """See ``EpisodeScout``."""
+        """See ``EpisodeScanSource``."""
         return self._robot.here
 
     @property
     def time(self) -> float:
-        """See ``EpisodeScout``."""
+        """See ``EpisodeScanSource``."""
         return self._robot.world.time
 
     def close(self) -> None:
-        """See ``EpisodeScout``: it stands already."""
+        """See ``EpisodeScanSource``: the robot stands still anyway."""
 
-    def _look(self) -> Observation:
+    def _take_panorama(self) -> Observation:
         return self._robot.take_panorama()
 
     def _go(self, path: FloatArray, yaw: float) -> Observation:
