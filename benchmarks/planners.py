@@ -21,7 +21,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.digitize import drop_latest_plan, run_loop
-from scan3d_twin.core.mapping.scan_matching import kept_surfels
+from scan3d_twin.core.mapping.scan_matching import keep_surfels
 from scan3d_twin.core.model.evaluation import Truth
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import Planner, list_planners, make_planner
@@ -130,7 +130,7 @@ def fresh(session: Session) -> Session:
         observation=replace(view.observation, image=replace(view.observation.image)),
     )
     if len(session.views) > 1:
-        kept_surfels(latest, session.config)
+        keep_surfels(latest, session.config, session.workspace)
     return replace(session, views=(*session.views[:-1], latest))
 
 

@@ -253,7 +253,7 @@ def start_session(
     session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, panorama),))
 
     # Choose the first viewpoint
-    costmap = build_costmap(session.observations(), config, here)
+    costmap = build_costmap(session.observations(), config, here, workspace=session.workspace)
     segment = find_first_segment(
         contour, measure_sweep_width(config), from_left=config.tour == "front"
     )
@@ -314,7 +314,7 @@ def integrate(session: Session, observation: Observation) -> Session:
     # Register on the previous view
     view = View(observation, image, target, points, prior, None)
     if session.views:
-        view = match_to_previous(view, session.views, config)
+        view = match_to_previous(view, session.views, config, session.workspace)
     return align_on_loop_closure(session.with_view(view))
 
 

@@ -47,11 +47,11 @@ def drive(
     touched: list[Place] = []
     for tries_left in range(config.motion.bump_retries, -1, -1):
         # Find a path, by a panorama if need be
-        path = _find_path(robot, viewpoint, seen, touched, config)
+        path = _find_path(robot, viewpoint, seen, touched, session)
         if path is None and tries_left:
             observer.on_event("the way is blocked: looking around for another one")
             seen = (*seen, take_panorama(robot, config, observer.on_line))
-            path = _find_path(robot, viewpoint, seen, touched, config)
+            path = _find_path(robot, viewpoint, seen, touched, session)
         if path is None:
             break
 
@@ -80,11 +80,12 @@ def _find_path(
     viewpoint: Pose2,
     seen: tuple[Observation, ...],
     touched: list[Place],
-    config: Config,
+    session: Session,
 ) -> FloatArray | None:
     """Return the waypoints (n, 2) in ``odom`` [m], or None."""
     here = robot.base.odometry().T_odom_base
-    return build_costmap(seen, config, here, touched).find_path(viewpoint.x, viewpoint.y)
+    costmap = build_costmap(seen, session.config, here, touched, session.workspace)
+    return costmap.find_path(viewpoint.x, viewpoint.y)
 
 
 def _is_only_bumped(hazards: Hazards) -> bool:

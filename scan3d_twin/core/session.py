@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Hashable
+from dataclasses import dataclass, field, replace
+from typing import Any
+from weakref import WeakKeyDictionary
 
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
@@ -16,6 +19,27 @@ from scan3d_twin.core.types import (
     RegistrationResult,
     Scan3D,
 )
+
+
+class Workspace:
+    """The cache of one run, handed along with its session.
+
+    It saves time where the same image is asked again, and changes no result. What was computed of
+    an image is forgotten with the image; a session that is pickled takes an empty workspace along.
+    """
+
+    def __init__(self) -> None:
+        self._results: WeakKeyDictionary[RangeImage, dict[Hashable, Any]] = WeakKeyDictionary()
+
+    def results_of(self, image: RangeImage) -> dict[Hashable, Any]:
+        """Return what was computed of ``image`` so far, by a key of whoever computed it.
+
+        The results must not refer to the image, or neither is ever freed.
+        """
+        return self._results.setdefault(image, {})
+
+    def __reduce__(self) -> tuple[type[Workspace], tuple[()]]:
+        return Workspace, ()
 
 
 @dataclass(frozen=True)
@@ -66,6 +90,7 @@ class Session:
         misfits: Indices of the views that contradict most others, by the latest alignment.
         stop_reason: Why the run ended; empty while it goes on.
         version: Version of the software.
+        workspace: Results of the images that are needed again; no part of the value.
 
     >>> len(session.views), session.seed, session.config.planner
     (2, 0, 'fisher')
@@ -81,6 +106,9 @@ class Session:
     misfits: tuple[int, ...] = ()
     stop_reason: str = ""
     version: str = __version__
+    workspace: Workspace = field(
+        default_factory=Workspace, compare=False, repr=False, metadata={"stored": False}
+    )
 
     def with_view(self, view: View) -> Session:
         """Return a session with ``view`` appended."""

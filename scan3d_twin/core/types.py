@@ -205,7 +205,7 @@ class Hazards:
 
 
 @compressible("yaws", "ranges", "codes")
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RangeImage:
     """One sweep, the paper's P = {l_1 .. l_n}: ranges by line and beam, in frame ``scan``.
 
@@ -241,11 +241,6 @@ class RangeImage:
     def compress(self, *others: RangeImage) -> None:
         """Compress the large arrays of this image and ``others``, which are seldom read."""
         compress_fields(("yaws", "ranges", "codes"), self, *others)
-
-    @cached_property
-    def derived(self) -> dict[Any, Any]:
-        """What functions computed of this image, by their name and arguments: it never changes."""
-        return {}
 
     @property
     def directions(self) -> FloatArray:

@@ -67,7 +67,7 @@ class _Packer:
 
 def stored_fields(cls: type) -> tuple[Field[Any], ...]:
     """Return the fields of the dataclass ``cls`` that its constructor takes."""
-    return tuple(f for f in fields(cls) if f.init)
+    return tuple(f for f in fields(cls) if f.init and f.metadata.get("stored", True))
 
 
 def pack(value: Any) -> Packed:

@@ -13,7 +13,7 @@ from scan3d_twin.core.config import Config, PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, extract_surfels, icp, register
 from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
-from scan3d_twin.core.session import View
+from scan3d_twin.core.session import View, Workspace
 from scan3d_twin.core.types import (
     FloatArray,
     Pose2,
@@ -28,8 +28,6 @@ from scan3d_twin.core.viewpoints import is_end_in_view
 MIN_SIGMA_XY, MIN_SIGMA_YAW = 0.003, math.radians(0.2)
 """Standard deviations of a move of no length [m], [rad]: play of the wheels and the turning
 centre."""
-SURFELS = "surfels"
-"""Under which an image keeps those of the latest view."""
 PRIOR_INNOVATIONS = 6.0
 """Weight of the configured motion error in degrees of freedom: those of two moves."""
 MIN_VARIANCE_REDUCTION = 0.5
@@ -37,14 +35,20 @@ MIN_VARIANCE_REDUCTION = 0.5
 odometry's error there."""
 
 
-def match_to_previous(view: View, views: Sequence[View], config: Config) -> View:
-    """Return ``view`` registered on the last of ``views``; by odometry where that fails."""
+def match_to_previous(
+    view: View, views: Sequence[View], config: Config, workspace: Workspace | None = None
+) -> View:
+    """Return ``view`` registered on the last of ``views``; by odometry where that fails.
+
+    The surfels of ``view`` stay in the ``workspace``, for the planner and the next registration;
+    those of the previous view are forgotten, as one view's take 13 MB.
+    """
     if config.registration.engine == "grid":
-        return _match_by_grid(view, views, config)
+        return _match_by_grid(view, views, config, workspace or Workspace())
     return _match_by_icp(view, views[-1], config)
 
 
-def _match_by_grid(view: View, views: Sequence[View], config: Config) -> View:
+def _match_by_grid(view: View, views: Sequence[View], config: Config, workspace: Workspace) -> View:
     """Register by the grid engine; odometry is the prior, so that the result is never worse."""
     # Predict by odometry
     previous, scale = views[-1], estimate_odometry_scale(views, config)
@@ -54,15 +58,15 @@ def _match_by_grid(view: View, views: Sequence[View], config: Config) -> View:
     # Register on the previous view
     try:
         result = register(
-            surfels_of(previous, config),
-            kept_surfels(view, config),
+            surfels_of(previous, config, workspace),
+            keep_surfels(view, config, workspace),
             prior=prior,
             starts=config.registration.starts,
         )
     except RegistrationError:
         return replace(view, registration=_fall_back_to_odometry(prior))
     finally:
-        previous.observation.image.derived.pop(SURFELS, None)
+        workspace.results_of(previous.observation.image).pop(SurfelGrid, None)
 
     # Place the view in the world
     result = replace(result, predicted_rmse=_predict_rmse(result, view))
@@ -108,14 +112,23 @@ def _normalise_innovation(prior: PosePrior, result: RegistrationResult) -> Float
     return np.asarray(d[determined] / np.sqrt(gained[determined]))
 
 
-def surfels_of(view: View, config: Config) -> SurfelGrid:
-    """Return the surfels of a view's readings in ``registration.scope``."""
+def surfels_of(view: View, config: Config, workspace: Workspace | None = None) -> SurfelGrid:
+    """Return the surfels of a view's readings in ``registration.scope``.
+
+    Args:
+        view: The view.
+        config: Scope of the readings, and errors that they share.
+        workspace: Holds those that ``keep_surfels`` has kept; None to compute them.
+    """
+    # Recall or extract them
     image, scope = view.observation.image, _select_scope(view, config.registration.scope)
-    kept = image.derived.get(SURFELS)
+    kept = None if workspace is None else workspace.results_of(image).get(SurfelGrid)
     if kept is not None and kept[0] is scope:
         grid = SurfelGrid(image, *kept[1:])
     else:
         grid = extract_surfels(image, keep=scope)
+
+    # Add the errors that readings share
     noise = replace(
         grid.noise,
         yaw_scale_sigma=config.registration.yaw_scale_sigma,
@@ -124,16 +137,12 @@ def surfels_of(view: View, config: Config) -> SurfelGrid:
     return replace(grid, noise=noise)
 
 
-def kept_surfels(view: View, config: Config) -> SurfelGrid:
-    """Return ``surfels_of`` a view and keep them, for the planner and the next registration.
-
-    They take 13 MB: the next view's take their place, see ``_match_by_grid``.
-    """
-    grid, scope = surfels_of(view, config), _select_scope(view, config.registration.scope)
-    # Not the grid itself: it holds the image, and a circle is freed late.
-    view.observation.image.derived[SURFELS] = (
-        scope, grid.noise, grid.rows, grid.yaws, grid.index, grid.valid,
-        grid.line_spacing,
+def keep_surfels(view: View, config: Config, workspace: Workspace) -> SurfelGrid:
+    """Return ``surfels_of`` a view and keep them in the ``workspace``."""
+    grid = surfels_of(view, config, workspace)
+    workspace.results_of(view.observation.image)[SurfelGrid] = (
+        _select_scope(view, config.registration.scope),
+        grid.noise, grid.rows, grid.yaws, grid.index, grid.valid, grid.line_spacing,
     )  # fmt: skip
     return grid
 

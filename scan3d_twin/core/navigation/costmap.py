@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from scan3d_twin.core.grids import (
 )
 from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration.native import ByteArray, engine
+from scan3d_twin.core.session import Workspace
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -169,11 +171,26 @@ class Costmap:
         return disc
 
 
+class Floor(NamedTuple):
+    """What one image shows of the floor.
+
+    Attributes:
+        obstacles: Top view (n, 2) of the things on it [m].
+        reach: Distance to which each line sees it free (n_lines,) [m].
+        yaws: Headings of the middle beams (n_lines,) [rad].
+    """
+
+    obstacles: FloatArray
+    reach: FloatArray
+    yaws: FloatArray
+
+
 def build_costmap(
     observations: Sequence[Observation],
     config: Config,
     start: Pose2,
     touched: Sequence[tuple[float, float]] = (),
+    workspace: Workspace | None = None,
 ) -> Costmap:
     """Return the costmap in ``odom`` from ``observations``; newer ones override older ones.
 
@@ -182,6 +199,7 @@ def build_costmap(
         config: Ranges, heights and the robot's size.
         start: Where the robot stands in ``odom``.
         touched: Places (x, y) [m] of obstacles, beside those that the observations name.
+        workspace: Keeps what each image shows of the floor, for the next costmap.
     """
     # Cover all that was in range
     reach = config.target.max_range + RESOLUTION
@@ -192,7 +210,7 @@ def build_costmap(
 
     # Mark what was seen and touched
     for observation in observations:
-        _mark_observation(cells, origin, observation, config)
+        _mark_observation(cells, origin, observation, config, workspace)
     _mark_cells(cells, origin, np.array(touched).reshape(-1, 2), TOUCHED)
     radius = config.motion.robot_radius + config.motion.clearance
     return Costmap(origin, cells, radius, np.array([start.x, start.y]))
@@ -226,11 +244,15 @@ def extend_costmap(
 
 
 def _mark_observation(
-    cells: IntArray, origin: FloatArray, observation: Observation, config: Config
+    cells: IntArray,
+    origin: FloatArray,
+    observation: Observation,
+    config: Config,
+    workspace: Workspace | None = None,
 ) -> None:
     """Write what one observation shows into ``cells``."""
     image, pose = observation.image, observation.T_odom_scan
-    points, reach, yaws = _floor(image, config)
+    points, reach, yaws = _recall_floor(image, config, workspace)
     window = _find_window(pose, yaws, reach, origin, cells.shape)
     part = cells[window]
     part[
@@ -272,32 +294,37 @@ def _find_window(
     return slice(int(first[0]), int(end[0])), slice(int(first[1]), int(end[1]))
 
 
-def _floor(image: RangeImage, config: Config) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what an image tells of the floor.
+def _recall_floor(image: RangeImage, config: Config, workspace: Workspace | None) -> Floor:
+    """Return ``_find_floor`` of an image, from the ``workspace`` if it is there already."""
+    if workspace is None:
+        return _find_floor(image, config)
+    results, key = workspace.results_of(image), (Floor, config.target, config.motion)
+    if key not in results:
+        results[key] = _find_floor(image, config)
+    floor: Floor = results[key]
+    return floor
 
-    Kept with the image, for every later costmap asks for it again.
 
-    Returns:
-        The top view (n, 2) of its obstacles [m], its free reach (n_lines,) [m], and the headings
-        (n_lines,) of its middle beams [rad].
-    """
-    key = ("floor", config.target, config.motion)
-    if key not in image.derived:
-        top = config.motion.robot_height + HEIGHT_MARGIN
-        heights = image.heights
-        with np.errstate(invalid="ignore"):
-            low = (heights >= -config.target.floor_height) & (heights < top)
-            low &= image.ranges <= config.target.max_range
-        points, lines, beams, distance = SweepPoints.of(image, low)
-        outside = distance > config.motion.self_radius
-        solid = outside & (points[:, 2] > config.target.floor_height)
-        ahead = outside & (np.abs(image.spec.elevations) < np.pi / 2)[beams]
-        kinds = np.where(ahead, np.where(solid, SOLID, FLOOR), 0).astype(np.uint8)
-        reach = _free_reach(lines, distance, kinds, image.n_lines, config)
-        yaws = image.yaws[:, image.spec.n_beams // 2].copy()
-        image.derived[key] = (points[solid, :2], reach, yaws)
-    points, reach, yaws = image.derived[key]
-    return points, reach, yaws
+def _find_floor(image: RangeImage, config: Config) -> Floor:
+    """Return what an image shows of the floor and of the things on it."""
+    # Take the readings near the floor
+    top = config.motion.robot_height + HEIGHT_MARGIN
+    heights = image.heights
+    with np.errstate(invalid="ignore"):
+        low = (heights >= -config.target.floor_height) & (heights < top)
+        low &= image.ranges <= config.target.max_range
+    points, lines, beams, distance = SweepPoints.of(image, low)
+
+    # Separate things from floor
+    outside = distance > config.motion.self_radius
+    solid = outside & (points[:, 2] > config.target.floor_height)
+    ahead = outside & (np.abs(image.spec.elevations) < np.pi / 2)[beams]
+    kinds = np.where(ahead, np.where(solid, SOLID, FLOOR), 0).astype(np.uint8)
+
+    # Measure the free reach
+    reach = _free_reach(lines, distance, kinds, image.n_lines, config)
+    yaws = image.yaws[:, image.spec.n_beams // 2].copy()
+    return Floor(points[solid, :2], reach, yaws)
 
 
 def _free_reach(

@@ -143,7 +143,9 @@ class PlanningContext:
             return self.known_costmap
         session = self.session
         start = self.view.observation.T_odom_scan
-        return build_costmap(session.observations(), session.config, start)
+        return build_costmap(
+            session.observations(), session.config, start, workspace=session.workspace
+        )
 
     @property
     def has_panorama(self) -> bool:

@@ -78,7 +78,8 @@ class ErrorPrediction:
         view, config = context.view, context.session.config
         scale = estimate_odometry_scale(context.session.views, config)
         on_target = mask_readings(view.target, view.image)
-        return ErrorPrediction(surfels_of(view, config), on_target, config, scale)
+        grid = surfels_of(view, config, context.session.workspace)
+        return ErrorPrediction(grid, on_target, config, scale)
 
     def error(self, viewpoint: Pose2) -> float:
         """Return the predicted error [m] of the next view's target, times the calibration.

@@ -63,7 +63,8 @@ class SimulatedRegistration:
         view, config = context.view, context.session.config
         on_target = mask_readings(view.target, view.image)
         scale = estimate_odometry_scale(context.session.views, config)
-        return SimulatedRegistration(surfels_of(view, config), on_target, config, seed, scale)
+        grid = surfels_of(view, config, context.session.workspace)
+        return SimulatedRegistration(grid, on_target, config, seed, scale)
 
     def error(self, viewpoint: Pose2, draws: int) -> float:
         """Return the ``planning.quantile`` of the errors [m] of up to ``draws`` draws, rounded up.

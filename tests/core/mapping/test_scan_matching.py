@@ -13,10 +13,11 @@ from synthetic import ROOM, Box, observe
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.mapping.scan_matching import SURFELS, motion_prior, surfels_of
+from scan3d_twin.core.mapping.scan_matching import motion_prior, surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, rms
@@ -87,13 +88,14 @@ def test_the_surfels_of_the_latest_view_alone_are_kept_and_are_the_same(scope: s
     session = session_at(PILASTERS, config(scope))
     for y in (0.3, 0.5):
         session = second_view(session, PILASTERS, Pose2(0.0, y, 0.0))
-    kept = [SURFELS in view.observation.image.derived for view in session.views]
+    results = [session.workspace.results_of(view.observation.image) for view in session.views]
+    kept = [SurfelGrid in each for each in results]
     assert kept == [False, False, True]
     view = session.views[-1]
     image = replace(view.observation.image)
     anew = replace(view, observation=replace(view.observation, image=image))
-    found, made = (surfels_of(each, session.config) for each in (view, anew))
-    assert found.rows is view.observation.image.derived[SURFELS][2]
+    found, made = (surfels_of(each, session.config, session.workspace) for each in (view, anew))
+    assert found.rows is results[-1][SurfelGrid][2]
     np.testing.assert_array_equal(found.rows, made.rows)
     np.testing.assert_array_equal(found.index, made.index)
     np.testing.assert_array_equal(found.valid, made.valid)
