@@ -7,10 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.observer import Observer, Observers
-
 if TYPE_CHECKING:
+    from scan3d_twin.core.hal import Robot
+    from scan3d_twin.core.observer import Observer
     from scan3d_twin.viz.live import LiveView
 
 
@@ -28,6 +27,8 @@ class RunWatcher:
 
     def attach(self, robot: Robot, observer: Observer) -> tuple[Robot, Observer]:
         """Return ``robot`` and ``observer`` with the view among the observers."""
+        from scan3d_twin.core.observer import Observers
+
         if self.view is None:
             return robot, observer
         return self.view.attach(robot), Observers(observer, self.view)

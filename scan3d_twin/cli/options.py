@@ -94,13 +94,13 @@ class PortOptions:
     """What the robot is made of, and where it is plugged in."""
 
     robot: Annotated[str | None, env("ROBOT", "create2")] = None
-    """Name of the base (`twin devices`); create2 finds a Create 1 as well."""
+    """Base (`twin devices`); create2 also finds a Create 1."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
     """Name of the lidar (`twin devices`)."""
     port: Annotated[str | None, env("PORT", "found by its USB id")] = None
-    """Serial port of the base, such as /dev/ttyUSB0."""
+    """Serial port of the base."""
     lidar_port: Annotated[str | None, env("LIDAR_PORT", "found by its USB id")] = None
-    """Serial port of the lidar, such as /dev/ttyACM0."""
+    """Serial port of the lidar."""
 
 
 def stated_options(options: ScanOptions, sections: Options) -> Options:

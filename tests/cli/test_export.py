@@ -64,7 +64,7 @@ def test_the_mesh_was_measured_when_the_truth_was_known(finished):
         (("export", "RUN", "--to", "ply", "--voxel", "-1"), 2, "--voxel must be"),
         (("export", "nowhere", "--to", "ply"), 3, "no session in nowhere"),
         (("mesh", "nowhere"), 3, "no session in nowhere"),
-        (("mesh", "RUN", "--to", "las"), 2, "no mesh format"),
+        (("mesh", "RUN", "--to", "las"), 2, "no format of meshes"),
     ],
 )
 def test_mistakes_are_told_in_a_line(arguments, code, words, finished, twin):

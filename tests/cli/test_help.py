@@ -21,6 +21,7 @@ PAGES = [
     (), ("sim",), ("real",), ("scan",), ("bench",), ("bench", "report"), ("replay",), ("session",),
     ("session", "info"), ("session", "drop-view"), ("calibrate",), ("doctor",), ("view",),
     ("mesh",), ("export",), ("emulate",), ("options",), ("scenes",), ("planners",),
+    ("devices",),
 ]  # fmt: skip
 
 

@@ -48,7 +48,7 @@ def export(
     if not voxel >= 0:
         raise ConfigError(f"--voxel must be >= 0 mm, got {voxel:g}")
     if (per_view or voxel) and not isinstance(kind, CloudFormat):
-        raise ConfigError(f"--per-view and --voxel are for clouds; {to} is none")
+        raise ConfigError(f"--per-view and --voxel are for point clouds; {to} is none")
 
     # Write it
     if isinstance(kind, MeshFormat):
