@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     A reader that closes the output early, such as ``head``, is no error.
     """
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
     tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
@@ -112,6 +112,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error), exit_code(error))
     except KeyboardInterrupt as error:
         return _fail(str(error) or "interrupted", INTERRUPTED)
+    except RuntimeError as error:  # so does Python 3.11 wrap what interrupts the import of a class
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:
         discard(sys.stdout)
     except SystemExit as error:
@@ -129,8 +133,16 @@ def _overview() -> str:
     return "\n".join(["Usage: twin COMMAND", "", ABOUT, "", *lines, "", EXIT_CODES])
 
 
+class _Interrupt(KeyboardInterrupt):
+    """Ctrl-C, or SIGTERM.
+
+    CPython ends a process by SIGINT, whatever its exit code, where a plain ``KeyboardInterrupt``
+    once left an ``exec``, as it may while dataclasses are imported (3.11: run_eval_code_obj).
+    """
+
+
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
+    raise _Interrupt
 
 
 def _explain(error: CycloptsError) -> str:

@@ -8,6 +8,7 @@ import sys
 import jsonschema
 import pytest
 
+import scan3d_twin.cli.app as program
 from scan3d_twin.recording.load import load_session
 from scan3d_twin.run.report import report_schema
 
@@ -50,3 +51,30 @@ def test_a_signal_before_the_first_view_leaves_nothing_behind(tmp_path):
     assert process.returncode == 130
     assert rest.splitlines()[-1] == "error: interrupted"
     assert not (tmp_path / "run").exists()
+
+
+LEAVES_EXEC = """
+import os, signal, sys
+from scan3d_twin.cli import app as program
+def interrupted(*_, **__):
+    exec("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
+program.app = interrupted
+sys.exit(program.main(["sim"]))
+"""
+
+
+def test_a_signal_inside_exec_ends_with_the_exit_code_of_an_interrupt():
+    """Python 3.11 ends a process by SIGINT where a plain KeyboardInterrupt once left an exec."""
+    done = subprocess.run(
+        [sys.executable, "-c", LEAVES_EXEC], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (130, "error: interrupted\n")
+
+
+def test_an_interrupt_that_python_has_wrapped_is_one(monkeypatch, capsys):
+    def wrapped(*_, **__):
+        raise RuntimeError("Error calling __set_name__") from KeyboardInterrupt()
+
+    monkeypatch.setattr(program, "app", wrapped)
+    assert program.main(["sim"]) == 130
+    assert capsys.readouterr().err == "error: interrupted\n"
