@@ -136,7 +136,7 @@ def _overview() -> str:
 class _Interrupt(KeyboardInterrupt):
     """Ctrl-C, or SIGTERM.
 
-    CPython ends a process by SIGINT, whatever its exit code, where a plain ``KeyboardInterrupt``
+    CPython ends ``python -m`` by SIGINT, whatever its exit code, where a plain ``KeyboardInterrupt``
     once left an ``exec``, as it may while dataclasses are imported (3.11: run_eval_code_obj).
     """
 

@@ -63,11 +63,13 @@ sys.exit(program.main(["sim"]))
 """
 
 
-def test_a_signal_inside_exec_ends_with_the_exit_code_of_an_interrupt():
-    """Python 3.11 ends a process by SIGINT where a plain KeyboardInterrupt once left an exec."""
+def test_a_signal_inside_exec_ends_with_the_exit_code_of_an_interrupt(tmp_path):
+    """With -m, Python 3.11 ends by SIGINT where a plain KeyboardInterrupt once left an exec."""
+    (tmp_path / "interrupted.py").write_text(LEAVES_EXEC)
     done = subprocess.run(
-        [sys.executable, "-c", LEAVES_EXEC], capture_output=True, text=True, check=False
-    )
+        [sys.executable, "-m", "interrupted"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert (done.returncode, done.stderr) == (130, "error: interrupted\n")
 
 
