@@ -136,8 +136,8 @@ def _overview() -> str:
 class _Interrupt(KeyboardInterrupt):
     """Ctrl-C, or SIGTERM.
 
-    CPython ends ``python -m`` by SIGINT, whatever its exit code, where a plain ``KeyboardInterrupt``
-    once left an ``exec``, as it may while dataclasses are imported (3.11: run_eval_code_obj).
+    CPython ends ``python -m`` by SIGINT, whatever its exit code, if a plain ``KeyboardInterrupt``
+    has left an ``exec``, as it may while dataclasses are imported (3.11: run_eval_code_obj).
     """
 
 

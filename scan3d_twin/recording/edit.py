@@ -14,8 +14,8 @@ from scan3d_twin.core.mapping.loop_closure import Alignment, align, apply_alignm
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.load import RecordedRun, find_session_file, load_session
 from scan3d_twin.recording.mcap import ros_records
-from scan3d_twin.recording.mcap.reader import is_finished, is_sound, is_written
-from scan3d_twin.recording.mcap.reopen import back_up, find_latest_backup, reopen
+from scan3d_twin.recording.mcap.recovering_reader import is_finished, is_sound, is_written
+from scan3d_twin.recording.mcap.rewrite import back_up, find_latest_backup, reopen
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
 from scan3d_twin.recording.recorder import finish_file
 from scan3d_twin.recording.session_log import SessionLog

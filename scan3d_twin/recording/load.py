@@ -15,8 +15,13 @@ from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, ScanLine
 from scan3d_twin.recording.mcap import ros_messages as ros
-from scan3d_twin.recording.mcap.reader import RawMessage, is_finished, is_written, read_contents
-from scan3d_twin.recording.mcap.reopen import read_to_last_mark
+from scan3d_twin.recording.mcap.recovering_reader import (
+    RawMessage,
+    is_finished,
+    is_written,
+    read_contents,
+)
+from scan3d_twin.recording.mcap.rewrite import read_to_last_mark
 from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
 from scan3d_twin.recording.session_log import Mark, SessionState
 from scan3d_twin.run.settings import Settings, build_settings

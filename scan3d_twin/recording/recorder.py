@@ -18,7 +18,7 @@ from scan3d_twin.recording.load import RecordedRun
 from scan3d_twin.recording.mcap import cdr, ros_records
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
-from scan3d_twin.recording.mcap.reopen import reopen
+from scan3d_twin.recording.mcap.rewrite import reopen
 from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
 from scan3d_twin.recording.session_log import Mark, SessionLog
 from scan3d_twin.run.settings import Settings, settings_toml

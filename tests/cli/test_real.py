@@ -13,7 +13,7 @@ import pytest
 
 from scan3d_twin.devices.links.transport import SerialTransport
 from scan3d_twin.recording.load import load_session
-from scan3d_twin.recording.mcap.reader import read_contents
+from scan3d_twin.recording.mcap.recovering_reader import read_contents
 from scan3d_twin.run.report import report_schema
 
 TWIN = [sys.executable, "-m", "scan3d_twin.cli"]

@@ -12,7 +12,7 @@ from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 from scan3d_twin.recording.edit import drop_view, recover_session, remove_view, undo_last_change
-from scan3d_twin.recording.mcap.reader import is_finished
+from scan3d_twin.recording.mcap.recovering_reader import is_finished
 from scan3d_twin.recording.recorder import Recorder
 
 PLACES = (0.2, 0.0, -0.2)

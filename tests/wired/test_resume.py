@@ -12,7 +12,7 @@ from scan3d_twin.core.types import rms
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.links.line_model import Wire
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.recording.load import load_session, read_last_odometry

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import MIN_LINES, PlanningContext, stop_plan
-from scan3d_twin.core.planning.overlap_search import predict_error
+from scan3d_twin.core.planning.overlap_or_default import predict_error
 from scan3d_twin.core.planning.surface_patches import (
     Eye,
     Patches,

@@ -10,7 +10,7 @@ from scan3d_twin.devices.links.transport import Transport
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.devices.urg.codec import BAUDS
 from scan3d_twin.devices.urg.driver import UrgLidar
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.lines import link_spec
 

@@ -14,7 +14,7 @@ from scan3d_twin.devices.urg import codec as scip
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.devices.urg import replies as scip_replies
 from scan3d_twin.devices.urg.codec import Request, RequestError, ScanRequest
-from scan3d_twin.devices.urg.emulated_profile import Stream, UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import Stream, UrgProfile
 from scan3d_twin.devices.urg.replies import Scan
 
 HAS_HS = (3, 2, 0)

@@ -13,7 +13,7 @@ from scan3d_twin.core.hal import Lidar
 from scan3d_twin.core.types import ScanLine
 from scan3d_twin.devices.links.line_model import BITS_PER_BYTE
 from scan3d_twin.devices.urg.emulated_firmware import Firmware
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.model import REPLY_LATENCY
 
 MAX_REQUEST = 64

@@ -19,7 +19,7 @@ from rosbags.rosbag2.errors import WriterError
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.export.format import RecordingFormat
 from scan3d_twin.recording.mcap import ros_messages as ros
-from scan3d_twin.recording.mcap.reader import RawMessage, read_contents
+from scan3d_twin.recording.mcap.recovering_reader import RawMessage, read_contents
 
 _FOREVER = QosTime(2**31 - 1, 999_999_999)
 LATCHED = Qos(

@@ -14,7 +14,7 @@ from virtual import KnownLidar, VirtualClock
 from scan3d_twin.devices.links.line_model import Line
 from scan3d_twin.devices.links.pty import PtyPort
 from scan3d_twin.devices.links.serve import serve
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 
 SETTINGS = """

@@ -16,7 +16,7 @@ from scan3d_twin.devices.links.serve import LAG, Pace, serve
 from scan3d_twin.devices.links.tcp import TcpPort
 from scan3d_twin.devices.links.transport import SerialTransport
 from scan3d_twin.devices.urg.driver import UrgLidar
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.model import LINKS
 

@@ -16,7 +16,7 @@ from scan3d_twin.devices.create.link import HALF_DRIVE
 from scan3d_twin.devices.links.line_model import Line, Wire
 from scan3d_twin.devices.links.transport import Reopening
 from scan3d_twin.devices.registry import Devices
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.real.robot import open_over
 from scan3d_twin.sim.config import TwinConfig

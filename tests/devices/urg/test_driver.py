@@ -9,7 +9,7 @@ from scan3d_twin.devices.links.line_model import Faults, Line, Wire
 from scan3d_twin.devices.links.transport import Tapped
 from scan3d_twin.devices.urg.codec import BAUDS
 from scan3d_twin.devices.urg.driver import UrgLidar
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.model import LINKS, REVOLUTION, ScanMode
 

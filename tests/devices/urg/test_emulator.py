@@ -9,7 +9,7 @@ from virtual import KnownLidar, VirtualClock
 from scan3d_twin.devices.links.line_model import Line, Wire
 from scan3d_twin.devices.urg import replies as scip_replies
 from scan3d_twin.devices.urg.codec import ScanRequest
-from scan3d_twin.devices.urg.emulated_profile import UrgProfile
+from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.replies import Splitter
 

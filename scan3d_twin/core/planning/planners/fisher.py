@@ -15,7 +15,7 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_views import termination_plan
-from scan3d_twin.core.planning.overlap_search import plan_smallest_overlap
+from scan3d_twin.core.planning.overlap_or_default import plan_smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2

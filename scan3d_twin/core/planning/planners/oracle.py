@@ -29,7 +29,7 @@ from scan3d_twin.core.model.evaluation import (
 )
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, stop_plan
-from scan3d_twin.core.planning.overlap_search import predict_error
+from scan3d_twin.core.planning.overlap_or_default import predict_error
 from scan3d_twin.core.planning.pose_candidates import MAX_STANDOFFS, MIN_STANDOFFS
 from scan3d_twin.core.planning.set_cover import Cover, solve_chain_cover, solve_set_cover
 from scan3d_twin.core.session import Session

@@ -2,7 +2,7 @@
 
 For growing overlaps eta the next scan is simulated as a displaced, noisy copy of the part Q of the
 current scan that it would share, and registered with ICP. The smallest overlap whose registration
-error E stays within epsilon wins; if there is none, the overlap is 80 % (``overlap_search``). The
+error E stays within epsilon wins; if there is none, the overlap is 80 % (``overlap_or_default``). The
 displacement is by the module ``motion_error``, eq. (2), and E by ``error_measure``, eq. (3). With
 ``planning.virtual_scan = visible`` the planner simulates what would be seen from the candidate
 instead (``simulated_registration``).
@@ -22,7 +22,7 @@ from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_measure import measure_error
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
-from scan3d_twin.core.planning.overlap_search import list_overlaps, plan_smallest_overlap
+from scan3d_twin.core.planning.overlap_or_default import list_overlaps, plan_smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
 from scan3d_twin.core.registration.icp import find_border, register
 from scan3d_twin.core.session import Session

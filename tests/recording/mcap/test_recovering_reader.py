@@ -7,7 +7,7 @@ from same import same
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.load import find_session_file, load_session, read_lines
 from scan3d_twin.recording.mcap.file import FLUSH_PERIOD
-from scan3d_twin.recording.mcap.reader import is_finished, read_contents
+from scan3d_twin.recording.mcap.recovering_reader import is_finished, read_contents
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from mcap.records import Metadata
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
-from scan3d_twin.recording.mcap.reader import RawMessage, is_written, read_contents
+from scan3d_twin.recording.mcap.recovering_reader import RawMessage, is_written, read_contents
 from scan3d_twin.recording.names import PART, RECORDS, SESSION_FILE
 from scan3d_twin.recording.session_log import MARK
 
