@@ -2,7 +2,7 @@
 
 For growing overlaps eta the next scan is simulated as a displaced, noisy copy of the part Q of the
 current scan that it would share, and registered with ICP. The smallest overlap whose registration
-error E stays within epsilon wins; if there is none, the overlap is 80 % (``overlap_or_default``). The
+error E stays within epsilon wins; else the overlap is 80 % (``overlap_or_default``). The
 displacement is by the module ``motion_error``, eq. (2), and E by ``error_measure``, eq. (3). With
 ``planning.virtual_scan = visible`` the planner simulates what would be seen from the candidate
 instead (``simulated_registration``).
