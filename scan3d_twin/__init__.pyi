@@ -1,15 +1,10 @@
 """The public names of scan3d_twin by the module that holds each; read at run time too."""
 
-# A robot
 from .api.sessions import export_model as export_model
 from .api.sessions import load_session as load_session
 from .api.sim import run_sim as run_sim
-
-# A run
 from .core.config import Config as Config
 from .core.digitize import digitize as digitize
-
-# Errors
 from .core.errors import TwinError as TwinError
 from .core.hal import Robot as Robot
 from .core.model.evaluation import evaluate as evaluate
@@ -17,8 +12,6 @@ from .core.model.fused_cloud import Model as Model
 from .core.model.fused_cloud import build_model as build_model
 from .core.observer import Observer as Observer
 from .core.observer import Unobserved as Unobserved
-
-# Planning
 from .core.planning import (
     Planner as Planner,
 )
@@ -28,12 +21,8 @@ from .core.planning import (
 from .core.planning import (
     make_planner as make_planner,
 )
-
-# Registration
 from .core.registration import register as register
 from .core.registration.pose_prior import PosePrior as PosePrior
-
-# Its results
 from .core.session import Session as Session
 from .core.session import View as View
 from .core.types import (

@@ -64,3 +64,30 @@ def test_the_import_loads_nothing_heavy():
 def test_what_is_not_public_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = s3d.no_such_name
+
+
+def test_a_truth_of_another_run_is_refused(names):
+    refused = pytest.raises(s3d.TwinError, match="the very run that scanned it")
+    with s3d.open_sim("three_boxes", seed=0) as (_, fresh), refused:
+        s3d.evaluate(names["session"], fresh)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [({"seed": -1}, "seed must be >= 0"), ({"config": s3d.Config()}, "must be a TwinConfig")],
+)
+def test_wrong_arguments_of_the_twin_are_errors_of_ours(arguments, words):
+    with pytest.raises(s3d.TwinError, match=words), s3d.open_sim("three_boxes", **arguments):
+        pass
+
+
+def test_a_negative_voxel_is_an_error_of_ours(names, tmp_path):
+    with pytest.raises(s3d.TwinError, match="voxel must be >= 0"):
+        s3d.export_model(names["session"], tmp_path / "model.ply", voxel=-1.0)
+
+
+def test_a_session_compares_and_shows_itself(names):
+    session = names["session"]
+    assert session == session
+    assert len({session, session}) == 1
+    assert repr(session).startswith("<Session of 2 views: ")

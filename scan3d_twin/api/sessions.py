@@ -65,5 +65,7 @@ def export_model(
     kind = find_format(format)
     if not isinstance(kind, CloudFormat):
         raise ConfigError(f"{format} is no format of clouds: use twin export or twin mesh")
+    if not voxel >= 0:
+        raise ConfigError(f"voxel must be >= 0 m, got {voxel:g}")
     parts = pieces(session, per_view=per_view, voxel=voxel)
     return export_cloud(parts, kind, Path(path), per_view=per_view)

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 from cyclopts import Group, Parameter
 
 from scan3d_twin.cli.defaults import PREFIX
-from scan3d_twin.core.options import Bounds
-from scan3d_twin.run.settings import option_key
+from scan3d_twin.core.options import Bounds, option_key
 
 if TYPE_CHECKING:
     from cyclopts.help import HelpPanel

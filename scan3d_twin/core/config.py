@@ -8,12 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from keyword import iskeyword
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.core.options import check_options, number, renamed
+from scan3d_twin.core.options import (
+    check_options,
+    field_name,
+    number,
+    option_key,
+    renamed,
+    repr_options,
+)
 from scan3d_twin.core.presets import DEFAULT_PRESET, PAPER, PRESETS
 
 Tour = Literal["front", "full"]
@@ -56,6 +62,8 @@ class SweepConfig:
     retries: int = number(5, 0, 1000)
     """Number of further passes over missing lines before the run gives up."""
 
+    __repr__ = repr_options
+
     def __post_init__(self) -> None:
         check_options(self, "sweep")
         if self.width + 2 * self.margin > math.tau:
@@ -80,6 +88,8 @@ class MountConfig:
     time_offset: float = number(0.0, -1.0, 1.0)
     """Delay of the readings relative to their timestamps [s]."""
 
+    __repr__ = repr_options
+
     def __post_init__(self) -> None:
         check_options(self, "mount")
 
@@ -93,6 +103,8 @@ class GapConfig:
     depth_edge: float = number(0.04, most=10.0)
     """Difference of neighbouring ranges above which they are on different surfaces [m]; 4 sigma at
     4 m."""
+
+    __repr__ = repr_options
 
     def __post_init__(self) -> None:
         check_options(self, "gaps")
@@ -113,6 +125,8 @@ class TargetConfig:
     """Distance in the top view below which two things are one target [m]."""
     min_points: int = number(30, 1, 1_000_000)
     """Number of points below which a group is stray points."""
+
+    __repr__ = repr_options
 
     def __post_init__(self) -> None:
         check_options(self, "target")
@@ -150,6 +164,8 @@ class RegistrationConfig:
     min_fitness: float = number(0.3)
     """Smallest share of source points with a correspondence in a valid registration."""
 
+    __repr__ = repr_options
+
     def __post_init__(self) -> None:
         check_options(self, "registration")
 
@@ -167,6 +183,8 @@ class AlignmentConfig:
     min_overlap: float = number(0.15)
     """Share of the smaller view that must overlap for two views to be registered; less than
     planning.eta_min, so that no neighbours are left out."""
+
+    __repr__ = repr_options
 
     def __post_init__(self) -> None:
         check_options(self, "alignment")
@@ -236,6 +254,8 @@ class PlanningConfig:
     """Smallest area of hidden surface, foreshortened, for which a view is added [m2]; 10 by 10
     cm."""
 
+    __repr__ = repr_options
+
     def __post_init__(self) -> None:
         check_options(self, "planning")
         if not self.eta_min <= self.eta_max < 1.0:
@@ -275,6 +295,8 @@ class BaselineConfig:
     coverage: float = number(0.95)
     """`oracle`: share of the coverable surface that its views see."""
 
+    __repr__ = repr_options
+
     def __post_init__(self) -> None:
         check_options(self, "baselines")
 
@@ -307,6 +329,8 @@ class MotionConfig:
     def self_radius(self) -> float:
         """Distance from the axis below which readings are the robot itself [m]."""
         return self.robot_radius + 0.03
+
+    __repr__ = repr_options
 
     def __post_init__(self) -> None:
         check_options(self, "motion")
@@ -343,6 +367,8 @@ class Config:
     baselines: BaselineConfig = field(default_factory=BaselineConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
 
+    __repr__ = repr_options
+
     def __post_init__(self) -> None:
         check_options(self)
         if self.planning.virtual_scan == "visible" and self.registration.engine != "grid":
@@ -357,7 +383,8 @@ class Config:
 
         Args:
             name: ``best``, which is ``Config()``, or ``paper``.
-            **changes: Fields of ``Config`` that differ from the preset's.
+            **changes: Fields of ``Config`` that differ from the preset's; those of a section as a
+                mapping.
 
         Raises:
             UnknownNameError: There is no such preset; the message lists them.
@@ -367,15 +394,17 @@ class Config:
         True
         >>> s3d.Config.preset("paper", max_views=2).planner
         'siicp'
+        >>> s3d.Config.preset("best", max_views=2, planning={"epsilon": 0.005})
+        Config(max_views=2, planning=PlanningConfig(epsilon=0.005))
         """
         config = cls()
-        stated = {
-            key: replace(getattr(config, key), **_by_field(value))
-            if isinstance(value, Mapping)
-            else value
-            for key, value in preset_options(name).items()
-        }
-        return replace(config, **{**stated, **changes})
+        for stated in (preset_options(name), changes):
+            values = {
+                key: _replace_section(config, key, value) if isinstance(value, Mapping) else value
+                for key, value in stated.items()
+            }
+            config = replace(config, **values)
+        return config
 
 
 def preset_options(name: str) -> Mapping[str, Any]:
@@ -392,17 +421,24 @@ def preset_options(name: str) -> Mapping[str, Any]:
         return PAPER
     default = Config()
     return {
-        key: {k: getattr(getattr(default, key), field_name) for k, field_name in _fields(value)}
+        key: {name: getattr(getattr(default, key), field_name(name)) for name in value}
         if isinstance(value, Mapping)
         else getattr(default, key)
         for key, value in PAPER.items()
     }
 
 
-def _fields(section: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return each key of a ``section`` with its field: ``lambda_`` for ``lambda``."""
-    return [(key, f"{key}_" if iskeyword(key) else key) for key in section]
+def _replace_section(config: Config, key: str, values: Mapping[str, Any]) -> Any:
+    """Return the section ``key`` of ``config`` with other ``values``, by key or field.
 
-
-def _by_field(section: Mapping[str, Any]) -> dict[str, Any]:
-    return {field_name: section[key] for key, field_name in _fields(section)}
+    Raises:
+        ConfigError: There is no such section or option.
+    """
+    section = getattr(config, key, None)
+    if not is_dataclass(section) or isinstance(section, type):
+        raise ConfigError(f"there is no section {key} of options")
+    known = {option_key(f.name): f.name for f in fields(section)}
+    for name in values:
+        if option_key(name) not in known:
+            raise UnknownNameError(f"option of {key}", name, known)
+    return replace(section, **{known[option_key(name)]: each for name, each in values.items()})

@@ -14,7 +14,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.drive_to_viewpoint import drive
-from scan3d_twin.core.errors import ScanError
+from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.mapping.loop_closure import align_final, align_on_loop_closure
 from scan3d_twin.core.mapping.scan_matching import match_to_previous
@@ -74,7 +74,7 @@ def digitize(
         The session, with the reason why it ended.
 
     Raises:
-        ConfigError: There is no such planner, or it needs the truth.
+        ConfigError: There is no such planner, it needs the truth, or the seed is negative.
         SceneError: There is no target.
         ScanError, HazardError, LinkError: From the robot; the wheels are stopped, and the observer
             has seen all finished views.
@@ -84,6 +84,8 @@ def digitize(
     >>> len(session.views), session.stop_reason
     (1, 'max_views: 1 views taken')
     """
+    if seed < 0:
+        raise ConfigError(f"seed must be >= 0, got {seed}")
     planner = make_planner(config.planner)
     return run_loop(robot, planner, config, seed, observer or Unobserved(), target)
 

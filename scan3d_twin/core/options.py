@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
+from keyword import iskeyword
+from numbers import Integral, Real
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
@@ -46,7 +48,7 @@ def number(
     *,
     above: float = 0.0,
 ) -> T:
-    """Return a dataclass field for a number with bounds.
+    """Return a dataclass field for a number with bounds; > 0 and <= 1 if none are stated.
 
     Args:
         default: Value of the field by default.
@@ -80,6 +82,16 @@ def former_names(cls: type) -> dict[str, tuple[str, Mapping[str, str]]]:
     }
 
 
+def option_key(name: str) -> str:
+    """Return the key of the field ``name`` in files: ``lambda`` for ``lambda_``."""
+    return name.rstrip("_")
+
+
+def field_name(key: str) -> str:
+    """Return the field of an option by its ``key`` in files: ``lambda_`` for ``lambda``."""
+    return f"{key}_" if iskeyword(key) else key
+
+
 def check_options(options: Any, section: str = "") -> None:
     """Check every field of the dataclass ``options`` against its type and bounds.
 
@@ -93,7 +105,19 @@ def check_options(options: Any, section: str = "") -> None:
     """
     where = f"{section}." if section else ""
     for name, hint, bounds in _rules(type(options)):  # type: ignore[arg-type]
-        _check(where + name.rstrip("_"), getattr(options, name), hint, bounds)
+        _convert_number(options, name, hint)
+        _check(where + option_key(name), getattr(options, name), hint, bounds)
+
+
+def _convert_number(options: Any, name: str, hint: Any) -> None:
+    """Make a number of another library, such as ``numpy.int64``, one of Python's own."""
+    value = getattr(options, name)
+    if isinstance(value, bool | int | float):
+        return
+    if hint is int and isinstance(value, Integral):
+        object.__setattr__(options, name, int(value))
+    elif hint is float and isinstance(value, Real):
+        object.__setattr__(options, name, float(value))
 
 
 @cache
@@ -101,6 +125,17 @@ def _rules(cls: Any) -> tuple[tuple[str, Any, Bounds | None], ...]:
     """Return name, type and bounds of each field of ``cls``."""
     hints = get_type_hints(cls)
     return tuple((f.name, hints[f.name], f.metadata.get("bounds")) for f in fields(cls))
+
+
+def repr_options(options: Any) -> str:
+    """Return the call that builds ``options``: only the fields that are not the default."""
+    changes = []
+    for f in fields(options):
+        default = f.default if f.default_factory is MISSING else f.default_factory()
+        value = getattr(options, f.name)
+        if value != default:
+            changes.append(f"{f.name}={value!r}")
+    return f"{type(options).__name__}({', '.join(changes)})"
 
 
 def _check(name: str, value: Any, hint: Any, bounds: Bounds | None) -> None:
@@ -112,6 +147,8 @@ def _check(name: str, value: Any, hint: Any, bounds: Bounds | None) -> None:
     expected = (int, float) if hint is float else hint
     if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):
         raise ConfigError(f"{name} must be {_WORDS.get(hint, hint.__name__)}, got {value!r}")
+    if hint is float and not math.isfinite(value):
+        raise ConfigError(f"{name} must be finite, got {value:g}")
     if bounds is not None and (wanted := bounds.find_violation(value)):
         raise ConfigError(f"{name} must be {wanted}, got {value:g}")
 

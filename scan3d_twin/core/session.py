@@ -42,7 +42,7 @@ class Workspace:
         return Workspace, ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """A keyframe: one sweep with its pose in the world.
 
@@ -73,7 +73,7 @@ class View:
         self.image.compress(self.observation.image)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Session:
     """All views and plans of a run.
 
@@ -109,6 +109,9 @@ class Session:
     workspace: Workspace = field(
         default_factory=Workspace, compare=False, repr=False, metadata={"stored": False}
     )
+
+    def __repr__(self) -> str:
+        return f"<Session of {len(self.views)} views: {self.stop_reason or 'not ended'}>"
 
     def with_view(self, view: View) -> Session:
         """Return a session with ``view`` appended."""

@@ -316,7 +316,7 @@ class Observation:
 
 
 @compressible("points", "lines", "beams")
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scan3D:
     """Points of one sweep in frame ``scan``, sorted by line, left to right.
 
@@ -407,7 +407,7 @@ class _PointsOf:
         return points
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RegistrationResult:
     """The pose of a source scan in a target scan, and its uncertainty.
 

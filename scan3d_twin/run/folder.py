@@ -19,12 +19,12 @@ def claim_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()):
-            raise FileError(f"the folder {path} is not empty; name another one with --out")
+            raise FileError(f"the folder {path} is not empty; choose a new or empty one")
         probe.touch()
         probe.unlink()
     except OSError as error:
         reason = error.strerror or error
-        raise FileError(f"cannot write to {path}: {reason}; name another one with --out") from error
+        raise FileError(f"cannot write to {path}: {reason}; choose another folder") from error
     return path
 
 

@@ -19,7 +19,7 @@ import tomli_w
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, FileError, UnknownNameError
-from scan3d_twin.core.options import check_options, former_names, number
+from scan3d_twin.core.options import check_options, former_names, number, option_key
 from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.devices.registry import Devices, base_device, lidar_device
 from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
@@ -62,11 +62,6 @@ class Settings:
     run: RunConfig = field(default_factory=RunConfig)
     config: Config = field(default_factory=Config)
     twin: TwinConfig = field(default_factory=TwinConfig)
-
-
-def option_key(name: str) -> str:
-    """Return the key under which the field ``name`` is written: ``lambda`` for ``lambda_``."""
-    return name.rstrip("_")
 
 
 def merge_options(sources: Iterable[Options]) -> dict[str, Any]:
@@ -157,8 +152,8 @@ def _check_known(name: str, known: list[str], where: str = "") -> None:
     if name in known:
         return
     near = difflib.get_close_matches(name, known, n=1)
-    hint = f"; did you mean {where}{near[0]}?" if near else ""
-    raise ConfigError(f"no key {where}{name}{hint} known: {', '.join(sorted(known))}")
+    hint = f"did you mean {where}{near[0]}? " if near else ""
+    raise ConfigError(f"no key {where}{name}; {hint}known: {', '.join(sorted(known))}")
 
 
 def _build(cls: type[T], values: Any, where: str) -> T:
@@ -215,5 +210,5 @@ def parse_place(text: str, choice: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise ConfigError(f"--target must be {choice}, got {text!r}") from None
+        raise ConfigError(f"the target must be {choice}, got {text!r}") from None
     return x, y

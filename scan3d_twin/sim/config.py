@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
-from scan3d_twin.core.options import check_options, number
+from scan3d_twin.core.options import check_options, number, repr_options
 from scan3d_twin.devices.registry import (
     DEFAULT_BASE,
     DEFAULT_LIDAR,
@@ -65,6 +65,8 @@ class RobotErrorConfig:
     distance_unsigned: bool = False
     """create1: packet 19 grows in reverse too (answers.ros.org 12338)."""
 
+    __repr__ = repr_options
+
     def __post_init__(self) -> None:
         check_options(self, "errors")
         if self.friction_min > self.friction_max:
@@ -115,6 +117,8 @@ class TwinConfig:
     """How the lidar is connected: one of its links."""
     lidar: LidarModelConfig = field(default_factory=LidarModelConfig)
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
+
+    __repr__ = repr_options
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -94,6 +94,11 @@ class KinematicWorld:
         self._knots = [(0.0, start.x, start.y, start.yaw)]
 
     @property
+    def latest(self) -> float:
+        """Time of the latest pose [s]."""
+        return self.time
+
+    @property
     def time(self) -> float:
         """Time since the robot was opened [s]."""
         return self._knots[-1][0]

@@ -8,6 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.types import LidarSpec
 from scan3d_twin.devices.registry import base_device, lidar_device
@@ -64,7 +65,7 @@ def open_sim(
         spec: Lines of the lidar; None are those of ``config.lidar_link``.
 
     Raises:
-        ConfigError: There is no such scene.
+        ConfigError: There is no such scene, the seed is negative, or ``config`` is no TwinConfig.
         SceneError: The scene cannot be built.
 
     >>> with s3d.open_sim("three_boxes", seed=0) as (robot, truth):
@@ -105,6 +106,10 @@ def _open_twin(
 ) -> Iterator[tuple[World, SimBase, SimLidar, SimClock]]:
     """Open the parts of the twin; see ``open_sim``."""
     config = TwinConfig() if config is None else config
+    if not isinstance(config, TwinConfig):
+        raise ConfigError(f"config must be a TwinConfig, got a {type(config).__name__}")
+    if seed < 0:
+        raise ConfigError(f"seed must be >= 0, got {seed}")
     errors = draw_robot(scene, seed, config.errors)
     world = World(scene, build_model(scene, config.robot, errors, solver))
     clock = SimClock(world)

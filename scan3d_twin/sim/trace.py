@@ -40,6 +40,12 @@ class PoseTrace:
         """Return the positions of the scene's moving objects."""
         return self._world.scene_qpos()
 
+    @property
+    def latest(self) -> float:
+        """Time of the latest pose [s]."""
+        self.service()
+        return self._kept * self._world.timestep
+
     def base_pose(self, time: float) -> Pose2:
         """Return ``T_map_base`` at ``time`` [s], interpolated, clamped to the recorded times."""
         self.service()

@@ -22,6 +22,11 @@ MIN_FACE_HEIGHT = 0.002
 class PoseHistory(Protocol):
     """The true poses over time: ``PoseTrace`` with physics, ``KinematicWorld`` without."""
 
+    @property
+    def latest(self) -> float:
+        """Time of the latest pose [s]."""
+        ...
+
     def base_pose(self, time: float) -> Pose2:
         """Return ``T_map_base`` at ``time`` [s]."""
         ...
@@ -56,6 +61,11 @@ class Truth:
     def front(self) -> Pose2 | None:
         """Middle of the target's front, +x outwards; None when it is scanned all round."""
         return self._scene.front
+
+    @property
+    def latest(self) -> float:
+        """Time until which the poses are known, on the clock of the robot [s]."""
+        return self._world.latest
 
     def pose_at(self, stamp: float) -> Pose2:
         """Return the true ``T_map_base`` at ``stamp`` [s]."""

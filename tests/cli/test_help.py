@@ -12,7 +12,7 @@ from scan3d_twin.cli.commands.options import default_of
 from scan3d_twin.cli.commands.sim import SimOptions, resolve
 from scan3d_twin.cli.dotted import dotted_fields
 from scan3d_twin.core.config import Config, Tour
-from scan3d_twin.run.settings import option_key
+from scan3d_twin.core.options import option_key
 from scan3d_twin.sim.config import TwinConfig
 
 SCREEN = (100, 40)

@@ -1,12 +1,14 @@
 """Every option of a configuration is checked where it is built."""
 
 import math
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+import numpy as np
 import pytest
 
-from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.config import Config, MotionConfig
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import number, parse_options
 from scan3d_twin.run.settings import Settings, build_settings
 
@@ -17,11 +19,16 @@ def tables_of(value: Any) -> list[Any]:
     return [value, *(t for each in inner if is_dataclass(each) for t in tables_of(each))]
 
 
+CHECKED = (int, float, bool)
 OPTIONS = [
     (type(table), f.name, get_type_hints(type(table))[f.name])
     for table in tables_of(Settings())
     for f in fields(table)
     if type(table) is not Settings
+    and (
+        get_origin(get_type_hints(type(table))[f.name]) is Literal
+        or get_type_hints(type(table))[f.name] in CHECKED
+    )
 ]
 
 
@@ -38,7 +45,8 @@ def test_every_number_is_bounded_and_every_choice_is_one_of_its_literal(table, n
                 table(**{name: value})
         with pytest.raises(ConfigError, match=name.rstrip("_")):
             table(**{name: "many"})
-    elif hint is bool:
+    else:
+        assert hint is bool
         with pytest.raises(ConfigError, match="true or false"):
             table(**{name: "no"})
 
@@ -83,3 +91,26 @@ def test_options_are_parsed_from_words_by_their_types():
 def test_a_word_that_is_no_option_says_what_would_be(word, message):
     with pytest.raises(ConfigError, match=message):
         parse_options(Taste, [word], "taste")
+
+
+def test_numbers_of_numpy_are_numbers():
+    config = Config(max_views=np.int64(3), motion=MotionConfig(speed=np.float32(0.25)))
+    assert type(config.max_views) is int
+    assert (config.max_views, config.motion.speed) == (3, 0.25)
+    with pytest.raises(ConfigError, match="max_views must be a whole number"):
+        Config(max_views=np.bool_(True))
+
+
+def test_a_configuration_shows_only_what_differs_from_the_default():
+    assert repr(Config()) == "Config()"
+    changed = Config.preset("best", max_views=2, planning={"lambda": 0.1})
+    assert repr(changed) == "Config(max_views=2, planning=PlanningConfig(lambda_=0.1))"
+
+
+def test_a_preset_takes_sections_as_mappings_and_refuses_unknown_options():
+    config = Config.preset("paper", planning={"epsilon": 0.005})
+    assert config.planning == replace(Config.preset("paper").planning, epsilon=0.005)
+    with pytest.raises(UnknownNameError, match="epsilon"):
+        Config.preset("best", planning={"epsilom": 0.005})
+    with pytest.raises(ConfigError, match="no section plans"):
+        Config.preset("best", plans={"epsilon": 0.005})

@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.errors import ScanError
+from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.model.fused_cloud import Model, build_model, thin_by_voxel
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.neighbours import find_nearest
@@ -58,6 +58,11 @@ class Truth(Protocol):
     @property
     def front(self) -> Pose2 | None:
         """A pose on the target's front in ``map``, x along the outward normal, or None."""
+        ...
+
+    @property
+    def latest(self) -> float:
+        """Time until which the poses are known, on the clock of the robot [s]."""
         ...
 
     def pose_at(self, stamp: float) -> Pose2:
@@ -198,16 +203,23 @@ class Reference:
 
     @staticmethod
     def of(session: Session, truth: Truth) -> Reference:
-        """Return the reference for ``session``, which has views."""
+        """Return the reference for ``session``, which has views; errors as for ``evaluate``."""
+        end = float(session.views[-1].observation.image.stamps.max())
+        if truth.latest < end:
+            raise ConfigError(
+                f"this truth ends at {truth.latest:.1f} s and the session at {end:.1f} s: evaluate "
+                "a session with the truth of the very run that scanned it"
+            )
         poses = tuple(find_true_pose(view, truth) for view in session.views)
         T_map_world = poses[0] @ session.views[0].T_world_scan.inverse()
         return Reference(truth, poses, T_map_world, _sample_truth(truth))
 
 
 def evaluate(session: Session, truth: Truth) -> Evaluation:
-    """Return the measures of ``session`` against the truth.
+    """Return the measures of ``session`` against the ``truth`` of the same run.
 
     Raises:
+        ConfigError: The truth is of another run, which ended earlier.
         ScanError: No view shows anything of the target.
 
     >>> evaluation = s3d.evaluate(session, truth)

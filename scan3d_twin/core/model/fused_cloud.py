@@ -32,7 +32,7 @@ MAX_SPREAD_INCIDENCE = math.radians(85.0)
 [rad]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
     """Oriented points with standard deviations.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scan3d_twin.core.options import check_options, number
+from scan3d_twin.core.options import check_options, number, repr_options
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +85,8 @@ class LidarModelConfig:
     """Resolution of the time stamp [s]; SCIP 2.0: milliseconds. 0: exact."""
     latency: float = number(0.101, 0.08, 1.0)
     """Delay from step 0 to the arrival of a line [s]; a capture of firmware 3.1.04 over USB."""
+
+    __repr__ = repr_options
 
     def __post_init__(self) -> None:
         check_options(self, "lidar")

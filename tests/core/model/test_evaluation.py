@@ -42,6 +42,8 @@ class BoxTruth:
     front: Pose2 | None = None
     spawn: Pose2 = SPAWN
 
+    latest = math.inf
+
     def pose_at(self, stamp: float) -> Pose2:
         """Sweep k has stamps from 1000 k on; the robot turned, so add the heading of the line."""
         k, line = divmod(stamp, 1000.0)
