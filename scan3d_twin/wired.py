@@ -1,4 +1,4 @@
-"""The real drivers on the emulated devices on the twin, in one process and in virtual time."""
+"""The real drivers, connected to emulated devices on the twin; one process, virtual time."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from scan3d_twin.sim.truth import Truth
 
 
 class HazardFreeClock:
-    """The twin's clock for those who must learn of hazards from bytes."""
+    """The twin's clock for emulators: hazards reach the drivers as bytes, not as exceptions."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self.now = clock.now
 
     def sleep(self, seconds: float) -> None:
-        """See ``Clock.sleep``; raises nothing."""
+        """See ``Clock.sleep``; never raises ``HazardError``."""
         deadline = self._clock.now() + seconds
         while (left := deadline - self._clock.now()) > 1e-9:
             with suppress(HazardError):
@@ -36,10 +36,10 @@ class HazardFreeClock:
 def open_wired(
     scene: Scene | str, seed: int, config: TwinConfig | None = None
 ) -> Iterator[tuple[Robot, Truth]]:
-    """Open the twin as ``open_sim`` does, but through bytes, as the real robot is.
+    """Open the twin like ``open_sim``, but behind the real drivers and emulated devices.
 
-    Time 0 is when the twin comes to rest; the drivers then take about a second to connect, and the
-    odometry is the identity from there. One seed gives bit-identical readings.
+    Time 0 is when the twin comes to rest. The drivers then take about a second to connect, and the
+    odometry starts as the identity. The same seed gives bit-identical readings.
 
     Raises:
         ConfigError, SceneError: See ``open_sim``.
@@ -47,10 +47,13 @@ def open_wired(
     """
     config = TwinConfig() if config is None else config
     with open_sim(scene, seed, config) as (twin, truth):
+        # Emulate the devices
         clock = HazardFreeClock(twin.clock)
         base = base_device(config.robot).emulate(twin.base)
         wiring = Wiring(usb=config.lidar_link == "usb")
         lidar = lidar_device(config.lidar_model).emulate(twin.lidar, wiring)
+
+        # Connect the drivers
         links = Wire(base, clock), lambda: Wire(lidar, clock)
         with open_over(*links, clock, config.devices) as robot:
             yield robot, truth

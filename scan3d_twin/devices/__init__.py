@@ -1,1 +1,1 @@
-"""The devices, one folder per family: data sheet, codec, driver and emulator."""
+"""Devices, one folder per family: data sheet, codec, driver and emulator."""

@@ -1,9 +1,9 @@
-"""What the rest of the house knows about a device: one description for each lidar and base.
+"""Descriptions of lidars and bases: all that the rest of the package knows about a device.
 
-A family of devices is one folder with the same files in each: ``model.py`` (the numbers of the data
+Each family of devices is one folder with the same files: ``model.py`` (the numbers of the data
 sheet, with their sources), ``codec.py`` (bytes to values and back), ``driver.py``, ``emulator.py``,
 and ``device.py``, which describes the devices of the family by the classes below. ``registry``
-finds the descriptions by name, those of other packages too.
+finds the descriptions by name, including those of other packages.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ ConfigTables = Mapping[str, Mapping[str, Any]]
 
 
 class LidarDriver(Lidar, Protocol):
-    """A ``Lidar`` over a line."""
+    """A ``Lidar`` over a serial line."""
 
     @property
     def bad(self) -> int:
-        """How many lines and other blocks arrived damaged."""
+        """Number of scan lines and other blocks that arrived damaged."""
         ...
 
     def service(self, now: float) -> None:
@@ -43,11 +43,11 @@ class LidarDriver(Lidar, Protocol):
 
 
 class BaseDriver(DriveBase, Protocol):
-    """A ``DriveBase`` over a line."""
+    """A ``DriveBase`` over a serial line."""
 
     @property
     def bad(self) -> int:
-        """How many readings arrived damaged."""
+        """Number of readings that arrived damaged."""
         ...
 
     def service(self, now: float) -> None:
@@ -65,10 +65,10 @@ class BaseDriver(DriveBase, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that ``twin doctor`` looked at.
+    """One line in the report of ``twin doctor``.
 
     Attributes:
-        what: Which.
+        what: The thing that was checked.
         ok: Whether it is as it should be.
         found: What was found.
         cure: What to do about it; empty if nothing.
@@ -85,9 +85,9 @@ class Wiring:
     """How an emulated lidar is connected and powered up.
 
     Attributes:
-        usb: Whether it is on USB, where a bit rate means nothing.
-        baud: Bit rate when powered up [bit/s]; None is the device's own.
-        protocol: Protocol when powered up; None is the device's own.
+        usb: Whether it is on USB, where the bit rate has no effect.
+        baud: Bit rate after power-up [bit/s]; None is the device's default.
+        protocol: Protocol after power-up; None is the device's default.
     """
 
     usb: bool = True
@@ -97,7 +97,7 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True)
 class ErrorCodes:
-    """The codes that a lidar sends where it has no distance, by their causes."""
+    """The codes that a lidar sends in place of a distance, by cause."""
 
     no_return: int = 0
     weak_return: int = 0
@@ -110,15 +110,16 @@ class ErrorCodes:
 
 @dataclass(frozen=True, slots=True)
 class LidarSensor:
-    """What the twin must know of a lidar's receiver to make its readings from light.
+    """The receiver of a lidar, as needed to simulate its readings.
 
     Attributes:
         min_range_mm: Shortest distance that is reported [mm].
         max_range_mm: Longest distance that is reported [mm].
-        modulations: The two frequencies of a phase-shift sensor [Hz]: a beam that straddles a depth
-            edge reads where their phasors point. None is a sensor by time of flight or
-            triangulation: such a beam reads the mean of its light, and there is no cyclic error.
-        codes: What is sent where there is no distance.
+        modulations: The two modulation frequencies of a phase-shift sensor [Hz]: a beam that
+            straddles a depth edge reads the distance given by the sum of the phasors. None is a
+            sensor by time of flight or triangulation: such a beam reads the mean of its light, and
+            there is no cyclic error.
+        codes: Codes sent in place of a distance.
     """
 
     min_range_mm: int
@@ -132,22 +133,21 @@ class LidarDevice:
     """One lidar: its data sheet, its driver, its emulator.
 
     Attributes:
-        name: By which it is chosen, as on the command line.
-        summary: One line for people.
-        links: Names of the ways to connect it, the fastest first; each is a choice of
-            ``lidar_link``.
-        spec: Returns the geometry of the lines that come over the named link.
-        sensor: What the twin makes of its light.
-        open_driver: Opens the lidar for a function that opens the line and is called again after
-            the lidar was unplugged, a clock, and the name of a link; None is whatever the line
-            carries. Raises ``LinkError`` where there is no such lidar.
-        emulate: Returns a lidar's readings as a device on a line.
+        name: Name by which it is chosen, as on the command line.
+        summary: One-line description.
+        links: Names of the ways to connect it, the fastest first; the choices of ``lidar_link``.
+        spec: Returns the geometry of the scan lines received over the named link.
+        sensor: Its receiver, for the twin.
+        open_driver: Opens the lidar. Its arguments are a function that opens the line, called again
+            after the lidar was unplugged; a clock; and the name of a link, None for whatever the
+            line carries. Raises ``LinkError`` if there is no such lidar.
+        emulate: Returns an emulated device that serves the readings of a ``Lidar``.
         usb_ids: Makers by USB id, to find its port: ``15d1``, or with the product ``10c4:ea60``.
-        bauds: Bit rates that its emulator can be powered up with, its own first.
-        protocols: Protocols that its emulator can be powered up with, its own first.
-        describe: Says in one line what an open driver knows of its device.
-        options: What the configuration is for this lidar where nothing else is stated, by section:
-            how it errs (``lidar``), say.
+        bauds: Bit rates that its emulator can power up with, the default first.
+        protocols: Protocols that its emulator can power up with, the default first.
+        describe: Returns a one-line description of the device behind an open driver.
+        options: Defaults of the configuration for this lidar, by section; for example its errors
+            (``lidar``).
     """
 
     name: str
@@ -169,23 +169,24 @@ class BaseDevice:
     """One drive base: its data sheet, its driver, its emulator.
 
     Attributes:
-        name: By which it is chosen, such as ``create2``.
-        summary: One line for people.
+        name: Name by which it is chosen, such as ``create2``.
+        summary: One-line description.
         spec: The data sheet.
-        open_driver: Opens the base on a line, for a clock and a guard that stops the wheels if this
-            process cannot. Raises ``LinkError`` where there is no such base.
-        emulate: Returns a base as a device on a line.
+        open_driver: Opens the base on a line. Its other arguments are a clock and a guard that
+            stops the wheels if this process cannot. Raises ``LinkError`` if there is no such base.
+        emulate: Returns an emulated device that moves a ``DriveBase``.
         usb_ids: Makers by USB id, to find its port: ``0403``, or with the product ``10c4:ea60``.
-        halt: Stops the wheels; sent when the line was lost and is there again.
-        farewell: Stops the wheels and leaves the base at rest, whatever was sent before; a guard
-            process sends it if this process dies or hangs. Empty for a base that stops by itself.
-        describe: Says in one line what an open driver knows of its device.
-        inspect: Yields what else there is to say about an open driver's device.
+        halt: Bytes that stop the wheels; sent when a lost line is open again.
+        farewell: Bytes that stop the wheels and leave the base at rest, whatever was sent before; a
+            guard process sends them if this process dies or hangs. Empty for a base with a watchdog
+            of its own.
+        describe: Returns a one-line description of the device behind an open driver.
+        inspect: Yields further findings about the device behind an open driver.
         mjcf: The robot's body as an MJCF file with the names of ``assets/mjcf/create2.xml``; None
             is that file, with the wheels of ``spec``.
-        counts: Whether odometry is by encoder counts; else by the commands that the driver sent.
-        options: What the configuration is for this base where nothing else is stated, by section:
-            how large it is (``motion``), say.
+        counts: Whether odometry comes from encoder counts; otherwise from the drive commands.
+        options: Defaults of the configuration for this base, by section; for example its size
+            (``motion``).
     """
 
     name: str

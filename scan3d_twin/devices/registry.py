@@ -1,8 +1,8 @@
-"""The devices by name: our own, loaded when they are wanted, and those of other packages.
+"""Devices by name: built-in ones, loaded on first use, and those of other packages.
 
-Other packages add devices by the entry point groups ``scan3d_twin.lidars`` and
+Other packages add devices through the entry point groups ``scan3d_twin.lidars`` and
 ``scan3d_twin.bases``: a name, and a ``LidarDevice`` or ``BaseDevice`` (docs/extending.md).
-Importing this module costs nothing (no numpy).
+Importing this module is cheap (no numpy).
 """
 
 from __future__ import annotations
@@ -21,16 +21,19 @@ if TYPE_CHECKING:
 LIDARS, BASES = "scan3d_twin.lidars", "scan3d_twin.bases"
 """Entry point groups in which other packages offer devices."""
 DEFAULT_LIDAR, DEFAULT_BASE, DEFAULT_LINK = "urg04lx", "create2", "usb"
-"""What the robot of the paper is made of."""
+"""The devices of the paper's robot."""
 
 _OWN_LIDARS = {"urg04lx": "urg.device:URG04LX"}
 _OWN_BASES = {"create1": "create.device:CREATE1", "create2": "create.device:CREATE2"}
-"""Our own devices by name: module in ``devices``, and what in it."""
+"""Built-in devices by name: module in ``devices``, and attribute in it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """Which devices a robot is made of.
+    """The devices of a robot, by name.
+
+    Raises:
+        UnknownNameError: There is no such device or link.
 
     Attributes:
         base: Name of the base.
@@ -74,7 +77,7 @@ def lidar_device(name: str) -> LidarDevice:
 
 
 def base_device(name: str) -> BaseDevice:
-    """Return the base called ``name``; errors as ``lidar_device``."""
+    """Return the base called ``name``; raises the errors of ``lidar_device``."""
     device: BaseDevice = _load("robot", name, _OWN_BASES, BASES)
     return device
 
@@ -98,7 +101,7 @@ def _load(kind: str, name: str, own: dict[str, str], group: str) -> Any:
 
 
 def _others(own: dict[str, str], group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of other packages by name; they do not replace our own."""
+    """Return other packages' entry points by name, except those named like a built-in device."""
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=group) if point.name not in own}

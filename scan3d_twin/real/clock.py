@@ -1,4 +1,4 @@
-"""The real clock: the only place in ``real`` that asks the operating system for the time."""
+"""The real clock: the only code in ``real`` that reads the system clock."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 
 
 class RealClock:
-    """A ``Clock`` that starts at 0 when it is made; it never jumps with the date."""
+    """A monotonic ``Clock`` that starts at 0 when it is created."""
 
     def __init__(self) -> None:
         self._start = time.monotonic()
@@ -16,5 +16,5 @@ class RealClock:
         return time.monotonic() - self._start
 
     def sleep(self, seconds: float) -> None:
-        """See ``Clock.sleep``; services nothing by itself."""
+        """See ``Clock.sleep``; services no drivers."""
         time.sleep(max(0.0, seconds))

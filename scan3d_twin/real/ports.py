@@ -1,4 +1,4 @@
-"""Finding the robot's serial ports by what is plugged in."""
+"""Finding the robot's serial ports by their USB ids."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class Port:
     """A serial port on USB.
 
     Attributes:
-        path: The device, by a name that stays the same: /dev/serial/by-id where there is one.
+        path: Path of the port, under /dev/serial/by-id if possible, where names are persistent.
         usb_id: Vendor and product id, such as ``15d1:0000``.
-        product: What the device calls itself.
+        product: Product name reported by the device.
     """
 
     path: str
@@ -25,7 +25,7 @@ class Port:
     product: str
 
     def is_one_of(self, usb_ids: Mapping[str, str]) -> bool:
-        """Return whether ``usb_ids`` name the port by its vendor, or by vendor and product."""
+        """Return whether ``usb_ids`` contain the port's vendor, or its vendor and product."""
         return self.usb_id in usb_ids or self.usb_id.partition(":")[0] in usb_ids
 
     def __str__(self) -> str:
@@ -33,7 +33,7 @@ class Port:
 
 
 def usb_ports(root: Path = Path("/")) -> list[Port]:
-    """Return the serial ports on USB, by name; ``root`` is where /dev and /sys lie."""
+    """Return the serial ports on USB, sorted by name; ``root`` contains /dev and /sys."""
     names = {link.resolve(): link for link in (root / "dev/serial/by-id").glob("*")}
     ports = []
     for tty in sorted((root / "sys/class/tty").glob("tty[AU]*")):
@@ -41,8 +41,8 @@ def usb_ports(root: Path = Path("/")) -> list[Port]:
         usb = _usb_device(tty / "device")
         if usb is not None:
             path = names.get(device.resolve(), device)
-            usb_id = f"{_word(usb, 'idVendor')}:{_word(usb, 'idProduct')}"
-            ports.append(Port(str(path), usb_id, _word(usb, "product")))
+            usb_id = f"{_read_attribute(usb, 'idVendor')}:{_read_attribute(usb, 'idProduct')}"
+            ports.append(Port(str(path), usb_id, _read_attribute(usb, "product")))
     return ports
 
 
@@ -52,16 +52,16 @@ def choose_ports(
     devices: Devices | None = None,
     ports: list[Port] | None = None,
 ) -> tuple[str, str]:
-    """Return the ports of the base and the lidar; those not given are found by their USB ids.
+    """Return the ports of base and lidar; those not given are found by their USB ids.
 
     Args:
-        base: Port of the base; None is to be found.
-        lidar: Port of the lidar; None is to be found.
-        devices: What is to be found; None is the robot of the paper.
-        ports: Where to look; None are the serial ports on USB.
+        base: Port of the base; None to find it.
+        lidar: Port of the lidar; None to find it.
+        devices: Devices to look for; None is the robot of the paper.
+        ports: Ports to search; None is all serial ports on USB.
 
     Raises:
-        LinkError: There is none, or more than one that may be it.
+        LinkError: No port matches, or more than one does.
     """
     if base and lidar:
         return base, lidar
@@ -69,12 +69,12 @@ def choose_ports(
     free = usb_ports() if ports is None else ports
     free = [port for port in free if port.path not in (base, lidar)]
     return (
-        base or _only(free, base_device(devices.base).usb_ids, "base", "--port"),
-        lidar or _only(free, lidar_device(devices.lidar).usb_ids, "lidar", "--lidar-port"),
+        base or _choose_only(free, base_device(devices.base).usb_ids, "base", "--port"),
+        lidar or _choose_only(free, lidar_device(devices.lidar).usb_ids, "lidar", "--lidar-port"),
     )
 
 
-def _only(ports: list[Port], usb_ids: Mapping[str, str], what: str, option: str) -> str:
+def _choose_only(ports: list[Port], usb_ids: Mapping[str, str], what: str, option: str) -> str:
     found = [port for port in ports if port.is_one_of(usb_ids)]
     if not found:
         makers = ", ".join(usb_ids.values())
@@ -95,7 +95,7 @@ def _usb_device(device: Path) -> Path | None:
     return next((each for each in [real, *real.parents] if (each / "idVendor").is_file()), None)
 
 
-def _word(usb: Path, name: str) -> str:
+def _read_attribute(usb: Path, name: str) -> str:
     try:
         return (usb / name).read_text().strip()
     except OSError:

@@ -15,19 +15,19 @@ from scan3d_twin.devices.registry import Devices, base_device, lidar_device
 from scan3d_twin.real.clock import RealClock
 
 SLICE = 0.005
-"""The ports are looked at this often while the robot's clock sleeps [s]."""
+"""Interval at which the drivers are serviced while the robot's clock sleeps [s]."""
 
 
 class Driver(Protocol):
-    """Something that must be looked after while time passes."""
+    """A driver that must be serviced while time passes."""
 
     def service(self, now: float) -> None:
-        """Take in what has arrived by ``now`` [s]; raises what the robot must know at once."""
+        """Take in what has arrived by ``now`` [s]; may raise, for example for a hazard."""
         ...
 
 
 class ServicedClock:
-    """The robot's clock: while it sleeps, it services the drivers, without threads."""
+    """The robot's clock: sleeping services the drivers, without threads."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -54,7 +54,7 @@ class ServicedClock:
 
 
 class Taps(Protocol):
-    """Who is told of the bytes on the serial lines; an error of theirs ends the run."""
+    """Receives all bytes on the serial lines; an error raised by a tap ends the run."""
 
     def base(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
         """See ``transport.Tap``."""
@@ -73,24 +73,24 @@ def open_over(
     devices: Devices | None = None,
     guard: Guard | None = None,
 ) -> Iterator[Robot]:
-    """Open the drivers on two lines; on every way out the wheels are stopped first.
+    """Open the drivers on two lines; on every exit the wheels are stopped first.
 
     Args:
-        base_link: To the base; stays open.
+        base_link: The line to the base; stays open.
         open_lidar_link: Opens the line to the lidar; called again after it was unplugged.
-        clock: Passes the time without servicing anything.
-        devices: What is on the lines; None is the robot of the paper.
+        clock: A clock that services no drivers.
+        devices: Devices on the lines; None is the robot of the paper.
         guard: Stops the wheels if this process cannot.
 
     Raises:
-        LinkError: A device does not answer, or cannot do what is asked.
+        LinkError: A device does not answer, or cannot deliver the lines wanted.
     """
     devices = Devices() if devices is None else devices
     open_lidar = lidar_device(devices.lidar).open_driver
     open_base = base_device(devices.base).open_driver
     serviced = ServicedClock(clock)
     with ExitStack() as stack:
-        # The base comes last, so that it is the first to be closed.
+        # Open the base last, so that it is closed first.
         lidar = stack.enter_context(closing(open_lidar(open_lidar_link, serviced, devices.link)))
         serviced.attach(lidar)
         base = stack.enter_context(closing(open_base(base_link, serviced, guard)))
@@ -100,7 +100,7 @@ def open_over(
 
 
 def _forget_lines(lidar: LidarDriver) -> None:
-    """Drop the lines that came in while the base was looked for."""
+    """Drop the lines that arrived while the base was being opened."""
     with suppress(LinkTimeoutError):
         while True:
             lidar.read_line(0.0)
@@ -113,22 +113,24 @@ def open_real(
     devices: Devices | None = None,
     taps: Taps | None = None,
 ) -> Iterator[Robot]:
-    """Open the robot on two serial ports; it does not move, and is stopped on every way out.
+    """Open the robot on two serial ports; it does not move, and is stopped on every exit.
 
     Args:
-        base_port: Of the base, such as ``/dev/ttyUSB0``.
-        lidar_port: Of the lidar, such as ``/dev/ttyACM0``.
-        devices: What is on the ports; None is the robot of the paper.
-        taps: Are told of every byte that passes.
+        base_port: Port of the base, such as ``/dev/ttyUSB0``.
+        lidar_port: Port of the lidar, such as ``/dev/ttyACM0``.
+        devices: Devices on the ports; None is the robot of the paper.
+        taps: Receive every byte sent and received.
 
     Raises:
-        LinkError: A port cannot be opened, or no such device is on it; says what to do.
+        LinkError: A port cannot be opened, or the device on it does not answer; the message says
+            what to do.
 
     >>> with s3d.open_real("/dev/ttyUSB9", "/dev/ttyACM9") as robot:
     ...     session = s3d.digitize(robot)
     Traceback (most recent call last):
     scan3d_twin.core.errors.LinkError: ...
     """
+    # Clock and guard
     devices = Devices() if devices is None else devices
     base, clock = base_device(devices.base), RealClock()
     guard = PortGuard(base.farewell, clock)
@@ -142,6 +144,7 @@ def open_real(
         line = SerialTransport(lidar_port)
         return line if taps is None else Tapped(line, clock, taps.lidar)
 
+    # Open the ports, then the drivers
     with ExitStack() as stack:
         stack.callback(guard.close)
         link = stack.enter_context(

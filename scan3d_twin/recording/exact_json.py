@@ -120,9 +120,9 @@ _DECODE_ERRORS = (ValueError, TypeError, KeyError, IndexError, AttributeError)
 
 
 def is_array(hint: Any) -> bool:
-    """Tell whether a hint is that of an array.
+    """Return whether ``hint`` is that of an array.
 
-    Since NumPy 2.5 ``NDArray`` is an alias on Python 3.12 and later: what it stands for is asked.
+    Since NumPy 2.5 ``NDArray`` is a type alias on Python 3.12 and later, so its value is examined.
     """
     origin = get_origin(hint)
     return np.ndarray in (hint, origin, get_origin(getattr(origin, "__value__", None)))

@@ -149,7 +149,7 @@ class Recorder:
         self._file.write("/rosout", self._now(), ros_records.encode_log(self._now(), text))
 
     def on_line(self, line: ScanLine) -> None:
-        """See ``Observer``; told when the line was complete, for several may come at once."""
+        """See ``Observer``; stamped when the line was complete, as several may come at once."""
         self._follow()
         spec = self._attached().lidar.spec
         self._file.write(SCANS, line.stamp + spec.line_period, cdr.encode_scan(line, spec))

@@ -1,4 +1,4 @@
-"""An emulation may run for days: nothing in it grows with time."""
+"""An emulation may run for days: its memory use does not grow with time."""
 
 import gc
 import tracemalloc

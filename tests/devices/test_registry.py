@@ -1,4 +1,4 @@
-"""Devices by name: our own, other packages', and names that nobody knows."""
+"""Devices by name: built-in ones, those of other packages, and unknown names."""
 
 from importlib.metadata import EntryPoint, EntryPoints
 
@@ -17,7 +17,7 @@ from scan3d_twin.devices.registry import (
 
 @pytest.fixture
 def others(monkeypatch):
-    """Another package with a lidar under a name of ours, and a base that cannot be loaded."""
+    """Another package with a lidar named like a built-in one, and a base that cannot be loaded."""
     points = EntryPoints(
         [
             EntryPoint("urg04lx", "builtins:object", registry.LIDARS),

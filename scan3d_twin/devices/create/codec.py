@@ -1,8 +1,8 @@
 """The iRobot Open Interface in both directions, as bytes: commands and sensor streams.
 
 Sources: iRobot Create Open Interface (2007; "Create 1" below, page numbers are its own) and iRobot
-Create 2 Open Interface based on the Roomba 600 (2016; "Create 2"). Nothing here does I/O: parsers
-take bytes cut anywhere and give back what is complete.
+Create 2 Open Interface based on the Roomba 600 (2016; "Create 2"). Nothing here does I/O: the
+parsers accept bytes in pieces of any size and return what is complete.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from enum import IntEnum
 from scan3d_twin.devices.create.packets import decode_packets, encode_packets, size_of
 
 BAUD_CODES = (300, 600, 1200, 2400, 4800, 9600, 14400, 19200, 28800, 38400, 57600, 115200)
-"""Speeds by the code of command 129 [bit/s]; page 8."""
+"""Baud rates, indexed by the code of command 129 [bit/s]; page 8."""
 PERIOD = 0.015
-"""Time between two sensor updates and two stream frames [s]; page 14."""
+"""Time between two sensor updates, and between two stream frames [s]; page 14."""
 MAX_WHEEL_SPEED_MM = 500
 """Largest wheel speed [mm/s]; page 10."""
 STRAIGHT = (0x7FFF, -0x8000)
-"""Radii of command 137 that mean straight ahead; page 9."""
+"""Radii of command 137 that stand for a straight line; page 9."""
 HEADER = 19
 """First byte of a stream frame; page 14."""
 MAX_SCRIPT = 100
@@ -88,7 +88,7 @@ _CREATE2 = {
     Op.SET_DAY_TIME: 3, Op.STOP: 0,
 }  # fmt: skip
 _VARIABLE = {Op.SONG: 2, Op.STREAM: 1, Op.QUERY_LIST: 1, Op.SCRIPT: 1}
-"""Bytes that follow per unit of the last fixed data byte, which is a count."""
+"""Commands of variable length: bytes per item; the last fixed data byte is the number of items."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,14 +96,14 @@ class Model:
     """One generation of the base.
 
     Attributes:
-        name: Such as ``create2``.
-        baud: Speed after power-on [bit/s].
-        packets: Ids of the packets and groups it knows.
-        opcodes: Fixed data bytes by opcode.
+        name: For example ``create2``.
+        baud: Baud rate after power-on [bit/s].
+        packets: Ids of the supported packets and packet groups.
+        opcodes: Number of fixed data bytes, by opcode.
         wheel_base_mm: Distance between the wheels [mm].
-        wheel_diameter_mm: [mm].
+        wheel_diameter_mm: Diameter of a wheel [mm].
         counts_per_turn: Encoder counts per wheel turn; 0 where packets 43 and 44 do not exist.
-        songs: How many songs it stores.
+        songs: Number of songs it can store.
     """
 
     name: str
@@ -117,7 +117,7 @@ class Model:
 
     @property
     def mm_per_count(self) -> float:
-        """Way of the wheel's rim per encoder count [mm]."""
+        """Distance rolled per encoder count [mm]."""
         return math.pi * self.wheel_diameter_mm / self.counts_per_turn
 
 
@@ -146,7 +146,7 @@ MODELS = {model.name: model for model in (CREATE1, CREATE2)}
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command: its opcode and its data bytes, counts included."""
+    """One command: its opcode and its data bytes, including any count byte."""
 
     op: Op
     data: bytes = b""
@@ -166,12 +166,12 @@ def command(op: Op, *data: int) -> bytes:
 
 
 def drive(velocity_mm: int, radius_mm: int) -> bytes:
-    """Return command 137: the mean speed of the wheels [mm/s] on a circle [mm]; page 9."""
+    """Return command 137: drive at a mean wheel speed [mm/s] on a radius [mm]; page 9."""
     return bytes(Command(Op.DRIVE, _words(velocity_mm, radius_mm)))
 
 
 def drive_direct(right_mm: int, left_mm: int) -> bytes:
-    """Return command 145: the speeds of the right and the left wheel [mm/s]; page 10.
+    """Return command 145: set the speeds of the right and the left wheel [mm/s]; page 10.
 
     Raises:
         ValueError: A speed is beyond +-500 mm/s.
@@ -182,22 +182,26 @@ def drive_direct(right_mm: int, left_mm: int) -> bytes:
 
 
 def sensors(packet: int) -> bytes:
-    """Return command 142: send one packet or group once; page 13."""
+    """Return command 142: request one packet or group once; page 13."""
     return command(Op.SENSORS, packet)
 
 
 def query(packets: Sequence[int]) -> bytes:
-    """Return command 149: send ``packets`` once, data only; page 13."""
+    """Return command 149: request the data of ``packets`` once; page 13."""
     return command(Op.QUERY_LIST, len(packets), *packets)
 
 
 def stream(packets: Sequence[int]) -> bytes:
-    """Return command 148: send ``packets`` every 15 ms; page 14."""
+    """Return command 148: request ``packets`` every 15 ms; page 14."""
     return command(Op.STREAM, len(packets), *packets)
 
 
 def script(commands: bytes) -> bytes:
-    """Return command 152: store a script of whole commands; page 15."""
+    """Return command 152: store a script made of complete commands; page 15.
+
+    Raises:
+        ValueError: The script is longer than 100 bytes.
+    """
     if len(commands) > MAX_SCRIPT:
         raise ValueError(f"a script holds {MAX_SCRIPT} bytes, got {len(commands)}")
     return command(Op.SCRIPT, len(commands), *commands)
@@ -208,7 +212,11 @@ def _words(*values: int) -> bytes:
 
 
 class CommandParser:
-    """What the base hears: bytes in, complete commands out; unknown bytes are skipped."""
+    """The base's side of the line: bytes in, complete commands out.
+
+    Attributes:
+        skipped: Bytes skipped because they are no known opcode.
+    """
 
     def __init__(self, model: Model) -> None:
         self.skipped = 0
@@ -216,15 +224,18 @@ class CommandParser:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Command]:
-        """Take in ``data``; return the commands that are complete."""
+        """Take in ``data`` and return the commands that are now complete."""
         self._buffer += data
         commands = []
         while self._buffer:
+            # Skip what is no opcode
             op = self._buffer[0]
             if op not in self._opcodes:
                 del self._buffer[0]
                 self.skipped += 1
                 continue
+
+            # Cut off one complete command
             end = self._end(Op(op))
             if len(self._buffer) < end:
                 break
@@ -233,11 +244,11 @@ class CommandParser:
         return commands
 
     def reset(self) -> None:
-        """Forget a half command."""
+        """Discard an incomplete command."""
         self._buffer.clear()
 
     def _end(self, op: Op) -> int:
-        """Return the length of the command at the start of the buffer, as far as it is known."""
+        """Return the length of the command at the start of the buffer, as far as known yet."""
         fixed = 1 + self._opcodes[op]
         if op not in _VARIABLE or len(self._buffer) < fixed:
             return fixed
@@ -248,10 +259,10 @@ def encode_frame(packets: Sequence[int], values: dict[int, int], *, header_summe
     """Return one stream frame; page 14.
 
     Args:
-        packets: Ids in the order they were asked for.
-        values: By packet id.
-        header_summed: Whether the checksum covers the header, as on a Create 2, or not, as the
-            Create 1 manual has it.
+        packets: Packet ids in the order they were requested.
+        values: Readings by packet id.
+        header_summed: Whether the checksum covers the header, as on a Create 2; according to the
+            Create 1 manual it does not.
     """
     body = b"".join(bytes([packet]) + encode_packets([packet], values) for packet in packets)
     frame = bytes([HEADER, len(body)]) + body
@@ -259,27 +270,27 @@ def encode_frame(packets: Sequence[int], values: dict[int, int], *, header_summe
 
 
 def frame_size(packets: Sequence[int]) -> int:
-    """Return the bytes of a stream frame with ``packets``."""
+    """Return the size of a stream frame with ``packets`` [bytes]."""
     return 3 + sum(1 + size_of(packet) for packet in packets)
 
 
-def fits(packets: Sequence[int], baud: int) -> bool:
-    """Tell whether a frame goes over the line (10 bit per byte) before the next one; page 14."""
+def fits_stream(packets: Sequence[int], baud: int) -> bool:
+    """Return whether a frame (10 bits per byte) is sent before the next one is due; page 14."""
     return frame_size(packets) <= baud / 10 * PERIOD
 
 
 class StreamParser:
-    """What the host hears: bytes in, checked frames out.
+    """The host's side of the line: bytes in, verified frames out.
 
-    A frame must have the header, the length, every id in its place and the sum. 19 may occur in
-    the data, so a candidate that fails costs one byte and the search goes on behind it. Which of
-    the two sums the base uses is learnt from the first ``LOCK`` good frames in a row, which are not
-    given out.
+    A frame must have the header, the length, every id in its place and the right checksum. The
+    header byte may also occur in the data, so after a candidate that fails the search resumes one
+    byte later. Two checksum conventions are in use; the first ``LOCK`` good frames in a row show
+    which of them the base follows, and are themselves not returned.
 
     Attributes:
-        bad: Frames with a wrong sum.
+        bad: Frames with a wrong checksum.
         skipped: Bytes that belonged to no frame.
-        header_summed: Which sum the base uses, once known.
+        header_summed: Whether the checksum covers the header; None until that is known.
     """
 
     LOCK = 3
@@ -294,13 +305,15 @@ class StreamParser:
         self._runs = {True: 0, False: 0}
 
     def feed(self, data: bytes) -> list[dict[int, int]]:
-        """Take in ``data``; return the values by packet id of the frames that are complete."""
+        """Take in ``data``; return each frame completed, as values by packet id."""
         self._buffer += data
         frames = []
         while (start := self._candidate()) is not None:
             self._skip(start)
             if len(self._buffer) < self._size:
                 break
+
+            # Verify the checksum
             frame = bytes(self._buffer[: self._size])
             summed = self._convention(frame)
             if summed is None:
@@ -308,6 +321,8 @@ class StreamParser:
                 self._runs = {True: 0, False: 0}
                 self._skip(1)
                 continue
+
+            # Decode, or learn the convention
             del self._buffer[: self._size]
             if self.header_summed is not None:
                 frames.append(self._values(frame))
@@ -316,7 +331,7 @@ class StreamParser:
         return frames
 
     def _candidate(self) -> int | None:
-        """Return where a frame may begin; None, and no bytes left, where it cannot."""
+        """Return where a frame may begin; None, with the buffer emptied, if nowhere."""
         buffer, start = self._buffer, -1
         while (start := buffer.find(HEADER, start + 1)) >= 0:
             known = len(buffer) - start
@@ -330,7 +345,7 @@ class StreamParser:
         del self._buffer[:count]
 
     def _convention(self, frame: bytes) -> bool | None:
-        """Return whether the header is in the sum of ``frame``; None if the sum is wrong."""
+        """Return whether the checksum of ``frame`` covers the header; None if it is wrong."""
         total = sum(frame) & 0xFF
         summed = {0: True, HEADER: False}.get(total)
         return summed if self.header_summed in (None, summed) else None
@@ -350,7 +365,7 @@ class StreamParser:
 
 
 def _marks(packets: Sequence[int]) -> list[tuple[int, int]]:
-    """Return the places in a frame whose bytes are known: header, length and the ids."""
+    """Return (place, value) of the bytes of a frame that are known: header, length and ids."""
     marks, place = [(0, HEADER), (1, frame_size(packets) - 3)], 2
     for packet in packets:
         if size_of(packet) == 0:

@@ -1,6 +1,6 @@
-"""The iRobot Create 1 and Create 2 as the rest of the house knows them.
+"""Descriptions of the iRobot Create 1 and Create 2 for the device registry.
 
-One driver serves both: it finds out which of them is on the line.
+Both share one driver, which detects the model on the line.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def emulate_create2(base: DriveBase) -> CreateEmulator:
 
 
 def describe_create(base: CreateBase) -> str:
-    """Return what was found on the line."""
+    """Return in one line which base was found, its baud rate and its mode."""
     contact = base.contact
     offset = ", mode reported one too high" if contact.mode_offset else ""
     mode = base.mode.name.title()

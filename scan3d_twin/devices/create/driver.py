@@ -1,7 +1,8 @@
-"""The driver of the iRobot Create 1, Create 2 and Roomba 500 and 600: bytes to ``DriveBase``.
+"""The driver of the iRobot Create 1, Create 2 and Roomba 500 and 600: a ``DriveBase`` over bytes.
 
-No threads: whoever waits calls ``service``. The base obeys its last drive command for ever, so the
-driver stops it on every hazard and every way out, and tells a guard process that it is alive.
+There are no threads: whoever waits calls ``service``. The base has no watchdog and keeps executing
+its last drive command, so the driver stops it on every hazard and on every exit, and sends
+heartbeats to a guard process.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from scan3d_twin.devices.create.dead_reckoning import (
     SampleTimes,
     make_reckoning,
 )
-from scan3d_twin.devices.create.hazards import blocking, hazards_of, why_not_safe
+from scan3d_twin.devices.create.hazards import blocking_hazards, decode_hazards, find_unsafe_causes
 from scan3d_twin.devices.create.link import (
     BAUDS,
     HALF_ANYTHING,
@@ -34,12 +35,12 @@ from scan3d_twin.devices.create.link import (
     Source,
     Stream,
     Values,
-    at_rest,
     base_spec,
     find_base,
+    is_plausible,
     open_source,
-    plausible,
-    watched,
+    packets_at_rest,
+    watched_packets,
 )
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.create.reading_filter import ReadingFilter
@@ -49,67 +50,85 @@ from scan3d_twin.devices.links.transport import Transport, is_away
 log = logging.getLogger(__name__)
 
 SILENCE = 0.3
-"""A base that is silent for so long while it drives is told to stop [s]; 20 periods."""
-LOST = 1.0
-"""One that is silent for so long although it drove is lost [s]; if it speaks again before, it was
-the computer or the cable that was busy, and it drives on; assumption."""
+"""Silence of a driving base after which a stop is sent [s]; 20 periods."""
+LOST_AFTER = 1.0
+"""Silence of a driving base after which the link counts as lost [s]. If the base answers earlier,
+only the computer or the cable was busy, and it drives on; assumption."""
 SILENCE_AT_REST = 3.0
-"""One that stands is lost after this [s]; its stream is asked for again meanwhile."""
-OUTAGE = 30.0
-"""An unplugged base is waited for so long [s]: time to fasten a plug; assumption."""
-HANG = 0.25
-"""Nobody has serviced a base that drives for so long: the guard has stopped it, or will [s]."""
-GUARDED = 0.3
-"""After so long without a sign of life the guard stops the wheels [s]."""
-HUNG = 10.0
-"""A program that hung for longer does not drive on [s]: nobody expects the robot to; assumption."""
+"""Silence of a standing base after which the link counts as lost [s]; until then the driver keeps
+requesting the stream."""
+MAX_OUTAGE = 30.0
+"""Time to wait for an unplugged base [s]: enough to fasten a plug; assumption."""
+UNSERVICED = 0.25
+"""Time without ``service`` after which the guard may have stopped a driving base [s]."""
+GUARD_TIMEOUT = 0.3
+"""Time without a heartbeat after which the guard stops the wheels [s]."""
+MAX_HANG = 10.0
+"""Time without ``service`` after which driving is not resumed [s]: by then nobody expects the robot
+to move; assumption."""
 ASK_AGAIN = 0.1
-"""Time between two such requests, and between two repeated drive commands [s]."""
+"""Time between two requests, and between two repetitions of a drive command [s]."""
 ASKS_AT_ONE_SPEED = 10
-"""Requests in vain before other speeds are tried: garbage may have changed the base's."""
+"""Unanswered requests before other baud rates are tried: noise may have changed the base's."""
 LISTENING = 0.03
-"""Longest time between two looks at the port that counts as listening [s]."""
-AWAY, AWAY_IN_DOUBT = 0.5, 0.1
-"""Bytes that waited longer than this for ``service`` are stale [s]: on a line that garbles them
-nobody can tell from their number how old they are."""
-REST = 0.2
-"""The wheels stand so long after the command [s]; they slow down with 1.8 m/s2."""
+"""Longest time between two reads of the port that counts as listening [s]."""
+STALE, STALE_IF_NOISY = 0.5, 0.1
+"""Time after which bytes that wait for ``service`` are stale [s]; shorter on a noisy link, where
+lost bytes make their age uncertain."""
+STOPPING_TIME = 0.2
+"""Time from a stop command until the wheels stand [s]; they decelerate with 1.8 m/s2."""
 LOW_BATTERY = 0.1
-"""Share of charge below which the robot does not drive; it must still find home."""
-HISTORY = 20_000
-"""Odometry samples that are kept at least: 5 minutes."""
-SURPLUS = 2_000
-"""So many older ones are forgotten at a time."""
+"""State of charge below which the robot does not drive, 0..1; it must still find home."""
+MIN_HISTORY = 20_000
+"""Number of odometry samples always kept: 5 minutes."""
+FORGET_BATCH = 2_000
+"""Number of older samples deleted at a time."""
 STOP = oi.drive_direct(0, 0)
 FAREWELL = STOP + oi.command(Op.PAUSE_RESUME, 0) + oi.command(Op.START)
-"""Wheels stopped, line silent, mode Passive: the base may charge and sleep again."""
+"""Stops the wheels, pauses the stream and enters Passive, where the base may charge and sleep."""
 
 
 def open_create(transport: Transport, clock: Clock, guard: Guard | None = None) -> CreateBase:
-    """Return the base on the line, standing and in mode Passive.
+    """Connect to the base on the line; it stands still, in mode Passive.
+
+    Args:
+        transport: The line to the base.
+        clock: The robot's clock; its ``sleep`` may service the base.
+        guard: Stops the wheels if this process cannot; None if no guard is needed.
 
     Raises:
-        LinkTimeoutError: There is none.
+        LinkTimeoutError: No base answers.
     """
     contact = find_base(transport, clock)
     return CreateBase(transport, clock, contact, NoGuard() if guard is None else guard)
 
 
 class CreateBase:
-    """A ``DriveBase`` on a serial line; made by ``open_create``."""
+    """A ``DriveBase`` on a serial line; made by ``open_create``.
+
+    Attributes:
+        contact: Model and baud rate of the base.
+        mode: Mode that the base reports.
+        spec: See ``DriveBase.spec``.
+    """
 
     def __init__(self, transport: Transport, clock: Clock, contact: Contact, guard: Guard) -> None:
+        # Device and port
         self.contact = contact
         self.mode = Mode.PASSIVE
         self._transport, self._clock, self._guard = transport, clock, guard
-        self._summed: bool | None = None
+        self._header_summed: bool | None = None
+
+        # Request the first packets
         self._heard = self._serviced = clock.now()
         self._packets: tuple[Packet, ...] = ()
-        self._source = self._ask(at_rest(contact))
+        self._source = self._ask(packets_at_rest(contact))
         self.spec = base_spec(contact.model, streams=isinstance(self._source, Stream))
         self._patience = ASK_AGAIN if isinstance(self._source, Stream) else 3 * ASK_AGAIN
         latency = oi.frame_size(self._packets) * 10 / contact.baud
         self._times = SampleTimes(self.spec.sample_period, latency)
+
+        # State of commands and readings
         self._sent = (0, 0)
         self._sent_at = self._asked_at = -math.inf
         self._asks = 0
@@ -118,15 +137,17 @@ class CreateBase:
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
         self._reckoning: Reckoning | None = None
-        self._sieve, self._gap = ReadingFilter(), False
+        self._filter, self._gap = ReadingFilter(), False
+
+        # Wait for the first reading
         while not self._history:
             clock.sleep(oi.PERIOD / 3)
             self._receive(clock.now())
-            self._listen(clock.now())
+            self._check_silence(clock.now())
 
     @property
     def bad(self) -> int:
-        """Readings that were dropped since the packets were asked for last."""
+        """Readings dropped since the packets were last requested."""
         return self._source.bad
 
     @property
@@ -138,7 +159,8 @@ class CreateBase:
         """See ``DriveBase.set_velocity``.
 
         Raises:
-            HazardError: The base cannot drive: charger, battery, or it refuses Safe mode.
+            HazardError: The base cannot drive: it is on its charger, its battery is low, or it does
+                not enter Safe mode.
         """
         left, right = (round(1000 * v) for v in split_velocity(self.spec, linear, angular))
         if right or left:
@@ -163,20 +185,25 @@ class CreateBase:
         """Take in what has arrived, and stop the wheels if something is wrong.
 
         Raises:
-            HazardError: A new hazard, or the robot drives on into an old one, or the base is silent
-                while it drives; the wheels stand.
-            LinkError: The base is silent while it stands, or the port is gone.
+            HazardError: There is a new hazard, the robot drives towards one it already has, or the
+                base falls silent while driving. The wheels have been stopped.
+            LinkError: The base falls silent while standing, or the port is gone.
         """
+        # Reconnect if unplugged
         if is_away(self._transport):
             self._wait_for_the_plug()
             return
+
+        # Take in the readings
         before, away = self._hazards, now - self._serviced
-        hung = self._moving and away > HANG
+        hung = self._moving and away > UNSERVICED
         if hung and self._reckoning is not None:
-            self._reckoning.drive(self._serviced + min(away, GUARDED), 0.0, 0.0)
+            self._reckoning.drive(self._serviced + min(away, GUARD_TIMEOUT), 0.0, 0.0)
         fresh = self._receive(now)
         self._guard.beat(self._moving)
-        if self._moving and away > HUNG:
+
+        # Stop after a hang
+        if self._moving and away > MAX_HANG:
             self._drive(0, 0)
             raise HazardError(
                 f"stopped: this program hung for {away:.1f} s while the robot drove (the guard "
@@ -184,10 +211,12 @@ class CreateBase:
             )
         if hung:
             self._halt(now)
+
+        # Check hazards, silence and rest
         if fresh:
-            self._watch(before, now)
-        self._listen(now)
-        self._rest(now)
+            self._check_hazards(before, now)
+        self._check_silence(now)
+        self._read_at_rest(now)
 
     def close(self) -> None:
         """Stop the wheels and leave the base in mode Passive; the port stays open."""
@@ -203,25 +232,29 @@ class CreateBase:
     def _ask(self, packets: tuple[Packet, ...]) -> Source:
         self._packets = packets
         self._heard = max(self._heard, self._clock.now() - SILENCE / 2)
-        return open_source(self._transport, self.contact, packets, self._summed)
+        return open_source(self._transport, self.contact, packets, self._header_summed)
 
     def _ask_anew(self) -> Source:
-        """Ask for the same; asking is not hearing."""
+        """Request the same packets; unlike ``_ask``, this does not extend the time-out."""
         heard = self._heard
         source = self._ask(self._packets)
         self._heard = heard
         return source
 
     def _receive(self, now: float) -> bool:
-        """Take in what has arrived; tell whether there were readings."""
+        """Take in what has arrived; return whether there were readings."""
+        # Discard stale bytes
         away = now - self._serviced
-        if away > (AWAY_IN_DOUBT if self._sieve.doubts(now) else AWAY):
+        if away > (STALE_IF_NOISY if self._filter.is_noisy(now) else STALE):
             self._transport.discard_input()
-        # Who does not listen hears nothing: only the time in which we listened counts.
+
+        # Count only the time spent listening as silence
         self._heard = min(now, self._heard + max(0.0, away - LISTENING))
         self._serviced = now
+
+        # Read, timestamp and take in
         readings = self._source.take(self._transport.read(0.0), now)
-        self._gap |= self._sieve.line(self._source.broken, now)
+        self._gap |= self._filter.count_errors(self._source.errors, now)
         stamps = self._times.stamps(len(readings), now, gap=self._gap)
         for stamp, values in zip(stamps, readings, strict=True):
             self._gap = False
@@ -230,54 +263,67 @@ class CreateBase:
 
     def _take(self, stamp: float, now: float, values: Values) -> None:
         """Take in one set of readings."""
-        if not plausible(values, self.contact):
+        # Reject impossible readings
+        if not is_plausible(values, self.contact):
             return
+
+        # Debounce and update the odometry
         if self._reckoning is None:
             self._reckoning = make_reckoning(self.spec, stamp, values)
-        doubtful = self._sieve.doubts(now)
-        believed = self._sieve.take(values, now)
+        doubtful = self._filter.is_noisy(now)
+        believed = self._filter.take(values, now)
         odometry = self._reckoning.take(stamp, values, doubtful=doubtful)
         if odometry is not None:
             self._keep(odometry, now)
         elif doubtful or not self._history:
             return
+
+        # Store mode and hazards
         self._values = believed
         self.mode = Mode(believed[Packet.MODE] - self.contact.mode_offset)
-        self._hazards = hazards_of(believed)
+        self._hazards = decode_hazards(believed)
         if isinstance(self._source, Stream):
-            self._summed = self._source.header_summed
+            self._header_summed = self._source.header_summed
 
     def _keep(self, odometry: Odometry, now: float) -> None:
         self._heard, self._asks = now, 0
         self._history.append(odometry)
-        if len(self._history) > HISTORY + SURPLUS:
-            del self._history[:SURPLUS]
+        if len(self._history) > MIN_HISTORY + FORGET_BATCH:
+            del self._history[:FORGET_BATCH]
 
     # Driving.
 
     def _prepare(self) -> None:
-        """Get ready to drive: out of Passive, and on a Create 1 away from packets 19 and 20."""
-        self._refuse()
-        if self._packets != watched(self.contact):
-            self._source = self._ask(watched(self.contact))
-        if self._safe():
+        """Prepare to drive: leave Passive, and on a Create 1 stop reading packets 19 and 20.
+
+        Raises:
+            HazardError: The base cannot drive, or does not enter Safe mode.
+        """
+        # Check charger, battery and packets
+        self._check_ready()
+        if self._packets != watched_packets(self.contact):
+            self._source = self._ask(watched_packets(self.contact))
+        if self._is_safe():
             return
+
+        # Request Safe mode up to three times
         for _ in range(3):
             self._transport.write(oi.command(Op.SAFE))
             deadline = self._clock.now() + MODE_SETTLE + 3 * self.spec.sample_period
             self._clock.sleep(MODE_SETTLE)
             while self._clock.now() < deadline:
                 self.service(self._clock.now())
-                if self._safe():
+                if self._is_safe():
                     return
                 self._clock.sleep(oi.PERIOD / 3)
+
         causes = ", ".join(self._hazards.active()) or "unknown to the driver"
         raise HazardError(
             f"the base refuses to drive (cause: {causes}); free its wheels, try again"
         )
 
-    def _refuse(self) -> None:
-        """Raise for what forbids to drive off."""
+    def _check_ready(self) -> None:
+        """Raise ``HazardError`` if the base must not start driving."""
         if self.charging:
             raise HazardError("the base is on its charger: unplug it or take it off the dock")
         if self._hazards.battery < LOW_BATTERY:
@@ -294,72 +340,83 @@ class CreateBase:
 
     # Watching.
 
-    def _watch(self, before: Hazards, now: float) -> None:
-        """Stop for hazards, and repeat what the base did not understand."""
-        names = list(blocking(before, self._hazards, sum(self._sent)))
+    def _check_hazards(self, before: Hazards, now: float) -> None:
+        """Stop for hazards; repeat a drive command that the base did not receive."""
+        # Collect the reasons to stop
+        names = list(blocking_hazards(before, self._hazards, sum(self._sent)))
         if self._moving and self._hazards.battery < LOW_BATTERY:
             names.append(f"low battery ({self._hazards.battery:.0%})")
         since = now - self._sent_at
-        if self._moving and not self._safe() and since > 3 * self.spec.sample_period:
-            names += self._make_safe(now)
+        if self._moving and not self._is_safe() and since > 3 * self.spec.sample_period:
+            names += self._restore_safe_mode(now)
+
+        # Stop, or repeat the command
         if names:
             self._drive(0, 0)
             raise HazardError(f"stopped: {', '.join(dict.fromkeys(names))} at {now:.2f} s")
-        if self._told() != self._sent and since > ASK_AGAIN and self._safe():
+        if self._reported_speeds() != self._sent and since > ASK_AGAIN and self._is_safe():
             self._drive(*self._sent)
 
     def _wait_for_the_plug(self) -> None:
-        """Wait until an unplugged base is there again, and stop it then; it drives on later.
+        """Wait until an unplugged base is back, and stop it; driving resumes once it answers.
 
         Raises:
-            LinkError: It stays away.
+            LinkError: It is not plugged in again within ``MAX_OUTAGE``.
         """
         if self._waiting:
-            return  # the lidar is looked after meanwhile
+            return  # re-entered through the clock, which services the lidar meanwhile
+
+        # Wait for the port
         self._waiting = True
-        deadline = self._clock.now() + OUTAGE
+        deadline = self._clock.now() + MAX_OUTAGE
         try:
             while is_away(self._transport):
                 if self._clock.now() >= deadline:
                     raise LinkError(
-                        f"the base has been unplugged for {OUTAGE:.0f} s"
+                        f"the base has been unplugged for {MAX_OUTAGE:.0f} s"
                         + ("; it may still be driving: lift it" if self._moving else "")
                     )
                 self._clock.sleep(ASK_AGAIN)
                 self._transport.read(0.0)
         finally:
             self._waiting = False
+
+        # Stop the wheels
         self._heard = self._serviced = now = self._clock.now()
         self._gap = True
         self._halt(now)
 
-    def _safe(self) -> bool:
-        """Tell whether the base would obey drive commands."""
+    def _is_safe(self) -> bool:
+        """Return whether the base obeys drive commands."""
         return self.mode >= Mode.SAFE
 
-    def _make_safe(self, now: float) -> list[str]:
-        """Return why the base left Safe mode; after a halt ask it back there instead."""
-        why = why_not_safe(self._values, self._hazards)
+    def _restore_safe_mode(self, now: float) -> list[str]:
+        """Return why the base left Safe mode; after a halt, request Safe mode instead."""
+        why = find_unsafe_causes(self._values, self._hazards)
         unknown = not (self._hazards.active() or self.charging)
-        if not (unknown and now - self._halted_at < LOST):
+        if not (unknown and now - self._halted_at < LOST_AFTER):
             return why
         if now > self._asked_at:
             self._transport.write(oi.command(Op.SAFE))
             self._asked_at = now + ASK_AGAIN
         return []
 
-    def _told(self) -> tuple[int, int]:
-        """Return the wheel speeds (right, left) that the base says it was told [mm/s]."""
+    def _reported_speeds(self) -> tuple[int, int]:
+        """Return the commanded wheel speeds (right, left) that the base reports [mm/s]."""
         return self._values[Packet.REQUESTED_RIGHT], self._values[Packet.REQUESTED_LEFT]
 
-    def _listen(self, now: float) -> None:
-        """Stop and raise if the base is silent; at rest ask again meanwhile."""
+    def _check_silence(self, now: float) -> None:
+        """Stop and raise if the base stays silent; before that, request its packets again."""
         silent = now - self._heard
+
+        # Ask again, or halt
         if not self._moving and silent > self._patience and now > self._asked_at:
             self._ask_again(now)
         if self._moving and silent > SILENCE and now > self._asked_at:
             self._halt(now)
-        if silent > (LOST if self._moving else SILENCE_AT_REST):
+
+        # Give up
+        if silent > (LOST_AFTER if self._moving else SILENCE_AT_REST):
             self._heard = now
             drove = self._moving
             self._drive(0, 0)
@@ -367,8 +424,8 @@ class CreateBase:
             raise HazardError(f"stopped: {words}") if drove else LinkError(words)
 
     def _halt(self, now: float) -> None:
-        """Stop the wheels, but drive on if the base speaks, and is safe, before it is lost."""
-        if now - self._halted_at > LOST:
+        """Stop the wheels; drive on if the base answers in Safe mode within ``LOST_AFTER``."""
+        if now - self._halted_at > LOST_AFTER:
             log.warning("halted: the base, its cable or this computer was too busy")
         self._transport.write(STOP)
         if self._reckoning is not None:
@@ -378,7 +435,8 @@ class CreateBase:
         self._asked_at = now + ASK_AGAIN
 
     def _ask_again(self, now: float) -> None:
-        """Make a base speak that stands and is silent: it may have missed or misread anything."""
+        """Wake up a standing base that is silent: it may have missed or misread any command."""
+        # Choose padding and baud rate
         self._asks += 1
         pad = HALF_ANYTHING
         if self._asks > ASKS_AT_ONE_SPEED:
@@ -386,18 +444,20 @@ class CreateBase:
             speed = BAUDS[(BAUDS.index(self.contact.baud) + 1) % len(BAUDS)]
             self.contact = replace(self.contact, baud=speed)
             self._transport.set_baud(speed)
+
+        # Start and request the packets
         self._transport.write(pad + oi.command(Op.START))
         self._source = self._ask_anew()
         self._asked_at = now + ASK_AGAIN + len(pad) * 10 / self.contact.baud
 
-    def _rest(self, now: float) -> None:
-        """On a Create 1 that stands, read how far it went."""
+    def _read_at_rest(self, now: float) -> None:
+        """On a Create 1 at rest, read packets 19 and 20 once."""
         reckoning = self._reckoning
         if (
             isinstance(reckoning, CommandedReckoning)
             and reckoning.unread
             and not self._moving
-            and now - self._sent_at > REST
-            and self._packets == watched(self.contact)
+            and now - self._sent_at > STOPPING_TIME
+            and self._packets == watched_packets(self.contact)
         ):
-            self._source = self._ask(at_rest(self.contact))
+            self._source = self._ask(packets_at_rest(self.contact))

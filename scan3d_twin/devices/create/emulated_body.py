@@ -1,7 +1,7 @@
-"""The body of an emulated Create: what its wheels turned and what its sensors read.
+"""The body of an emulated Create: its wheel encoders and sensors.
 
-Wheels and hazards come from the drive base behind the hardware interface; battery, charger, buttons
-and walls are set by whoever runs the emulation.
+Wheels, hazards and battery come from the drive base behind the hardware interface; charger,
+buttons, walls and cargo bay inputs are attributes that the user of the emulator may set.
 """
 
 from __future__ import annotations
@@ -15,27 +15,28 @@ from scan3d_twin.devices.create.codec import Model
 from scan3d_twin.devices.create.packets import BumpsDrops, Overcurrents, Packet
 
 CAPACITY_MAH = 2696
-"""Of the battery [mAh]; a Create 2's reading, assumption for the Create 1."""
+"""Battery capacity [mAh]; as read on a Create 2, assumption for the Create 1."""
 EMPTY_MV, FULL_MV = 12_600, 16_000
-"""Voltage of 12 NiMH cells, empty and full [mV]; assumption."""
+"""Voltage of 12 NiMH cells when empty and when full [mV]; assumption."""
 FLOOR_SIGNAL, CLIFF_SIGNAL = 1500, 20
-"""Cliff signals over the floor and over nothing, of 4095; assumption."""
+"""Cliff signals over the floor and over a drop, 0..4095; assumption."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quirks:
-    """What real firmware does differently from its manual, or from its sister.
+    """Deviations of real firmware from its manual or from other versions.
 
     Attributes:
         header_summed: Whether the stream's checksum covers the header. The Create manual says no,
             the Create 2 manual and drivers that run on real Creates say yes.
-        mode_offset: Added to the mode it reports; 1 on some Roomba 600 (create_robot issue 64).
-        truncates: Whether packets 19 and 20 lose the fraction at each read (libcreate issue 22).
-        angle_gain: Of packet 20; .25 on firmware 2012-03-22 (robotics.stackexchange 7121).
+        mode_offset: Added to the reported mode; 1 on some Roomba 600 (create_robot issue 64).
+        truncates: Whether each read of packets 19 and 20 drops the fraction (libcreate issue 22).
+        angle_gain: Scale of packet 20; 0.25 on firmware 2012-03-22 (robotics.stackexchange 7121).
         distance_unsigned: Whether packet 19 grows in reverse too (answers.ros.org 12338).
-        deaf: Time after a mode change in which bytes are lost [s]; .02 in Hacking Roomba, page 26.
-        counts: Encoder readings (left, right) at power-on.
-        silent: Whether it answers nothing until its battery is taken out (create_robot issue 54).
+        deaf: Time after a mode change during which received bytes are lost [s]; 0.02 in Hacking
+            Roomba, page 26.
+        counts: Encoder counts (left, right) at power-on.
+        silent: Whether it stays silent until its battery is taken out (create_robot issue 54).
     """
 
     header_summed: bool = True
@@ -49,7 +50,14 @@ class Quirks:
 
 
 class Wheels:
-    """Encoder counts, and the way and turn since packets 19 and 20 were read last."""
+    """Encoder counts, and the motion since packets 19 and 20 were last read.
+
+    Attributes:
+        distance_mm: Distance since packet 19 was last read [mm].
+        angle_deg: Rotation since packet 20 was last read [deg].
+        total_mm: Distance since power-on [mm].
+        total_deg: Rotation since power-on [deg].
+    """
 
     def __init__(self, model: Model, quirks: Quirks, start: Odometry) -> None:
         self.distance_mm = self.angle_deg = 0.0
@@ -60,13 +68,16 @@ class Wheels:
         self._last = start
 
     def take(self, odometry: Odometry) -> None:
-        """Take in the motion up to ``odometry``, as an arc from the sample before."""
+        """Add the motion from the previous sample to ``odometry``, taken as an arc."""
+        # Arc between the two samples
         step = self._last.T_odom_base.inverse() @ odometry.T_odom_base
         self._last = odometry
         half = step.yaw / 2
         chord = step.x * math.cos(half) + step.y * math.sin(half)
         way = 1000 * chord * (half / math.sin(half) if abs(half) > 1e-9 else 1.0)
         side = step.yaw * self._model.wheel_base_mm / 2
+
+        # Wheels, totals and packets
         self._left_mm += way - side
         self._right_mm += way + side
         self.total_mm += way
@@ -75,7 +86,7 @@ class Wheels:
         self.angle_deg += math.degrees(step.yaw) * self._quirks.angle_gain
 
     def counts(self) -> tuple[int, int]:
-        """Return the left and right encoder counts, 0..65535; 0 on a Create 1, which has none."""
+        """Return the encoder counts (left, right), 0..65535; 0 on a Create 1, which has none."""
         if not self._model.counts_per_turn:
             return 0, 0
         per_mm, (left, right) = 1 / self._model.mm_per_count, self._quirks.counts
@@ -85,25 +96,25 @@ class Wheels:
         )
 
     def read_distance(self) -> int:
-        """Return packet 19 [mm] and begin anew."""
+        """Return packet 19 [mm] and reset it."""
         value = int(self.distance_mm)
         self.distance_mm = 0.0 if self._quirks.truncates else self.distance_mm - value
         return value
 
     def read_angle(self) -> int:
-        """Return packet 20 [deg] and begin anew."""
+        """Return packet 20 [deg] and reset it."""
         value = int(self.angle_deg)
         self.angle_deg = 0.0 if self._quirks.truncates else self.angle_deg - value
         return value
 
 
 class Body:
-    """Everything the firmware can feel.
+    """All sensors the firmware can read.
 
     Attributes:
         charger: Bits of packet 34.
         buttons: Bits of packet 18.
-        virtual_wall: Whether the sensor of packet 13 sees one.
+        virtual_wall: Whether a virtual wall is seen, packet 13.
         inputs: Bits of packet 32, the cargo bay's digital inputs.
         analog: Packet 33, the cargo bay's analog input, 0..1023.
     """
@@ -116,16 +127,16 @@ class Body:
         self._no_ir = 0 if model.counts_per_turn else 255
 
     def cliff(self) -> bool:
-        """Tell whether any of the four cliff sensors sees no floor."""
+        """Return whether any of the four cliff sensors sees no floor."""
         return any(self._cliffs())
 
     def dropped(self) -> bool:
-        """Tell whether a wheel hangs in the air."""
+        """Return whether a wheel hangs in the air."""
         hazards = self._base.hazards()
         return hazards.wheel_drop_left or hazards.wheel_drop_right
 
     def bumps(self) -> BumpsDrops:
-        """Return packet 7."""
+        """Return packet 7: bumpers and wheel drops."""
         hazards = self._base.hazards()
         bits = BumpsDrops(0)
         bits |= BumpsDrops.BUMP_RIGHT if hazards.bump_right else 0
@@ -134,14 +145,14 @@ class Body:
         return bits | (BumpsDrops.DROP_LEFT if hazards.wheel_drop_left else 0)
 
     def readings(self) -> dict[int, int]:
-        """Return what it feels, by packet; packets 19 and 20 apart, which begin anew when read."""
-        return {**self._safety(), **self._power(), **self._rest()}
+        """Return the readings by packet, except 19 and 20, which reading would reset."""
+        return {**self._safety_readings(), **self._power_readings(), **self._other_readings()}
 
     def _cliffs(self) -> tuple[bool, bool, bool, bool]:
         h = self._base.hazards()
         return h.cliff_left, h.cliff_front_left, h.cliff_front_right, h.cliff_right
 
-    def _safety(self) -> dict[int, int]:
+    def _safety_readings(self) -> dict[int, int]:
         hazards, cliffs = self._base.hazards(), self._cliffs()
         overcurrents = Overcurrents.RIGHT_WHEEL if hazards.overcurrent_right else 0
         overcurrents |= Overcurrents.LEFT_WHEEL if hazards.overcurrent_left else 0
@@ -154,7 +165,7 @@ class Body:
             Packet.OVERCURRENTS: overcurrents,
         }
 
-    def _power(self) -> dict[int, int]:
+    def _power_readings(self) -> dict[int, int]:
         share = self._base.hazards().battery
         return {
             Packet.CHARGING_STATE: 2 if self.charger else 0,
@@ -166,7 +177,7 @@ class Body:
             Packet.CHARGING_SOURCES: self.charger,
         }
 
-    def _rest(self) -> dict[int, int]:
+    def _other_readings(self) -> dict[int, int]:
         left, right = self.wheels.counts()
         return {
             Packet.IR_OMNI: self._no_ir,

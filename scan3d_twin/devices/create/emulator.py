@@ -1,8 +1,8 @@
-"""The firmware of an emulated iRobot Create: bytes in, bytes out, driving any ``DriveBase``.
+"""An emulated iRobot Create: it serves any ``DriveBase`` through the Open Interface.
 
 Sources: iRobot Create Open Interface (2007, page numbers below are its own) and iRobot Create 2
-Open Interface (2016). Time is the simulated clock's, given with each call; every new odometry
-sample of the base is the firmware's 15 ms tick.
+Open Interface (2016). The simulated time is passed with each call; each new odometry sample of the
+base triggers the firmware's 15 ms tick.
 """
 
 from __future__ import annotations
@@ -17,34 +17,35 @@ from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Command, CommandParser, Model, Op
 from scan3d_twin.devices.create.emulated_body import Body, Quirks
 from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets, packets_of, size_of
-from scan3d_twin.devices.create.script_events import happened
+from scan3d_twin.devices.create.script_events import has_happened
 
 SLEEP_AFTER = 300.0
-"""A Create 2 falls asleep after so long without a command in Off or Passive [s]."""
+"""Time without a command in Off or Passive after which a Create 2 falls asleep [s]."""
 BOOT = 3.0
-"""From a reset until it listens again [s]; assumption."""
+"""Time from a reset until commands are received again [s]; assumption."""
 BANNER = (
     "bl-start\r\nSTR730\r\nbootloader id: #x47175347 4C636FFF\r\n"
     "bootloader info rev: #xF000\r\n2007-05-14-1715-L\r\n"
     "Roomba by iRobot!\r\nstr730\r\n2012-03-22-1549-L\r\nbattery-current-zero 252\r\n"
 )
-"""What a Roomba of firmware 2012-03-22 prints at a reset; robotics.stackexchange 7121."""
+"""Text that a Roomba with firmware 2012-03-22 prints at a reset; robotics.stackexchange 7121."""
 COMMANDS_PER_TICK = 50
-"""A script that never waits must not hang the emulator; assumption."""
+"""Script commands per tick, so that a script that never waits cannot hang the emulator;
+assumption."""
 ROUNDING = 1e-6
-"""Times that differ by less are the same [s]."""
+"""Difference below which two times are equal [s]."""
 
 _ACTUATORS = {
     Op.DRIVE, Op.LOW_SIDE_DRIVERS, Op.LEDS, Op.PLAY, Op.PWM_LOW_SIDE_DRIVERS, Op.DRIVE_DIRECT,
     Op.DRIVE_PWM, Op.DIGITAL_OUTPUTS, Op.SEND_IR, Op.SCHEDULING_LEDS, Op.DIGIT_LEDS_RAW,
     Op.DIGIT_LEDS_ASCII,
 }  # fmt: skip
-"""Obeyed in Safe and Full only."""
+"""Commands that are obeyed in Safe and Full only."""
 
 
 @dataclass
 class Outputs:
-    """What a bystander sees and hears of the base; data bytes as they were sent, None is off."""
+    """What the base shows, plays and switches: the data bytes last commanded; None is off."""
 
     leds: bytes | None = None
     drivers: bytes | None = None
@@ -59,23 +60,26 @@ class CreateEmulator:
     """A ``Device``: an iRobot Create whose wheels are those of a ``DriveBase``.
 
     Attributes:
-        mode: The Open Interface's mode; Off until a client says Start.
-        body: What it feels; set its charger, buttons and walls to play with it.
-        outputs: What it shows.
-        wheels_mm: Wheel speeds (right, left) it obeys now [mm/s].
-        asleep: Whether it needs ``wake`` before it listens again.
+        mode: Mode of the Open Interface; Off until a client sends Start.
+        body: Its sensors; set charger, buttons and walls to simulate them.
+        outputs: Its LEDs, songs and outputs.
+        wheels_mm: Commanded wheel speeds (right, left) in force [mm/s].
+        asleep: Whether it receives nothing until ``wake`` is called.
         began: See ``Device``.
     """
 
     def __init__(
         self, base: DriveBase, model: Model = oi.CREATE2, quirks: Quirks | None = None
     ) -> None:
+        # Visible state
         quirks = Quirks() if quirks is None else quirks
         self.mode = Mode.OFF
         self.body = Body(base, model, quirks)
         self.outputs = Outputs()
         self.wheels_mm = (0, 0)
         self.asleep = False
+
+        # Time and serial line
         self._base, self._model, self._quirks = base, model, quirks
         self._baud = model.baud
         self._parser = CommandParser(model)
@@ -85,6 +89,8 @@ class CreateEmulator:
         self.began = 0.0
         self._later: deque[tuple[float, bytes]] = deque()
         self._deaf_until = 0.0
+
+        # Stream, script and song
         self._stream: list[int] = []
         self._streaming = False
         self._script = b""
@@ -92,7 +98,7 @@ class CreateEmulator:
         self._wait: Callable[[], bool] | None = None
         self._song, self._song_ends = 0, 0.0
         self._requested = self._requested_direct = (0, 0)
-        self._actions = self._table()
+        self._actions = self._make_actions()
 
     @property
     def baud(self) -> int:
@@ -103,7 +109,7 @@ class CreateEmulator:
         """See ``Device.receive``."""
         self._advance(now)
         for byte in data:
-            if not self._listens():
+            if not self._is_listening():
                 self._parser.reset()
             elif self.mode is not Mode.OFF or byte in (Op.START, Op.RESET):
                 for command in self._parser.feed(bytes([byte])):
@@ -130,39 +136,47 @@ class CreateEmulator:
         self.asleep = False
         self._heard = self._now
 
-    def _listens(self) -> bool:
+    def _is_listening(self) -> bool:
         busy = self._wait is not None or bool(self._queue)
         return not (self.asleep or busy or self._now < self._deaf_until or self._quirks.silent)
 
     def _advance(self, now: float) -> None:
         """Let time pass up to ``now`` [s]."""
+        # Tick with each sample
         for sample in self._base.odometry_since(self._stamp):
             if self._stamp < sample.stamp <= now + ROUNDING:
                 self._tick(sample)
         self._now = max(self._now, now)
+
+        # Send delayed texts, run the script
         while self._later and self._later[0][0] <= now:
             due, text = self._later.popleft()
             self._put(text, due)
         self._run_script()
+
+        # Fall asleep when idle
         idle = self.mode <= Mode.PASSIVE and not self.body.charger
         if idle and self._model is not oi.CREATE1 and now - self._heard > SLEEP_AFTER:
             self._change_mode(Mode.OFF)
             self.asleep = True
 
     def _tick(self, sample: Odometry) -> None:
-        """Do what the firmware does every 15 ms."""
+        """Run the firmware's 15 ms cycle."""
+        # Update wheels, mode and script
         self._stamp = self._now = sample.stamp
         self.body.wheels.take(sample)
-        if self.mode is Mode.SAFE and self._unsafe():
+        if self.mode is Mode.SAFE and self._must_leave_safe():
             self._change_mode(Mode.PASSIVE)
         self._run_script()
+
+        # Send a stream frame
         if self._streaming and self.mode is not Mode.OFF:
             summed = self._quirks.header_summed
             frame = oi.encode_frame(self._stream, self._values(self._stream), header_summed=summed)
             self._put(frame, self._now)
 
-    def _unsafe(self) -> bool:
-        """Tell whether Safe mode must be left; page 6."""
+    def _must_leave_safe(self) -> bool:
+        """Return whether a sensor forces the base out of Safe mode; page 6."""
         right, left = self.wheels_mm
         ahead, turn = right + left > 0, abs(right - left)
         tight = turn > 0 and abs(right + left) / turn * self._model.wheel_base_mm / 2 < (
@@ -178,10 +192,12 @@ class CreateEmulator:
             return
         self._actions[command.op](command)
 
-    def _table(self) -> dict[Op, Callable[[Command], None]]:
+    def _make_actions(self) -> dict[Op, Callable[[Command], None]]:
         passive = (Op.START, Op.POWER, Op.SPOT, Op.CLEAN, Op.DEMO, Op.DOCK)
         nothing = (Op.PUSH_BUTTONS, Op.SCHEDULE, Op.SET_DAY_TIME, Op.SCHEDULING_LEDS)
+
         return {
+            # Modes and the serial line
             **{op: lambda _: self._change_mode(Mode.PASSIVE) for op in passive},
             **{op: lambda _: None for op in nothing},
             Op.RESET: self._reset,
@@ -190,14 +206,17 @@ class CreateEmulator:
             Op.SAFE: lambda _: self._change_mode(Mode.SAFE),
             Op.FULL: lambda _: self._change_mode(Mode.FULL),
             Op.STOP: self._stop,
+            # Wheels and outputs
             Op.DRIVE: self._drive,
             Op.DRIVE_DIRECT: self._drive_direct,
             Op.DRIVE_PWM: self._drive_pwm,
-            **self._gadgets(),
+            **self._output_actions(),
+            # Sensors
             Op.SENSORS: lambda c: self._send(c.data),
             Op.QUERY_LIST: lambda c: self._send(c.data[1:]),
             Op.STREAM: self._start_stream,
             Op.PAUSE_RESUME: self._pause_or_resume,
+            # Scripts
             Op.SCRIPT: self._store_script,
             Op.PLAY_SCRIPT: lambda _: self._play_script(),
             Op.SHOW_SCRIPT: self._show_script,
@@ -207,7 +226,7 @@ class CreateEmulator:
             Op.WAIT_EVENT: self._wait_event,
         }
 
-    def _gadgets(self) -> dict[Op, Callable[[Command], None]]:
+    def _output_actions(self) -> dict[Op, Callable[[Command], None]]:
         outputs = self.outputs
 
         def show(name: str) -> Callable[[Command], None]:
@@ -226,12 +245,18 @@ class CreateEmulator:
         }
 
     def _change_mode(self, mode: Mode) -> None:
-        """Go to ``mode``: the wheels stop below Safe, the LEDs go out in Safe and Full; page 6."""
+        """Enter ``mode``; page 6.
+
+        Below Safe the wheels stop, and on entering Safe or Full the LEDs go out.
+        """
+        # Reset wheels or LEDs
         if mode <= Mode.PASSIVE:
             self._turn_wheels(0, 0)
             self.outputs.drivers = self.outputs.pwm = None
         elif self.mode <= Mode.PASSIVE:
             self.outputs.leds = None
+
+        # Change the mode
         if mode is Mode.SAFE and self.body.charger:
             mode = Mode.PASSIVE
         self.mode = mode
@@ -242,7 +267,7 @@ class CreateEmulator:
         self._change_mode(Mode.OFF)
 
     def _reset(self, _: Command) -> None:
-        """Start the firmware anew: Off, default speed, and a text on the line."""
+        """Restart the firmware: mode Off, default baud rate, and a banner on the line."""
         self._stop(_)
         self._baud = self._model.baud
         self._stream, self._script = [], b""
@@ -256,7 +281,7 @@ class CreateEmulator:
             self._baud = oi.BAUD_CODES[command.data[0]]
 
     def _drive(self, command: Command) -> None:
-        velocity, radius = self._requested = _clipped(command.words()[0]), command.words()[1]
+        velocity, radius = self._requested = _clip(command.words()[0]), command.words()[1]
         if radius in oi.STRAIGHT:
             share = 0.0
         elif abs(radius) == 1:
@@ -264,16 +289,16 @@ class CreateEmulator:
             return
         else:
             share = self._model.wheel_base_mm / 2 / radius if radius else 0.0
-        right, left = (_clipped(round(velocity * side)) for side in (1 + share, 1 - share))
+        right, left = (_clip(round(velocity * side)) for side in (1 + share, 1 - share))
         self._turn_wheels(right, left)
 
     def _drive_direct(self, command: Command) -> None:
-        right, left = self._requested_direct = _clipped_both(command.words())
+        right, left = self._requested_direct = _clip_both(command.words())
         self._turn_wheels(right, left)
 
     def _drive_pwm(self, command: Command) -> None:
         share = oi.MAX_WHEEL_SPEED_MM / 255
-        right, left = (_clipped(round(share * word)) for word in command.words())
+        right, left = (_clip(round(share * word)) for word in command.words())
         self._turn_wheels(right, left)
 
     def _turn_wheels(self, right_mm: int, left_mm: int) -> None:
@@ -296,7 +321,8 @@ class CreateEmulator:
     # Sensors.
 
     def _values(self, numbers: Iterable[int]) -> dict[int, int]:
-        """Return the readings of packets and groups; reading packets 19 and 20 starts them anew."""
+        """Return the readings of packets and groups; reading packets 19 and 20 resets them."""
+        # Everything that reading does not change
         ids = {packet for number in numbers for packet in packets_of(number)}
         right, left = self._requested_direct
         values = {
@@ -310,6 +336,8 @@ class CreateEmulator:
             Packet.REQUESTED_RIGHT: right,
             Packet.REQUESTED_LEFT: left,
         }
+
+        # Packets that reading resets
         if Packet.DISTANCE in ids:
             values[Packet.DISTANCE] = self.body.wheels.read_distance()
         if Packet.ANGLE in ids:
@@ -317,7 +345,7 @@ class CreateEmulator:
         return values
 
     def _send(self, numbers: bytes) -> None:
-        """Send packets once; nothing at all if there is one it does not know."""
+        """Send packets once; send nothing if one of them is unknown."""
         known = [n for n in numbers if n in self._model.packets and size_of(n)]
         if len(known) == len(numbers):
             self._put(encode_packets(known, self._values(known)), self._now)
@@ -344,7 +372,7 @@ class CreateEmulator:
         self._put(bytes([len(self._script)]) + self._script, self._now)
 
     def _run_script(self) -> None:
-        """Go on with the script until it waits."""
+        """Continue the script until it waits or ends."""
         for _ in range(COMMANDS_PER_TICK):
             if self._wait is not None:
                 if not self._wait():
@@ -372,13 +400,13 @@ class CreateEmulator:
 
     def _wait_event(self, command: Command) -> None:
         event = int.from_bytes(command.data, "big", signed=True)
-        self._wait = lambda: happened(event, self.body, self.mode)
+        self._wait = lambda: has_happened(event, self.body, self.mode)
 
 
-def _clipped_both(speeds_mm: tuple[int, ...]) -> tuple[int, int]:
-    right, left = map(_clipped, speeds_mm)
+def _clip_both(speeds_mm: tuple[int, ...]) -> tuple[int, int]:
+    right, left = map(_clip, speeds_mm)
     return right, left
 
 
-def _clipped(speed_mm: int) -> int:
+def _clip(speed_mm: int) -> int:
     return min(max(speed_mm, -oi.MAX_WHEEL_SPEED_MM), oi.MAX_WHEEL_SPEED_MM)

@@ -1,4 +1,4 @@
-"""What the sensors of a Create say about its safety."""
+"""From the raw sensor packets of a Create to ``Hazards``, and which of them stop the robot."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from scan3d_twin.devices.create.link import Values
 from scan3d_twin.devices.create.packets import BumpsDrops, Overcurrents, Packet
 
 EMPTY_MV, FULL_MV = 12_600, 15_600
-"""Voltages that stand for 0 and 1 where the base does not know its charge [mV]; 12 NiMH cells."""
+"""Voltages taken for 0 and 1 where the base reports no charge [mV]; 12 NiMH cells."""
 
 
-def hazards_of(values: Values) -> Hazards:
-    """Return the hazards that readings tell of."""
+def decode_hazards(values: Values) -> Hazards:
+    """Return the hazards in the readings of ``COMMON``."""
     bumps, over = BumpsDrops(values[Packet.BUMPS_DROPS]), values[Packet.OVERCURRENTS]
     caster = bool(bumps & BumpsDrops.DROP_CASTER)
+
     return Hazards(
         bump_left=bool(bumps & BumpsDrops.BUMP_LEFT),
         bump_right=bool(bumps & BumpsDrops.BUMP_RIGHT),
@@ -30,20 +31,26 @@ def hazards_of(values: Values) -> Hazards:
 
 
 def _battery(values: Values) -> float:
-    """Return the state of charge, 0..1; by the voltage if the base does not know its capacity."""
+    """Return the state of charge, 0..1; from the voltage if the base reports no capacity."""
     if capacity := values[Packet.CAPACITY]:
         return min(1.0, values[Packet.CHARGE] / capacity)
     return min(1.0, max(0.0, (values[Packet.VOLTAGE] - EMPTY_MV) / (FULL_MV - EMPTY_MV)))
 
 
-def blocking(before: Hazards, now: Hazards, ahead: int) -> tuple[str, ...]:
-    """Return the hazards to stop for: new ones, and old ones if the robot drives on ahead."""
+def blocking_hazards(before: Hazards, now: Hazards, ahead: int) -> tuple[str, ...]:
+    """Return the hazards to stop for: new ones, and all active ones if driving forwards.
+
+    Args:
+        before: Hazards at the time of the previous readings.
+        now: Current hazards.
+        ahead: Positive if the robot drives forwards; its unit does not matter.
+    """
     active = now.active()
     return active if ahead > 0 else tuple(n for n in active if n not in before.active())
 
 
-def why_not_safe(values: Values, hazards: Hazards) -> list[str]:
-    """Return why the base left Safe mode while it drove."""
+def find_unsafe_causes(values: Values, hazards: Hazards) -> list[str]:
+    """Return the causes for which the base may have left Safe mode while driving."""
     if values[Packet.CHARGING_SOURCES]:
         return ["the charger was plugged in"]
     return list(hazards.active()) or [

@@ -1,4 +1,4 @@
-"""Finding a Create on a serial line, and what to ask of it: model, speed, stream or poll."""
+"""Finding a Create on a serial line: its model, its baud rate, and how to read its sensors."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from scan3d_twin.devices.links.transport import Transport
 log = logging.getLogger(__name__)
 
 BAUDS = (115200, 57600, 19200)
-"""Speeds to try: Create 2, Create 1, and the slow one that both can be switched to [bit/s]."""
+"""Baud rates to try: Create 2, Create 1, and the slow one both can be switched to [bit/s]."""
 MODE_SETTLE = 0.02
-"""Bytes within this time of a change of mode may be lost [s]; Hacking Roomba, page 26."""
+"""Time after a mode change during which bytes may be lost [s]; Hacking Roomba, page 26."""
 BAUD_SETTLE = 0.1
-"""Wait after a change of speed [s]; Create Open Interface, page 8."""
+"""Wait after a change of the baud rate [s]; Create Open Interface, page 8."""
 CONNECT_TIMEOUT = 8.0
-"""A base that boots after a reset is ready by then [s]; assumption."""
+"""Time within which a base is found, even while it boots after a reset [s]; assumption."""
 ANSWER_TIMEOUT = 0.15
-"""For the first frames of a stream [s]: ten periods; assumption."""
+"""Time-out for the first frames of a stream [s]: ten periods; assumption."""
 POLL_PERIOD = 2 * oi.PERIOD
-"""Time between two polls where a stream does not fit [s]."""
+"""Time between two polls, used where the line is too slow for a stream [s]."""
 POLL_TIMEOUT = 4 * oi.PERIOD
-"""A poll not answered by then is asked again [s]."""
+"""Time after which an unanswered poll is repeated [s]."""
 HALF_DRIVE, HALF_ANYTHING = bytes(5), bytes(2 + 2 * 255)
-"""Zeros that end what a killed client or a bad line left half sent: a drive command, or even the
-longest song; 0 is no opcode."""
+"""Zeros that complete a command left unfinished by a killed client or a noisy line: a drive
+command, or any command up to the longest song. 0 is no opcode, so surplus zeros are ignored."""
 
 COMMON = (
     Packet.BUMPS_DROPS,
@@ -51,12 +51,14 @@ COMMON = (
     Packet.REQUESTED_RIGHT,
     Packet.REQUESTED_LEFT,
 )
-"""What the driver watches on every base."""
+"""Packets the driver reads on every base."""
 COUNTS = (Packet.LEFT_COUNTS, Packet.RIGHT_COUNTS)
+"""Encoder counts, on a Create 2 only."""
 MOVED = (Packet.DISTANCE, Packet.ANGLE)
+"""Distance and rotation since the last read, used on a Create 1."""
 
 Values = dict[int, int]
-"""Readings by packet id, raw."""
+"""Raw readings by packet id."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +67,8 @@ class Contact:
 
     Attributes:
         model: Its generation.
-        baud: The speed it talks at [bit/s].
-        mode_offset: What it adds to the mode it reports; 1 on some firmware.
+        baud: Its baud rate [bit/s].
+        mode_offset: Added to the mode it reports; 1 on some firmware.
     """
 
     model: Model
@@ -75,26 +77,33 @@ class Contact:
 
 
 def find_base(transport: Transport, clock: Clock) -> Contact:
-    """Return what base is on the line, in mode Passive and silent; it does not move.
+    """Find the base on the line; afterwards it is in mode Passive and sends nothing.
+
+    The base does not move.
 
     Raises:
-        LinkTimeoutError: Nothing that talks the Open Interface answers at any speed.
+        LinkTimeoutError: Nothing answers in the Open Interface at any baud rate.
         LinkError: The port is gone.
     """
     give_up = clock.now() + CONNECT_TIMEOUT
-    # What is sent at a wrong speed may be heard as half of a long command: end that every 2nd time.
+    # At a wrong baud rate the base may hear the start of a long command: complete it every 2nd time
     for pad, baud in cycle(product((HALF_DRIVE, HALF_ANYTHING), BAUDS)):
         if clock.now() > give_up:
             break
+
+        # Start at this baud rate
         transport.set_baud(baud)
         clock.sleep(BAUD_SETTLE)
         transport.write(pad + oi.command(Op.START))
         clock.sleep(len(pad) * 10 / baud + MODE_SETTLE)
-        mode = _reported_mode(transport, clock)
+
+        # Check the reported mode
+        mode = _read_mode(transport, clock)
         if mode is not None:
-            contact = Contact(_model(transport, clock), baud, mode - Mode.PASSIVE)
+            contact = Contact(_detect_model(transport, clock), baud, mode - Mode.PASSIVE)
             log.info("found a %s at %d baud", contact.model.name, baud)
             return contact
+
     speeds = ", ".join(map(str, BAUDS))
     raise LinkTimeoutError(
         f"no Create answers at {speeds} baud: switch it on (Clean or Power button), check the "
@@ -102,11 +111,14 @@ def find_base(transport: Transport, clock: Clock) -> Contact:
     )
 
 
-def _reported_mode(transport: Transport, clock: Clock) -> int | None:
+def _read_mode(transport: Transport, clock: Clock) -> int | None:
     """Return the mode that the base reports after Start; None if there is no base."""
+    # Silence a running stream
     transport.write(oi.command(Op.PAUSE_RESUME, 0))
     clock.sleep(2 * oi.PERIOD)
     transport.discard_input()
+
+    # Stream the mode alone
     source = Stream(transport, [Packet.MODE])
     deadline = clock.now() + ANSWER_TIMEOUT
     while clock.now() < deadline:
@@ -116,11 +128,14 @@ def _reported_mode(transport: Transport, clock: Clock) -> int | None:
     return None
 
 
-def _model(transport: Transport, clock: Clock) -> Model:
-    """Tell the generations apart: only the later one has encoder counts."""
+def _detect_model(transport: Transport, clock: Clock) -> Model:
+    """Return the generation of the base: only the Create 2 has encoder counts."""
+    # Silence a running stream
     transport.write(oi.command(Op.PAUSE_RESUME, 0))
     clock.sleep(2 * oi.PERIOD)
     transport.discard_input()
+
+    # Query the encoder counts
     transport.write(oi.query(COUNTS))
     deadline, answer = clock.now() + POLL_TIMEOUT, b""
     while (left := deadline - clock.now()) > 1e-6 and len(answer) < 4:
@@ -129,35 +144,42 @@ def _model(transport: Transport, clock: Clock) -> Model:
 
 
 class Source(Protocol):
-    """Where readings come from."""
+    """A source of readings: the stream of the base, or polling."""
 
     @property
     def bad(self) -> int:
-        """Number of broken answers so far."""
+        """Number of answers that arrived damaged."""
         ...
 
     @property
-    def broken(self) -> int:
-        """Number of signs so far that bytes are garbled on the way."""
+    def errors(self) -> int:
+        """Number of transmission errors detected."""
         ...
 
     def take(self, data: bytes, now: float) -> list[Values]:
-        """Return the readings that ``data``, arrived by ``now`` [s], completes, oldest first."""
+        """Return the readings completed by ``data``, which arrived by ``now`` [s], oldest first."""
         ...
 
 
 def open_source(
     transport: Transport, contact: Contact, packets: Sequence[int], header_summed: bool | None
 ) -> Source:
-    """Ask for ``packets`` for good: as a stream if a frame fits into 15 ms, else by polling."""
-    if oi.fits(packets, contact.baud):
+    """Read ``packets`` from now on: as a stream if a frame fits into 15 ms, else by polling.
+
+    Args:
+        transport: The line to the base.
+        contact: The base.
+        packets: Packets to read.
+        header_summed: Whether its checksum covers the header; None if that is not known yet.
+    """
+    if oi.fits_stream(packets, contact.baud):
         return Stream(transport, packets, header_summed)
     transport.write(oi.command(Op.PAUSE_RESUME, 0))
     return Poll(transport, packets)
 
 
 class Stream:
-    """The base sends by itself, with a checksum."""
+    """A ``Source``: the base streams its readings, protected by a checksum."""
 
     def __init__(
         self, transport: Transport, packets: Sequence[int], header_summed: bool | None = None
@@ -174,13 +196,13 @@ class Stream:
         return self._parser.bad
 
     @property
-    def broken(self) -> int:
-        """Bytes that made no sense, once the base's checksum is known."""
+    def errors(self) -> int:
+        """Bytes that belonged to no frame, since the first good one."""
         return self._parser.skipped - self._before_lock
 
     @property
     def header_summed(self) -> bool | None:
-        """Which checksum the base uses, once known."""
+        """Whether the checksum covers the header; None until that is known."""
         return self._parser.header_summed
 
     def take(self, data: bytes, now: float) -> list[Values]:
@@ -193,12 +215,11 @@ class Stream:
 
 
 class Poll:
-    """The driver asks, the base answers without a checksum; for slow lines."""
+    """A ``Source`` for slow lines: the driver polls, the base answers without a checksum.
 
-    @property
-    def broken(self) -> int:
-        """Answers that were too long or too late."""
-        return self.bad
+    Attributes:
+        bad: Answers that were too long or too late.
+    """
 
     def __init__(self, transport: Transport, packets: Sequence[int]) -> None:
         self.bad = 0
@@ -209,10 +230,18 @@ class Poll:
         self._asked: float | None = None
         self._next: float | None = None
 
+    @property
+    def errors(self) -> int:
+        """See ``Source.errors``: an answer of the wrong size is the only sign of an error."""
+        return self.bad
+
     def take(self, data: bytes, now: float) -> list[Values]:
         """See ``Source.take``."""
+        # Begin once the line is quiet
         if self._next is None:
-            self._next = now + POLL_TIMEOUT  # by then the line is quiet
+            self._next = now + POLL_TIMEOUT
+
+        # Decode a complete answer
         self._answer += data
         values = []
         if self._asked is not None and len(self._answer) >= self._size:
@@ -223,6 +252,8 @@ class Poll:
             self._answer = b""
             self._next = self._asked + POLL_PERIOD
             self._asked = None
+
+        # Poll again when due
         late = self._asked is not None and now - self._asked > POLL_TIMEOUT
         self.bad += late
         if late or (self._asked is None and now >= self._next):
@@ -232,21 +263,23 @@ class Poll:
         return values
 
 
-def watched(contact: Contact) -> tuple[Packet, ...]:
-    """Return the packets the driver wants from this base all the time."""
+def watched_packets(contact: Contact) -> tuple[Packet, ...]:
+    """Return the packets that the driver reads from this base at all times."""
     return COMMON + COUNTS if contact.model is CREATE2 else COMMON
 
 
-def at_rest(contact: Contact) -> tuple[Packet, ...]:
-    """Return the packets the driver wants while the base stands: on a Create 1 also how far it got.
+def packets_at_rest(contact: Contact) -> tuple[Packet, ...]:
+    """Return the packets that the driver reads at rest: on a Create 1 also packets 19 and 20.
 
-    Reading those begins them anew without their fractions, so they are not read while it drives.
+    Each read resets those and drops their fractions, so they are not read while the base drives.
     """
-    return watched(contact) if contact.model is CREATE2 else watched(contact) + MOVED
+    return (
+        watched_packets(contact) if contact.model is CREATE2 else watched_packets(contact) + MOVED
+    )
 
 
-def plausible(values: Values, contact: Contact) -> bool:
-    """Tell whether readings can be true at all; for what a checksum lets through."""
+def is_plausible(values: Values, contact: Contact) -> bool:
+    """Return whether all readings are in range; catches errors that the checksum misses."""
     limits: dict[int, Callable[[int], bool]] = {
         Packet.BUMPS_DROPS: lambda v: v < 32,
         Packet.OVERCURRENTS: lambda v: v < 32,
@@ -260,7 +293,12 @@ def plausible(values: Values, contact: Contact) -> bool:
 
 
 def base_spec(model: Model, *, streams: bool) -> BaseSpec:
-    """Return what a base of that generation can do, which streams or is polled."""
+    """Return the data sheet of a base of this generation.
+
+    Args:
+        model: Generation of the base.
+        streams: Whether it streams its readings every 15 ms or is polled.
+    """
     diameter = model.wheel_diameter_mm / 1000
     # Packet 19 of a Create 1 counts whole millimetres.
     whole_mm = math.pi * model.wheel_diameter_mm

@@ -1,4 +1,4 @@
-"""Data sheets of the iRobot Create 1 and Create 2, as lengths and counts in SI units.
+"""Data sheets of the iRobot Create 1 and Create 2, in SI units.
 
 Sources: AutonomyLab create_robot URDF; AutonomyLab libcreate, types.cpp; iRobot Create 2 Open
 Interface based on the Roomba 600 (2016).
@@ -25,5 +25,5 @@ CREATE1 = replace(
     name="create1",
     wheel_base=0.258,  # libcreate types.cpp, as the next
     wheel_diameter=0.078,
-    counts_per_turn=1000 * math.pi * 0.078,  # no counts: packet 19 has whole millimetres
+    counts_per_turn=1000 * math.pi * 0.078,  # no encoders: packet 19 counts whole millimetres
 )

@@ -1,9 +1,10 @@
-"""Sensor packets of the iRobot Open Interface: ids, sizes, groups, values to bytes and back.
+"""Sensor packets of the iRobot Open Interface: ids, sizes, groups, encoding and decoding.
 
 Sources: iRobot Create Open Interface (2007), pages 17 to 21 (packets 7 to 42, groups 0 to 6);
 iRobot Create 2 Open Interface based on the Roomba 600 (2016), "Sensor Packets" (43 to 58, 100 to
 107).
-All values are big-endian; raw units of the manuals (mm, deg, mV, mA, mAh).
+
+All values are big-endian and in the manuals' units (mm, deg, mV, mA, mAh).
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class BumpsDrops(IntFlag):
 
 
 class Overcurrents(IntFlag):
-    """Bits of packet 14 that are wheels, the same in both generations."""
+    """Bits of packet 14 for the wheels, the same in both generations."""
 
     RIGHT_WHEEL = 8
     LEFT_WHEEL = 16
@@ -118,23 +119,23 @@ GROUPS: Mapping[int, range] = {
     106: range(46, 52),
     107: range(54, 59),
 }
-"""The packets that a group id stands for."""
+"""Packet ids by group id."""
 
 
 def packets_of(number: int) -> range:
-    """Return the packets that ``number``, a packet or a group, stands for; empty if unknown."""
+    """Return the packets in ``number``, the id of a packet or group; empty if unknown."""
     if number in GROUPS:
         return GROUPS[number]
     return range(number, number + 1) if 7 <= number <= 58 else range(0)
 
 
 def size_of(number: int) -> int:
-    """Return the bytes of data of the packet or group ``number``; 0 if unknown."""
+    """Return the size of the packet or group ``number`` [bytes]; 0 if unknown."""
     return sum(2 if packet in _TWO_BYTES else 1 for packet in packets_of(number))
 
 
 def encode_packet(packet: int, value: int) -> bytes:
-    """Return the data of one packet; a value out of its range is clipped, as the base does."""
+    """Return the data of one packet; values out of range saturate, as on the base."""
     bits = 8 * size_of(packet)
     low, high = (
         (-(1 << bits - 1), (1 << bits - 1) - 1) if packet in _SIGNED else (0, (1 << bits) - 1)
@@ -143,7 +144,7 @@ def encode_packet(packet: int, value: int) -> bytes:
 
 
 def encode_packets(numbers: Iterable[int], values: Mapping[int, int]) -> bytes:
-    """Return the data of packets and groups, one after the other."""
+    """Return the concatenated data of packets and groups."""
     return b"".join(encode_packet(p, values.get(p, 0)) for n in numbers for p in packets_of(n))
 
 
@@ -151,7 +152,7 @@ def decode_packets(numbers: Sequence[int], data: bytes) -> dict[int, int]:
     """Return the values of packets and groups by packet id.
 
     Raises:
-        ValueError: ``data`` is not as long as they are.
+        ValueError: ``data`` does not have the size of these packets.
     """
     wanted = sum(map(size_of, numbers))
     if len(data) != wanted:

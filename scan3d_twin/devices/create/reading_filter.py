@@ -1,7 +1,8 @@
-"""What a checksum of eight bits lets through is not believed at once on a line that garbles bytes.
+"""Debounce readings while the link is noisy: an 8-bit checksum misses errors.
 
-Of the garbled frames that still look like one, 1 in 256 has the right sum by chance, and 1 in 16 of
-those in which just two bits were turned over: once up and once down at the same place of a byte.
+A corrupted frame that still has the form of a frame passes the checksum in 1 of 256 cases by
+chance. With exactly two flipped bits it passes in 1 of 16: the same bit of two bytes, flipped up
+in one and down in the other.
 """
 
 from __future__ import annotations
@@ -11,45 +12,45 @@ import math
 from scan3d_twin.devices.create.link import COUNTS, MOVED, Values
 from scan3d_twin.devices.create.packets import Packet
 
-DOUBT = 1.0
-"""So long after bytes that made no sense the line is in doubt [s]: 67 frames; assumption."""
-UNSIFTED: frozenset[Packet] = frozenset((*COUNTS, *MOVED))
-"""Never the same twice while the base moves; the odometry checks them by what was commanded."""
+NOISY_TIME = 1.0
+"""Time for which the link counts as noisy after a transmission error [s]: 67 frames; assumption."""
+NOT_DEBOUNCED: frozenset[Packet] = frozenset((*COUNTS, *MOVED))
+"""Packets that change with every reading of a moving base; dead reckoning checks them itself."""
 
 
 class ReadingFilter:
-    """Holds back what was read once only, while the line is in doubt.
+    """Debounces readings: on a noisy link a value must be read twice in a row to be accepted.
 
-    On a good line everything is believed at once, so that a stop for a hazard comes at once.
+    On a clean link every reading is accepted at once, so that hazards stop the robot without delay.
     """
 
     def __init__(self) -> None:
         self._before: Values = {}
-        self._believed: Values = {}
-        self._broken = 0
-        self._broken_at = -math.inf
+        self._accepted: Values = {}
+        self._errors = 0
+        self._last_error = -math.inf
 
-    def doubts(self, now: float) -> bool:
-        """Tell whether the line garbled bytes lately."""
-        return now - self._broken_at < DOUBT
+    def is_noisy(self, now: float) -> bool:
+        """Return whether transmission errors occurred within the last ``NOISY_TIME`` [s]."""
+        return now - self._last_error < NOISY_TIME
 
-    def line(self, broken: int, now: float) -> bool:
-        """Note how many bytes made no sense so far; tell whether there are new ones."""
-        worse, self._broken = broken > self._broken, broken
-        if worse:
-            self._broken_at = now
-        return worse
+    def count_errors(self, errors: int, now: float) -> bool:
+        """Take in the total number of transmission errors; return whether it has grown."""
+        has_grown, self._errors = errors > self._errors, errors
+        if has_grown:
+            self._last_error = now
+        return has_grown
 
     def take(self, values: Values, now: float) -> Values:
-        """Return what is to be believed after the readings ``values``."""
+        """Return the accepted readings after ``values`` have arrived at ``now`` [s]."""
         before, self._before = self._before, values
-        if not (self.doubts(now) and self._believed):
-            self._believed = values
+        if not (self.is_noisy(now) and self._accepted):
+            self._accepted = values
         else:
-            self._believed = {
+            self._accepted = {
                 packet: value
-                if packet in UNSIFTED or before.get(packet) == value
-                else self._believed.get(packet, value)
+                if packet in NOT_DEBOUNCED or before.get(packet) == value
+                else self._accepted.get(packet, value)
                 for packet, value in values.items()
             }
-        return self._believed
+        return self._accepted

@@ -1,4 +1,4 @@
-"""Events of command 158: what a script can wait for; Create Open Interface, page 16."""
+"""Events that a script can wait for by command 158; Create Open Interface, page 16."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scan3d_twin.devices.create.emulated_body import Body
 from scan3d_twin.devices.create.packets import BumpsDrops, Mode, Packet
 
 Event = Callable[[Body], bool]
-"""Tells whether something is so."""
+"""Predicate on the robot's state."""
 
 _DROPS = BumpsDrops.DROP_LEFT | BumpsDrops.DROP_RIGHT | BumpsDrops.DROP_CASTER
 _BUMPS = BumpsDrops.BUMP_LEFT | BumpsDrops.BUMP_RIGHT
@@ -40,12 +40,12 @@ EVENTS: dict[int, Event] = {
     17: lambda body: bool(body.buttons & 1),
     **{18 + k: _input(1 << k) for k in range(4)},
 }
-"""Whether an event is there, by its number; number 22 (mode is Passive) is the firmware's own."""
+"""Predicates by event number; event 22 (mode is Passive) is tested in ``has_happened``."""
 PASSIVE_EVENT = 22
 
 
-def happened(event: int, body: Body, mode: Mode) -> bool:
-    """Tell whether the signed ``event`` is there; a negative one is its opposite."""
+def has_happened(event: int, body: Body, mode: Mode) -> bool:
+    """Return whether ``event`` has happened; a negative number negates the event."""
     number = abs(event)
     if number == PASSIVE_EVENT:
         there = mode is Mode.PASSIVE

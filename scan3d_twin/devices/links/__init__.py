@@ -1,1 +1,1 @@
-"""Lines between a driver and its device: serial port, socket, pseudo-terminal, line model."""
+"""Links between a driver and its device: serial port, socket, pseudo-terminal, line model."""

@@ -1,9 +1,9 @@
-"""A base that obeys its last drive command for ever: a guard stops it if this process cannot.
+"""A watchdog for a base that has none: a guard stops the wheels if this process cannot.
 
-Such a base has no watchdog. A process of its own holds the port too, and listens to signs
-of life that the drive loop itself writes while the wheels turn, not a thread that would outlive it.
-No sign for 0.3 s (the loop hangs), or the end of the pipe (the process was killed), and the guard
-sends the base its farewell.
+Without one, such a base keeps executing its last drive command. The guard is a separate process
+that also holds the port and reads heartbeats from a pipe. The drive loop itself writes them while
+the wheels turn, not a thread, which might outlive the loop. If no heartbeat arrives for 0.3 s (the
+loop hangs) or the pipe ends (the process was killed), the guard sends the base its farewell.
 """
 
 from __future__ import annotations
@@ -20,40 +20,43 @@ from scan3d_twin.core.hal import Clock
 from scan3d_twin.devices.links import guard_process
 
 SILENCE = 0.3
-"""Without a sign of life for so long the driving process hangs [s]."""
+"""Time without a heartbeat after which a driving process is taken to hang [s]."""
 INTERVAL = 0.05
-"""Between two signs of life [s]."""
+"""Time between two heartbeats [s]."""
 
 
 class Guard(Protocol):
-    """Stops the wheels if this process no longer can."""
+    """Stops the wheels if this process cannot."""
 
     def beat(self, moving: bool) -> None:
-        """Report that the process is alive, and whether it drives."""
+        """Send a heartbeat that says whether the base is driving."""
         ...
 
 
 class NoGuard:
-    """No guard, where time is not real or the base stops by itself."""
+    """No guard, for virtual time or a base with a watchdog of its own."""
 
     def beat(self, moving: bool) -> None:
         """See ``Guard.beat``."""
 
 
 class ProcessGuard:
-    """A ``Guard`` in a process of its own, which Ctrl-C in the terminal does not reach."""
+    """A ``Guard`` in a separate process, which Ctrl-C in the terminal does not reach."""
 
     def __init__(self, port: int, farewell: bytes, clock: Clock) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
             port: File descriptor of the base's open port.
-            farewell: Stops the wheels and leaves the base at rest, whatever was sent before.
-            clock: To write a sign of life only every ``INTERVAL``.
+            farewell: Bytes that stop the wheels and leave the base at rest, whatever was sent
+                before.
+            clock: Limits heartbeats to one per ``INTERVAL``.
         """
         self._clock = clock
         self._moving = False
         self._due = -math.inf
+
+        # Start the process at the end of a pipe
         reader, self._pipe = os.pipe()
         words = [str(port), str(reader), farewell.hex(), str(round(1000 * SILENCE))]
         self._process = subprocess.Popen(
@@ -69,7 +72,7 @@ class ProcessGuard:
         """See ``Guard.beat``.
 
         Raises:
-            HazardError: The guard itself has ended, so the robot must not drive.
+            HazardError: The guard process has ended, so the robot must not drive.
         """
         now = self._clock.now()
         if moving == self._moving and (not moving or now < self._due):
@@ -82,7 +85,7 @@ class ProcessGuard:
                 raise HazardError("the guard process has ended: driving is not safe") from None
 
     def close(self) -> None:
-        """Send the guard home; the wheels stand."""
+        """End the guard process; the wheels must have been stopped."""
         with suppress(BrokenPipeError):
             os.write(self._pipe, guard_process.GOODBYE)
         os.close(self._pipe)
@@ -90,10 +93,10 @@ class ProcessGuard:
 
 
 class PortGuard:
-    """A ``Guard`` of a port that may be unplugged: each time it is opened it gets a new process.
+    """A ``Guard`` for a port that may be unplugged: a new process each time the port is opened.
 
-    A process that went on holding an unplugged port would keep its name from coming back. Without
-    a ``farewell`` there is no process: the base stops by itself.
+    A process that still held the unplugged port would prevent its name from being used again. If
+    ``farewell`` is empty there is no process: the base has a watchdog of its own.
     """
 
     def __init__(self, farewell: bytes, clock: Clock) -> None:
@@ -107,12 +110,12 @@ class PortGuard:
             self._guard = ProcessGuard(port, self._farewell, self._clock)
 
     def beat(self, moving: bool) -> None:
-        """See ``Guard.beat``; without a port there is nobody to tell."""
+        """See ``Guard.beat``; does nothing while no port is guarded."""
         if self._guard is not None:
             self._guard.beat(moving)
 
     def close(self) -> None:
-        """Send the process home; closing twice does nothing."""
+        """End the process; closing twice does nothing."""
         guard, self._guard = self._guard, None
         if guard is not None:
             guard.close()

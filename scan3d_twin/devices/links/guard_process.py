@@ -1,8 +1,8 @@
-"""The guard's own process: stops the wheels when the process that drives can no longer.
+"""The guard process: stops the wheels when the driving process no longer can.
 
-Run as a file by a bare interpreter (``python -I -S``), so it imports nothing but the smallest part
-of the standard library and is ready within some 20 ms. It holds the port as an inherited descriptor
-and reads signs of life from a pipe; time is only what ``poll`` waits.
+It is run as a file by a bare interpreter (``python -I -S``) and imports only a small part of the
+standard library, so that it is ready within about 20 ms. It inherits the descriptor of the port and
+reads heartbeats from a pipe; the only clock it uses is the time-out of ``poll``.
 
     guard_process.py PORT_FD PIPE_FD FAREWELL_HEX SILENCE_MS
 """
@@ -17,15 +17,18 @@ MOVING, STANDING, GOODBYE = b"m", b"s", b"q"
 
 
 def guard(port: int, pipe: int, farewell: bytes, silence_ms: int) -> None:
-    """Send ``farewell`` when the pipe ends without a goodbye, or is silent while moving."""
+    """Send ``farewell`` if the pipe ends without a goodbye, or is silent while moving."""
     poll = select.poll()
     poll.register(pipe, select.POLLIN)
     moving = False
     while True:
+        # Stop the wheels after a silence
         if not poll.poll(silence_ms if moving else None):
             moving = False
             send(port, farewell)
             continue
+
+        # Follow the heartbeats
         word = os.read(pipe, 4096)
         if not word:
             send(port, farewell)
@@ -35,7 +38,7 @@ def guard(port: int, pipe: int, farewell: bytes, silence_ms: int) -> None:
 
 
 def send(port: int, data: bytes) -> None:
-    """Write ``data`` to a port that may not take it at once, or be gone."""
+    """Write ``data`` to a port that may block or be gone."""
     poll = select.poll()
     poll.register(port, select.POLLOUT)
     try:

@@ -1,4 +1,4 @@
-"""The serial line between an emulated device and its client: speed, buffers and faults."""
+"""Model of the serial line between an emulated device and its client: speed, buffer, faults."""
 
 from __future__ import annotations
 
@@ -14,47 +14,48 @@ from scan3d_twin.core.errors import HazardError, LinkError
 from scan3d_twin.core.hal import Clock
 
 BUFFER = 65536
-"""Bytes the client's port keeps until they are read; more are lost. Assumption: Linux keeps up to
-640 KiB behind its 4 KiB, adapters much less."""
+"""Size of the client's input buffer [bytes]; what does not fit is lost. Assumption: Linux keeps up
+to 640 KiB behind its 4 KiB, adapters much less."""
 BITS_PER_BYTE = 10
 """8N1: start bit, eight data bits, stop bit."""
 POLL = 0.002
-"""A reader in virtual time looks at the line this often [s]."""
+"""Interval at which a reader in virtual time polls the line [s]."""
 
 
 class Device(Protocol):
-    """An emulated device: bytes in, bytes out, on the simulated clock and nothing else.
+    """An emulated device: bytes in, bytes out, on the simulated clock only.
 
-    It may have an attribute ``began``: when it put the bytes from the last ``transmit`` on the line
-    [s]. Otherwise that is when they were fetched, and looking late delays them.
+    It may have an attribute ``began``: the time [s] at which the bytes returned by the last
+    ``transmit`` were put on the line. Without it that is the time of the call to ``transmit``, so
+    that a late call delays the bytes.
     """
 
     @property
     def baud(self) -> int:
-        """The speed of the next bytes from ``transmit``, else its UART's; 0: none (USB) [bit/s]."""
+        """Bit rate of the next bytes from ``transmit``, or of its UART; 0 for USB [bit/s]."""
         ...
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take in ``data`` that arrived by ``now`` [s]."""
+        """Take in ``data``, which arrived by ``now`` [s]."""
         ...
 
     def transmit(self, now: float) -> bytes:
-        """Return bytes it has put on the line up to ``now`` [s] at one speed; b"" is all."""
+        """Return bytes put on the line by ``now`` [s] at one bit rate; b"" if there are no more."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What goes wrong on a line, drawn from its seed; applies to both directions.
+    """Random transmission errors of a line, in both directions; drawn from the line's seed.
 
     Attributes:
         drop: Probability that a byte is lost, 0..1.
         insert: Probability that a byte is followed by one that was never sent, 0..1.
-        flip: Probability that one bit of a byte is turned over, 0..1.
-        stalls: Stalls per second; nothing arrives meanwhile, and all of it afterwards.
+        flip: Probability that one bit of a byte is flipped, 0..1.
+        stalls: Stalls per second; during a stall nothing arrives, afterwards everything at once.
         stall: Length of a stall [s].
-        junk: Bytes that lie in the port when it is opened.
-        silent: Whether a wrong speed yields nothing instead of garbage.
+        junk: Bytes in the port when it is opened.
+        silent: Whether a wrong bit rate yields nothing instead of garbage.
     """
 
     drop: float = 0.0
@@ -71,23 +72,23 @@ NO_FAULTS = Faults()
 
 @dataclass(slots=True)
 class _Burst:
-    """Bytes on their way at one speed; the first one starts at ``start`` [s]."""
+    """Bytes in transmission at one bit rate; the first one starts at ``start`` [s]."""
 
     start: float
     baud: int
     data: bytes
 
     def arrived(self, now: float) -> int:
-        """Return how many bytes are through."""
+        """Return the number of bytes transmitted by ``now`` [s]."""
         if self.baud == 0:
             return len(self.data) if now >= self.start else 0
-        # A nanosecond of mercy for the rounding of the clock.
+        # Allow a nanosecond for the rounding of the clock.
         whole = int((now - self.start + 1e-9) * self.baud / BITS_PER_BYTE)
         return max(0, min(len(self.data), whole))
 
     @property
     def end(self) -> float:
-        """When the last byte is through [s]."""
+        """Time at which the last byte is transmitted [s]."""
         return self.start + (len(self.data) * BITS_PER_BYTE / self.baud if self.baud else 0.0)
 
 
@@ -95,9 +96,10 @@ class Line:
     """A line to ``device``, on the simulated clock.
 
     Attributes:
-        faults: May be changed while it runs.
-        plugged: Whether bytes pass at all.
-        passed: Bytes that have reached the client, faults included.
+        device: The emulated device.
+        faults: Transmission errors; may be changed at any time.
+        plugged: Whether the line is plugged in.
+        passed: Number of bytes that have reached the client, after faults.
     """
 
     def __init__(self, device: Device, faults: Faults = NO_FAULTS, seed: int = 0) -> None:
@@ -114,7 +116,7 @@ class Line:
         self._looked = 0.0
 
     def open(self, now: float) -> None:
-        """A client opens its end; what the device said before is lost.
+        """Open the client's end; what the device sent before is lost.
 
         Raises:
             LinkError: The line is unplugged.
@@ -127,49 +129,55 @@ class Line:
         self._arrived = bytearray(self.faults.junk)
 
     def discard(self, now: float, baud: int) -> None:
-        """The client forgets what has arrived."""
+        """Discard what has arrived at the client."""
         self.receive(now, baud)
 
     def send(self, data: bytes, now: float, baud: int) -> None:
-        """The client sends ``data`` at ``baud`` [bit/s]; 0 is any speed."""
+        """Send ``data`` from the client at ``baud`` [bit/s]; 0 matches any bit rate."""
         self._pull(now, baud)
         if self.plugged and data:
             speed = self.device.baud
             start = max([now, *(burst.end for burst in self._up)])
-            heard = self._faulty(self._heard(data, baud, speed))
+            heard = self._add_faults(self._decode_at(data, baud, speed))
             self._up.append(_Burst(start, baud if speed else 0, heard))
             self._push(now)
 
     def receive(self, now: float, baud: int) -> bytes:
-        """Return what has arrived by ``now`` [s] at a client that listens at ``baud``."""
+        """Return what has arrived by ``now`` [s] at a client that receives at ``baud`` [bit/s]."""
         self._pull(now, baud)
         data = bytes(self._arrived)
         self._arrived.clear()
         return data
 
     def _push(self, now: float) -> None:
-        """Hand the device what has reached it, each piece at its time."""
+        """Deliver to the device what has reached it, each burst at its time of arrival."""
         while self._up and self._up[0].end <= now + 1e-9:
             burst = self._up.popleft()
             self.device.receive(burst.data, max(burst.end, self._looked))
 
     def _pull(self, now: float, baud: int) -> None:
-        """Let bytes pass in both directions up to ``now``."""
+        """Transfer the bytes of both directions up to ``now`` [s]."""
+        # Client to device
         self._push(now)
+
+        # Device to line
         speed = self.device.baud
         while data := self.device.transmit(now):
             self._free_at = max(getattr(self.device, "began", now), self._free_at)
             self._down.append(_Burst(self._free_at, speed, data))
             self._free_at = self._down[-1].end
             speed = self.device.baud
+
+        # Line to client
         if not self.plugged:
             self._down.clear()
-        if not self._stalled(now):
-            for data, speed in self._through(now):
-                self._keep(self._faulty(self._heard(data, speed, baud)))
+        if not self._is_stalled(now):
+            for data, speed in self._take_arrived(now):
+                self._store(self._add_faults(self._decode_at(data, speed, baud)))
         self._looked = now
 
-    def _through(self, now: float) -> Iterator[tuple[bytes, int]]:
+    def _take_arrived(self, now: float) -> Iterator[tuple[bytes, int]]:
+        """Yield (bytes, bit rate) that have arrived at the client, and remove them."""
         while self._down and (count := self._down[0].arrived(now)):
             burst = self._down.popleft()
             yield burst.data[:count], burst.baud
@@ -179,33 +187,38 @@ class Line:
                 self._down.appendleft(_Burst(start, burst.baud, rest))
                 return
 
-    def _keep(self, data: bytes) -> None:
+    def _store(self, data: bytes) -> None:
         self.passed += len(data)
         self._arrived += data[: BUFFER - len(self._arrived)]
 
-    def _stalled(self, now: float) -> bool:
+    def _is_stalled(self, now: float) -> bool:
         expected = self.faults.stalls * (now - self._looked)
         if now >= self._stalled_until and expected > 0 and self._rng.random() < expected:
             self._stalled_until = now + self.faults.stall
         return now < self._stalled_until
 
-    def _heard(self, data: bytes, sent: int, heard: int) -> bytes:
-        """Return what a UART at ``heard`` baud makes of ``data`` sent at ``sent`` baud."""
+    def _decode_at(self, data: bytes, sent: int, heard: int) -> bytes:
+        """Return what a UART at ``heard`` baud receives of ``data`` sent at ``sent`` baud."""
         if sent == heard or not sent or not heard:
             return data
         if self.faults.silent:
             return b""
-        # A slower UART takes several bytes for one; a faster one sees a break or two in each.
+        # A slower UART reads several bytes as one; a faster one reads each as one or two.
         return self._rng.bytes(round(len(data) * min(2.0, heard / sent)))
 
-    def _faulty(self, data: bytes) -> bytes:
+    def _add_faults(self, data: bytes) -> bytes:
+        """Return ``data`` with random transmission errors."""
         faults = self.faults
         if not (faults.drop or faults.insert or faults.flip) or not data:
             return data
+
+        # Flip bits
         values = np.frombuffer(data, np.uint8)
         draws = self._rng.random((3, len(values)))
         bits = self._rng.integers(0, 8, len(values))
         values = np.where(draws[0] < faults.flip, values ^ (1 << bits), values).astype(np.uint8)
+
+        # Drop and insert bytes
         repeats = np.where(draws[1] < faults.drop, 0, 1)
         extra = draws[2] < faults.insert
         junk = self._rng.integers(0, 256, len(values), dtype=np.uint8)
@@ -214,7 +227,7 @@ class Line:
 
 
 class Wire:
-    """A ``Transport`` to an emulated device in virtual time: who reads lets the clock run."""
+    """A ``Transport`` to an emulated device in virtual time: reading advances the clock."""
 
     def __init__(self, device: Device | Line, clock: Clock, baud: int = 115200) -> None:
         """Open the client's end.
@@ -236,7 +249,7 @@ class Wire:
             data = self.line.receive(now, self._baud)
             if data or now >= deadline - 1e-9:
                 return data
-            # What happens in the world is the emulated device's to tell, in bytes.
+            # The emulated base reports hazards in bytes.
             with suppress(HazardError):
                 self._clock.sleep(min(POLL, deadline - now))
 

@@ -1,4 +1,4 @@
-"""A pseudo-terminal in front of an emulated device: to its client it is a serial port."""
+"""A pseudo-terminal in front of an emulated device: its client sees a serial port."""
 
 from __future__ import annotations
 
@@ -12,23 +12,26 @@ from scan3d_twin.core.errors import LinkError
 from scan3d_twin.devices.links.line_model import Line
 
 _TCGETS2 = 0x802C542A
-"""ioctl for the settings with the bit rate as a number; Linux, asm-generic/ioctls.h."""
+"""ioctl that reads the settings with a numeric bit rate; Linux, asm-generic/ioctls.h."""
 _SPEED_AT = 10
-"""Place of the output speed in ``struct termios2``, in words of 32 bits."""
+"""Index of the output speed in ``struct termios2``, in 32-bit words."""
 _CHUNK = 4096
 
 
 class PtyPort:
     """The port of a line, at ``path``.
 
-    The settings the client makes decide how fast it listens. Without a client the bytes are lost,
-    as on a cable that ends in the air.
+    The client's bit rate is the one it sets on the terminal. Without a client the bytes are lost,
+    as on a cable with an open end.
+
+    Attributes:
+        path: Path of the terminal for the client.
     """
 
     def __init__(self, line: Line) -> None:
         self._line = line
         self._master, slave = os.openpty()
-        # Before anybody opens it: an echo would feed the device its own bytes.
+        # Raw mode before anybody opens it: an echo would feed the device its own bytes.
         tty.setraw(slave)
         self.path = os.ttyname(slave)
         os.close(slave)
@@ -43,9 +46,9 @@ class PtyPort:
         return settings[_SPEED_AT]
 
     def service(self, now: float) -> None:
-        """Let bytes pass in both directions up to ``now`` [s]."""
+        """Transfer the bytes of both directions up to ``now`` [s]."""
         data = self._read(now)
-        # After the bytes: who changes the speed writes first and changes then.
+        # Read the bit rate after the bytes: a client writes first and then changes it.
         baud = self.baud
         self._line.send(data, now, baud)
         out = self._line.receive(now, baud)
@@ -53,11 +56,11 @@ class PtyPort:
             self._write(out)
 
     def close(self) -> None:
-        """Take the port away; its client sees it unplugged."""
+        """Close the port; its client sees it unplugged."""
         os.close(self._master)
 
     def _read(self, now: float) -> bytes:
-        """Return what the client has sent, and notice whether there is one."""
+        """Return what the client has sent; detect whether there is a client."""
         try:
             data = os.read(self._master, _CHUNK)
         except BlockingIOError:
@@ -72,6 +75,6 @@ class PtyPort:
         return data
 
     def _write(self, data: bytes) -> None:
-        # A client that does not read, or has gone, loses them.
+        # Bytes for a client that does not read, or is gone, are lost.
         with suppress(OSError):
             os.write(self._master, data)

@@ -1,4 +1,4 @@
-"""Serving emulated devices in real time: the only place in ``emulator`` that knows the time."""
+"""Serving emulated devices in real time: the only emulator code that reads the system clock."""
 
 from __future__ import annotations
 
@@ -12,49 +12,61 @@ from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import Clock
 
 SLICE = 0.005
-"""The world is let run this far between two looks at the ports [s]."""
+"""Longest simulated time between two services of the ports [s]."""
 LAG = 0.5
-"""A computer that is slower than the world is not made to catch up with more [s]."""
+"""Longest delay of the simulation behind real time that is caught up [s]."""
 LOST = 1.0
-"""Each time so much more of the wall's time was lost, the user is told [s]."""
+"""Real time lost between two warnings [s]."""
 
 log = logging.getLogger(__name__)
 
 
 class Port(Protocol):
-    """Where a client meets an emulated device."""
+    """The end of a line to which a client connects.
+
+    Attributes:
+        path: Path or URL for the client.
+    """
 
     path: str
 
     def service(self, now: float) -> None:
-        """Let bytes pass in both directions up to ``now`` [s]."""
+        """Transfer the bytes of both directions up to ``now`` [s]."""
         ...
 
 
 class Pace:
-    """How far the world is behind the wall: up to ``LAG``, which it catches up with.
+    """The delay of the simulation behind real time: up to ``LAG`` of it is caught up.
 
-    What a computer is slower than that is lost: the world then runs slowly, each byte still in its
-    time of the world.
+    Any further delay is lost: the simulation then runs slower than real time, with the timing of
+    the bytes still correct in simulated time.
 
     Attributes:
-        lost: Time of the wall that the world has missed [s].
+        lost: Real time that the simulation has missed [s].
     """
 
     def __init__(self, now: float, wall: float) -> None:
         self.lost = 0.0
-        self._told = 0.0
+        self._reported = 0.0
         self._ahead = now - wall
 
     def behind(self, now: float, wall: float) -> float:
-        """Return by how much the world, at ``now``, is behind the ``wall`` [s]; below 0: ahead."""
+        """Return the delay of the simulation behind real time [s]; negative if it is ahead.
+
+        Args:
+            now: Simulated time [s].
+            wall: Real time [s].
+        """
+        # Drop what cannot be caught up
         behind = wall + self._ahead - now
         if behind > LAG:
             self.lost += behind - LAG
             self._ahead -= behind - LAG
             behind = LAG
-        if self.lost - self._told >= LOST:
-            self._told = self.lost
+
+        # Warn each second lost
+        if self.lost - self._reported >= LOST:
+            self._reported = self.lost
             log.warning(
                 "this computer is too busy: the emulated world has lost %.1f s so far; clients may "
                 "find the devices slow or silent; end other programs",
@@ -64,12 +76,18 @@ class Pace:
 
 
 def serve(ports: Sequence[Port], clock: Clock, ended: Callable[[], bool] = lambda: False) -> None:
-    """Serve ``ports`` while ``clock`` keeps pace with the time on the wall, until ``ended``."""
+    """Serve ``ports`` in real time, as far as the computer is fast enough, until ``ended``.
+
+    Args:
+        ports: Ports of the emulated devices.
+        clock: Clock of the simulation.
+        ended: Returns whether to stop.
+    """
     pace = Pace(clock.now(), time.monotonic())
     while not ended():
         behind = pace.behind(clock.now(), time.monotonic())
         if behind > 0:
-            # A hazard is the emulated base's to tell, in bytes.
+            # The emulated base reports hazards in bytes.
             with suppress(HazardError):
                 clock.sleep(min(behind, SLICE))
         else:

@@ -15,15 +15,23 @@ _ANY_BAUD = 0
 class TcpPort:
     """The port of a line, at ``path`` (``socket://127.0.0.1:PORT``).
 
-    One client at a time; another one waits until the first has gone. A client that does not read
-    loses bytes.
+    It serves one client at a time; another one waits until the first has disconnected. Bytes for a
+    client that does not read are lost.
+
+    Attributes:
+        path: URL for the client.
     """
 
     def __init__(self, line: Line, host: str = "127.0.0.1", port: int = 0) -> None:
-        """Listen.
+        """Start to listen.
+
+        Args:
+            line: The line to the emulated device.
+            host: Address to listen on.
+            port: Port number; 0 is any free port.
 
         Raises:
-            LinkError: The address is not free.
+            LinkError: The address is in use or not available.
         """
         self._line = line
         try:
@@ -35,7 +43,7 @@ class TcpPort:
         self.path = "socket://{}:{}".format(*self._server.getsockname())
 
     def service(self, now: float) -> None:
-        """Let bytes pass in both directions up to ``now`` [s]."""
+        """Transfer the bytes of both directions up to ``now`` [s]."""
         if self._client is None:
             self._accept(now)
         self._line.send(self._read(), now, _ANY_BAUD)
@@ -45,7 +53,7 @@ class TcpPort:
                 self._client.send(out)
 
     def close(self) -> None:
-        """Hang up and listen no more."""
+        """Disconnect the client and stop listening."""
         self._hang_up()
         self._server.close()
 

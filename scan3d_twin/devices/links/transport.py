@@ -1,4 +1,4 @@
-"""Seam B: bytes between a driver and its device; here over a serial port or a socket."""
+"""Transports: bytes between a driver and its device, over a serial port or a socket."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from scan3d_twin.core.errors import LinkError
 from scan3d_twin.core.hal import Clock
 
 WRITE_TIMEOUT = 1.0
-"""A command of at most 100 bytes that is not taken within this time never will be [s]."""
+"""Time-out for sending a command, which has at most 100 bytes [s]."""
 RETRY = (0.1, 0.5)
-"""First and longest wait between two attempts to open an unplugged port [s]; it doubles."""
+"""First and longest wait between two attempts to reopen a port [s]; it doubles each time."""
 _CHUNK = 4096
 
 log = logging.getLogger(__name__)
@@ -51,41 +51,45 @@ class Transport(Protocol):
         """Send and receive at ``baud`` [bit/s] from now on.
 
         Raises:
-            LinkError: The port cannot do that.
+            LinkError: The port does not support it.
         """
         ...
 
     def discard_input(self) -> None:
-        """Forget what has arrived and was not read."""
+        """Discard what has arrived and was not read."""
         ...
 
     def close(self) -> None:
-        """Give the port back; closing twice does nothing."""
+        """Close the port; closing twice does nothing."""
         ...
 
 
 class SerialTransport:
-    """A serial port, for this process alone; also ``socket://HOST:PORT``.
+    """A serial port, opened exclusively, or ``socket://HOST:PORT``.
 
-    The modem lines are left alone: pseudo-terminals and many adapters have none.
+    Modem control lines are not used: pseudo-terminals and many adapters have none.
+
+    Attributes:
+        port: Path or URL of the port.
     """
 
     def __init__(self, port: str, baud: int = 115200) -> None:
         """Open ``port``.
 
         Raises:
-            LinkError: It is missing, not permitted, in use or no serial port; says what to do.
+            LinkError: It is missing, not permitted, in use or not a serial port; the message says
+                what to do.
         """
         self.port = port
         try:
             self._serial = serial.serial_for_url(port, baud, timeout=0, **_options(port))
         except (OSError, ValueError, termios.error) as error:
-            raise LinkError(_why_not_open(port, error)) from None
+            raise LinkError(_explain_open_error(port, error)) from None
         with suppress(OSError):
             fcntl.ioctl(self.fileno(), termios.TIOCEXCL)
 
     def fileno(self) -> int:
-        """Return the file descriptor, to wait on or to hand to a process that guards the device."""
+        """Return the file descriptor, for example to pass it to a guard process."""
         return int(self._serial.fileno())
 
     def read(self, timeout: float) -> bytes:
@@ -97,9 +101,9 @@ class SerialTransport:
         except BlockingIOError:
             return b""
         except (OSError, ValueError) as error:
-            raise self._gone(error) from None
+            raise self._unplugged_error(error) from None
         if not data:
-            raise self._gone("end of file")
+            raise self._unplugged_error("end of file")
         return data
 
     def write(self, data: bytes) -> None:
@@ -107,12 +111,12 @@ class SerialTransport:
         while data:
             try:
                 if not select.select([], [self.fileno()], [], WRITE_TIMEOUT)[1]:
-                    raise LinkError(f"{self.port} takes no bytes: is the device hung? replug it")
+                    raise LinkError(f"{self.port} accepts no bytes: is the device hung? replug it")
                 data = data[os.write(self.fileno(), data) :]
             except BlockingIOError:
                 continue
             except (OSError, ValueError) as error:
-                raise self._gone(error) from None
+                raise self._unplugged_error(error) from None
 
     def set_baud(self, baud: int) -> None:
         """See ``Transport.set_baud``."""
@@ -130,16 +134,16 @@ class SerialTransport:
         """See ``Transport.close``."""
         self._serial.close()
 
-    def _gone(self, why: object) -> LinkError:
+    def _unplugged_error(self, why: object) -> LinkError:
         return LinkError(f"{self.port} was unplugged ({why}): check the cable and the power")
 
 
 Tap = Callable[[float, Literal["<", ">"], bytes], None]
-"""Is told the stamp [s], the direction (``<`` from the device, ``>`` to it) and the bytes."""
+"""Called with timestamp [s], direction (``<`` from the device, ``>`` to it) and bytes."""
 
 
 class Tapped:
-    """A ``Transport`` that tells a tap whatever passes."""
+    """A ``Transport`` that reports all traffic to a tap."""
 
     def __init__(self, transport: Transport, clock: Clock, tap: Tap) -> None:
         self._transport = transport
@@ -163,12 +167,12 @@ class Tapped:
 
 
 class Reopening:
-    """A ``Transport`` that opens its port again after it was unplugged.
+    """A ``Transport`` that reopens its port after it was unplugged.
 
-    Meanwhile nothing arrives, and what is sent is lost.
+    Until then nothing arrives, and what is sent is lost.
 
     Attributes:
-        away: Whether it is unplugged.
+        away: Whether the port is unplugged.
     """
 
     def __init__(
@@ -181,10 +185,10 @@ class Reopening:
         """Open the port.
 
         Args:
-            open_port: Opens it; called again and again while it is unplugged.
-            clock: Tells when to try again.
-            first: Is sent at once when the port was opened again.
-            on_lost: Told that the port was lost, and closed.
+            open_port: Opens the port; called repeatedly while it is unplugged.
+            clock: Times the attempts to reopen it.
+            first: Bytes sent as soon as the port is open again.
+            on_lost: Called after the port was lost and closed.
 
         Raises:
             LinkError: It cannot be opened.
@@ -197,26 +201,26 @@ class Reopening:
 
     def read(self, timeout: float) -> bytes:
         """See ``Transport.read``; does not wait while the port is away."""
-        if not self._is_there():
+        if not self._reopen_if_due():
             return b""
         try:
             return self._port.read(timeout)
         except LinkError as error:
-            self._lose(error)
+            self._drop_port(error)
             return b""
 
     def write(self, data: bytes) -> None:
         """See ``Transport.write``; lost while the port is away."""
-        if self._is_there():
+        if self._reopen_if_due():
             try:
                 self._port.write(data)
             except LinkError as error:
-                self._lose(error)
+                self._drop_port(error)
 
     def set_baud(self, baud: int) -> None:
         """See ``Transport.set_baud``."""
         self._baud = baud
-        if self._is_there():
+        if self._reopen_if_due():
             self._port.set_baud(baud)
 
     def discard_input(self) -> None:
@@ -228,8 +232,8 @@ class Reopening:
         """See ``Transport.close``."""
         self._port.close()
 
-    def _is_there(self) -> bool:
-        """Tell whether the port is there; if not, try to open it when that is due."""
+    def _reopen_if_due(self) -> bool:
+        """Return whether the port is open; if not, first try to reopen it when that is due."""
         if self.away and self._clock.now() >= self._due:
             with suppress(LinkError):
                 self._port = self._open_port()
@@ -242,7 +246,7 @@ class Reopening:
             self._due = self._clock.now() + self._wait
         return not self.away
 
-    def _lose(self, error: LinkError) -> None:
+    def _drop_port(self, error: LinkError) -> None:
         log.warning("%s; trying again", error)
         self.away, self._due = True, self._clock.now() + self._wait
         self._port.close()
@@ -250,12 +254,12 @@ class Reopening:
 
 
 def is_away(transport: Transport) -> bool:
-    """Tell whether the port of ``transport`` was unplugged and is tried again."""
+    """Return whether ``transport`` is waiting for an unplugged port."""
     return isinstance(transport, Reopening) and transport.away
 
 
 def holders(port: str) -> list[str]:
-    """Return the processes known to have ``port`` open, each such as ``42 (cat)``."""
+    """Return the processes known to have ``port`` open, for example ``42 (cat)``."""
     target = os.path.realpath(port)
     found = set()
     for link in Path("/proc").glob("[0-9]*/fd/*"):
@@ -269,9 +273,11 @@ def _options(port: str) -> dict[str, Any]:
     return {} if "://" in port else {"exclusive": True}
 
 
-def _why_not_open(port: str, error: Exception) -> str:
-    """Return the cause and the cure in one line."""
+def _explain_open_error(port: str, error: Exception) -> str:
+    """Return cause and cure in one line."""
     number = getattr(error, "errno", None)
+
+    # Address, path and permission
     if "://" in port:
         return f"cannot connect to {port}: is `twin emulate --tcp` or the bridge running? ({error})"
     if number == errno.ENOENT:
@@ -282,6 +288,8 @@ def _why_not_open(port: str, error: Exception) -> str:
             f"no permission for {port}: run `sudo usermod -aG {group} $USER` and log in again "
             f"(the port belongs to the group {group})"
         )
+
+    # Port in use, or not a serial port
     if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
         others = ", ".join(holders(port)) or "another process"
         return f"{port} is in use by {others}: end it first"

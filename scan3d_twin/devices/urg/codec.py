@@ -1,8 +1,8 @@
-"""SCIP, the language of Hokuyo's scanners: numbers, sums and what a client may ask.
+"""SCIP, the protocol of Hokuyo's scanners: numbers, checksums and requests; no I/O.
 
-Sources: "URG Series Communication Protocol Specification SCIP-Version 2.0" (C-42-03320B), below
-"the specification"; SCIP 1.1 as its section on switching the protocol and the clients of the time
-have it. Replies are in ``scip_replies``. Sans-I/O, both directions.
+Sources: "URG Series Communication Protocol Specification SCIP-Version 2.0" (C-42-03320B), called
+"the specification" below. SCIP 1.1 follows its section on switching the protocol and the client
+programs of that time. Requests are encoded and parsed here, replies in ``replies``.
 """
 
 from __future__ import annotations
@@ -13,15 +13,17 @@ from typing import Literal
 from scan3d_twin.core.errors import ProtocolError
 
 BAUDS = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
-"""Bit rates of ``SS`` [bit/s]; 38400 is not known to every firmware."""
+"""Bit rates accepted by ``SS`` [bit/s]; some firmware does not know 38400."""
 OFFSET = 0x30
-"""Added to each group of 6 bits, so that all characters are printable."""
+"""Added to each group of 6 bits so that all characters are printable."""
 TIMER_BITS = 24
 """Width of the sensor's timer [ms], which wraps every 4.66 hours."""
 TAG_CHARACTERS = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789 ._+@")
+"""Characters allowed in a tag."""
 MAX_TAG = 16
+"""Longest tag [characters]."""
 SWITCH = "SCIP2.0"
-"""Asks a sensor that speaks SCIP 1.1 to speak SCIP 2.0."""
+"""Switches a sensor from SCIP 1.1 to SCIP 2.0."""
 
 _SIXBIT = bytes(range(OFFSET, OFFSET + 64))
 _PARAMETERS = {
@@ -29,7 +31,7 @@ _PARAMETERS = {
     **{"TM": 1, "SS": 6, "CR": 2, "HS": 1, "DB": 2, "GD": 10, "GS": 10, "MD": 13, "MS": 13},
 }
 COMMANDS = tuple(_PARAMETERS)
-"""The commands of SCIP 2.0 an URG-04LX knows."""
+"""The commands of SCIP 2.0 that an URG-04LX knows."""
 
 ScanCommand = Literal["GD", "GS", "MD", "MS"]
 
@@ -38,7 +40,7 @@ class RequestError(ProtocolError):
     """A request the sensor refuses.
 
     Attributes:
-        status: The two characters of the refusal.
+        status: Status that the sensor answers, two characters.
     """
 
     def __init__(self, status: str, message: str) -> None:
@@ -47,14 +49,14 @@ class RequestError(ProtocolError):
 
 
 def checksum(data: bytes) -> int:
-    """Return the sum character over ``data``: the low 6 bits of the sum of the bytes, + 0x30."""
+    """Return the checksum of ``data``: the low 6 bits of the sum of its bytes, plus 0x30."""
     return (sum(data) & 0x3F) + OFFSET
 
 
 def is_sixbit(data: bytes) -> bool:
-    """Return whether ``data`` consists of characters that stand for 6 bits each.
+    """Return whether all characters of ``data`` encode 6 bits each.
 
-    The sum is blind to bits 6 and 7, but turning one of them over leaves this range.
+    The checksum misses errors in bits 6 and 7; flipping one of them leaves this range.
     """
     return not data.translate(None, _SIXBIT)
 
@@ -63,7 +65,7 @@ def encode_value(value: int, width: int) -> bytes:
     """Return ``value`` as ``width`` characters, the most significant first.
 
     Raises:
-        ProtocolError: It does not fit.
+        ProtocolError: It does not fit into ``width`` characters.
     """
     if not 0 <= value < 1 << 6 * width:
         raise ProtocolError(f"{value} does not fit into {width} characters of 6 bits")
@@ -74,7 +76,7 @@ def decode_values(data: bytes, width: int) -> list[int]:
     """Return the values in ``data``, ``width`` characters each.
 
     Raises:
-        ProtocolError: A character stands for no number, or the last value is cut off.
+        ProtocolError: A character is outside the encoding, or the last value is incomplete.
     """
     if len(data) % width or not is_sixbit(data):
         raise ProtocolError(f"{len(data)} characters are no values of {width} characters each")
@@ -92,7 +94,7 @@ class Request:
     Attributes:
         command: Two letters.
         parameters: The characters after them.
-        tag: Free text after a semicolon, which the sensor echoes.
+        tag: Free text after a semicolon; the sensor echoes it.
     """
 
     command: str
@@ -110,16 +112,19 @@ class Request:
 
 
 def parse_request(line: bytes) -> Request:
-    """Return the request in a ``line`` without its terminator, as the sensor understands it.
+    """Return the request in a ``line`` without its terminator, parsed as the sensor does.
 
     Raises:
-        RequestError: It cannot be understood; ``status`` is the sensor's answer.
+        RequestError: It is invalid; ``status`` is the sensor's answer.
     """
+    # Check the tag
     text, semicolon, tag = line.decode("latin-1").partition(";")
     if len(tag) > MAX_TAG:
         raise RequestError("0G", f"the text after the semicolon has more than {MAX_TAG} characters")
     if semicolon and not TAG_CHARACTERS.issuperset(tag):
         raise RequestError("0H", f"character not allowed in the text {tag!r}")
+
+    # Check command and parameters
     command, parameters = text[:2], text[2:]
     if len(command) < 2:
         raise RequestError("0D", f"no command: {text!r}")
@@ -137,12 +142,12 @@ class ScanRequest:
     """A request for distances: GD and GS for the latest scan, MD and MS for a stream of them.
 
     Attributes:
-        command: A last letter D asks for three characters a step, S for two.
+        command: With a last letter D, three characters per step; with S, two.
         first: First step.
         last: Last step, inclusive.
-        cluster: Steps that are merged into their smallest valid distance; 0 is 1.
-        skip: Turns of the mirror to be left out after each scan of a stream.
-        count: Scans in a stream; 0 is without end.
+        cluster: Steps merged into one value, their smallest valid distance; 0 means 1.
+        skip: Turns of the mirror left out after each scan of a stream.
+        count: Scans in a stream; 0 means without end.
         tag: Free text, see ``Request``.
     """
 
@@ -161,7 +166,7 @@ class ScanRequest:
 
     @property
     def is_stream(self) -> bool:
-        """Whether scans come until they have been counted or stopped."""
+        """Whether scans are streamed until ``count`` is reached or the stream is stopped."""
         return self.command.startswith("M")
 
     @property
@@ -170,7 +175,7 @@ class ScanRequest:
         return -(-(self.last - self.first + 1) // max(1, self.cluster))
 
     def request(self, remaining: int | None = None) -> Request:
-        """Return it as a request; ``remaining`` instead of ``count`` in the echo of a scan."""
+        """Return the request to send; in the echo of a scan, ``remaining`` replaces ``count``."""
         parameters = f"{self.first:04d}{self.last:04d}{self.cluster:02d}"
         if self.is_stream:
             count = self.count if remaining is None else remaining
@@ -179,27 +184,30 @@ class ScanRequest:
 
 
 _FIELDS = (("first", 0, 4), ("last", 4, 8), ("cluster", 8, 10), ("skip", 10, 11), ("count", 11, 13))
-# Status by field when it is no number: GD has 01 to 03, MD 06 and 07 besides.
+# Status by field that is not a number: 01 to 03 for GD, and also 06 and 07 for MD.
 _NOT_NUMERIC = {"first": "01", "last": "02", "cluster": "03", "skip": "06", "count": "07"}
 
 
 def parse_scan_request(request: Request, last_step: int) -> ScanRequest:
-    """Return a ``request`` whose command is GD, GS, MD or MS in detail.
+    """Return the fields of a ``request`` whose command is GD, GS, MD or MS.
 
     Args:
         request: From ``parse_request``.
         last_step: Last step of the sensor [AMAX].
 
     Raises:
-        RequestError: A field is no number (01 to 03, 06, 07), ``last`` is beyond the sensor (04) or
-            before ``first`` (05).
+        RequestError: A field is not a number (status 01 to 03, 06, 07), ``last`` is beyond the
+            last step of the sensor (04) or before ``first`` (05).
     """
+    # Parse the numbers
     numbers = {}
     for name, start, stop in _FIELDS[: 5 if request.command.startswith("M") else 3]:
         digits = request.parameters[start:stop]
         if not (digits.isascii() and digits.isdecimal()):
-            raise RequestError(_NOT_NUMERIC[name], f"{name} is no number: {digits!r}")
+            raise RequestError(_NOT_NUMERIC[name], f"{name} is not a number: {digits!r}")
         numbers[name] = int(digits)
+
+    # Check the steps
     command: ScanCommand = request.command  # type: ignore[assignment]
     scan = ScanRequest(command, tag=request.tag, **numbers)
     if scan.last > last_step:
@@ -211,7 +219,7 @@ def parse_scan_request(request: Request, last_step: int) -> ScanRequest:
 
 @dataclass(frozen=True, slots=True)
 class OldScanRequest:
-    """A request of SCIP 1.1 for the latest scan, two characters a value: ``Gsssssscc``."""
+    """A request of SCIP 1.1 for the latest scan, two characters per value: ``Gsssssscc``."""
 
     first: int
     last: int
@@ -227,11 +235,11 @@ def parse_old_scan_request(line: bytes, last_step: int) -> OldScanRequest:
     """Return the G request of SCIP 1.1 in ``line``.
 
     Raises:
-        RequestError: It is not one; SCIP 1.1 answers ``E``.
+        RequestError: It is not a G request; SCIP 1.1 answers ``E``.
     """
     digits = line[1:].decode("latin-1")
     if line[:1] == b"G" and len(digits) == 8 and digits.isascii() and digits.isdecimal():
         first, last, cluster = int(digits[:3]), int(digits[3:6]), int(digits[6:])
         if first <= last <= last_step:
             return OldScanRequest(first, last, cluster)
-    raise RequestError("E", f"no request for a scan: {line!r}")
+    raise RequestError("E", f"not a request for a scan: {line!r}")

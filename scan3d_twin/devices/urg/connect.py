@@ -1,8 +1,8 @@
-"""Finding an URG-04LX in whatever state it was left, and making it ready.
+"""Connecting to an URG-04LX in whatever state it was left: find, identify, set the bit rate.
 
-Whatever its bit rate, protocol and mode, and even while it streams, ``find`` ends with a silent
-sensor that speaks SCIP 2.0. Nothing is sent that an URG-04LX does not know: requests for multiple
-echoes, and VV again and again, are reported to silence it until it is powered up again.
+Whatever its bit rate, protocol and mode, and even while it streams, ``find`` leaves the sensor
+silent and in SCIP 2.0. Only requests that an URG-04LX knows are sent: requests for multiple echoes,
+and repeated VV, are reported to mute it until the next power-up.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from scan3d_twin.devices.urg.replies import (
 )
 from scan3d_twin.devices.urg.scan_modes import choices, too_slow
 
-PROBE = 0.15
-"""How long to listen at each bit rate [s]: requests are answered on a tick of 0.1 s."""
-DRAIN = 1.4
-"""How long to go on when something was understood [s]: a whole scan at 19200 baud takes 1.1 s."""
-ORDER = (115200, 19200, 57600, 38400, 250000, 500000, 750000)
-"""Bit rates by likelihood; 19200 and 115200 are usual."""
-SETTLE = 0.02
-"""The sensor changes its bit rate after the reply [s]; assumption."""
-FALLBACK = 1.2
-"""How long to look for a sensor that is not heard at its new bit rate [s]."""
-TIMES = 4
-"""Readings of the timer; the earliest reply counts."""
+LISTEN_TIME = 0.15
+"""Time to listen at each bit rate [s]: requests are answered on a tick of 0.1 s."""
+SCAN_TIME = 1.4
+"""Time to listen once a stream is recognised [s]: a full scan at 19200 baud takes 1.1 s."""
+LIKELY_BAUDS = (115200, 19200, 57600, 38400, 250000, 500000, 750000)
+"""Bit rates in the order they are tried, the most likely first [bit/s]."""
+BAUD_SETTLE = 0.02
+"""Time after its reply in which the sensor changes the bit rate [s]; assumption."""
+FALLBACK_TIMEOUT = 1.2
+"""Time to search for a sensor that does not answer at its new bit rate [s]."""
+TIMER_READINGS = 4
+"""Number of times the timer is read; the reading with the smallest delay is used."""
 
 _log = logging.getLogger(__name__)
 _QUIT, _TIME_OFF = Request("QT"), Request("TM", "2")
@@ -51,13 +51,13 @@ _QUIT, _TIME_OFF = Request("QT"), Request("TM", "2")
 
 @dataclass(frozen=True, slots=True)
 class UrgInfo:
-    """What a sensor says about itself.
+    """The sensor's description of itself.
 
     Attributes:
         baud: Bit rate at which it was found [bit/s].
-        version: VV by key, as far as it could be read: VEND, PROD, FIRM, PROT, SERI.
-        parameters: PP by key: MODL, DMIN, DMAX, ARES, AMIN, AMAX, AFRT, SCAN.
-        state: II by key: LASR, SCSP, MESM, SBPS, TIME, STAT.
+        version: Reply to VV by key, as far as readable: VEND, PROD, FIRM, PROT, SERI.
+        parameters: Reply to PP by key: MODL, DMIN, DMAX, ARES, AMIN, AMAX, AFRT, SCAN.
+        state: Reply to II by key, as far as readable: LASR, SCSP, MESM, SBPS, TIME, STAT.
     """
 
     baud: int
@@ -71,8 +71,8 @@ def status_of(reply: Reply) -> str:
     return reply.status
 
 
-def find(link: UrgLink, deadline: float, bauds: Sequence[int] = ORDER) -> Steps[int]:
-    """Stop the sensor, whatever it does, and return the bit rate at which it listens.
+def find(link: UrgLink, deadline: float, bauds: Sequence[int] = LIKELY_BAUDS) -> Steps[int]:
+    """Find and silence the sensor, and return its bit rate [bit/s].
 
     Raises:
         LinkError: It was not found before ``deadline`` [s].
@@ -81,61 +81,69 @@ def find(link: UrgLink, deadline: float, bauds: Sequence[int] = ORDER) -> Steps[
     for baud in cycle(bauds):
         if link.clock.now() >= deadline or len(refused) == len(set(bauds)):
             break
+
+        # Try this bit rate
         try:
             link.set_baud(baud)
         except LinkError:
             refused.add(baud)
             continue
-        if (yield from _stopped(link, deadline)):
+        if (yield from _stop_sensor(link, deadline)):
             return baud
+
     raise LinkError(
         f"no URG-04LX answers at {', '.join(map(str, sorted(set(bauds) - refused)))} baud: check "
         "its power (5 V), the cable, and that this is the lidar's port; it needs seconds to start"
     )
 
 
-def _stopped(link: UrgLink, last: float) -> Steps[bool]:
-    """Return whether the sensor answers at this bit rate; it is silent and speaks SCIP 2.0 then."""
-    # The line feed ends what a wrong bit rate or a dead client left in the sensor's buffer.
+def _stop_sensor(link: UrgLink, last: float) -> Steps[bool]:
+    """Silence the sensor, in SCIP 2.0; return whether it answers at this bit rate."""
+    # The line feed ends what a wrong bit rate or a dead client left in the sensor's buffer
     link.send(b"\n" + _QUIT.encode())
-    deadline, understood = link.clock.now() + PROBE, False
+    deadline, understood = link.clock.now() + LISTEN_TIME, False
     while link.clock.now() < min(deadline, last):
+        # React to complete blocks
         for arrived in link.take():
-            reaction = _reaction(arrived.block)
+            reaction = _choose_reaction(arrived.block)
             if reaction is None:
                 return True
             if reaction:
                 link.send(reaction)
             understood = understood or bool(reaction)
-            deadline = max(deadline, link.clock.now() + 2 * PROBE) if reaction else deadline
+            deadline = max(deadline, link.clock.now() + 2 * LISTEN_TIME) if reaction else deadline
+
+        # Wait for the end of a scan
         if not understood and any(map(is_data, link.unfinished)):
             understood = True
-            deadline = link.clock.now() + DRAIN
+            deadline = link.clock.now() + SCAN_TIME
         yield
     return False
 
 
-def _reaction(block: Block) -> bytes | None:
-    """Return what to send after ``block`` came; None if the sensor has stopped.
+def _choose_reaction(block: Block) -> bytes | None:
+    """Return the bytes to send in response to ``block``; None if the sensor has stopped.
 
     Raises:
-        LinkError: The sensor waits for a firmware update.
+        LinkError: The sensor is waiting for a firmware update.
     """
+    # Decode a reply of SCIP 2.0
     try:
         reply = decode_reply(find_echo(block, _QUIT.echo) or find_echo(block, _TIME_OFF.echo))
     except ProtocolError:
-        return _reaction_scip1(block)
+        return _choose_reaction_scip1(block)
+
+    # Leave the time mode, where all else is refused
     if reply.status == "0I":
-        raise LinkError("the lidar waits for a firmware update: power it off and on")
+        raise LinkError("the lidar is waiting for a firmware update: power it off and on")
     if reply.echo == _TIME_OFF.echo:
         return _QUIT.encode()
-    # In the time mode everything else is refused.
     return {"00": None, "0B": None, "0E": _TIME_OFF.encode() + _QUIT.encode()}.get(
         reply.status, b""
     )
 
 
-def _reaction_scip1(block: Block) -> bytes:
+def _choose_reaction_scip1(block: Block) -> bytes:
     for echo in (scip.SWITCH, _QUIT.echo):
         with suppress(ProtocolError):
             _, status, _ = decode_old_reply(find_echo(block, echo))
@@ -147,11 +155,12 @@ def _reaction_scip1(block: Block) -> bytes:
 
 
 def identify(link: UrgLink) -> Steps[UrgInfo]:
-    """Return what the sensor says about itself.
+    """Read the sensor's parameters, version and state.
 
     Raises:
-        LinkError: It is no URG-04LX, or says nothing.
+        LinkError: It is not an URG-04LX, or does not answer.
     """
+    # Check that it is an URG-04LX
     parameters, _ = yield from link.ask(Request("PP"), decode_texts)
     for key, value in (
         ("ARES", urg04lx.STEPS_PER_TURN),
@@ -161,9 +170,11 @@ def identify(link: UrgLink) -> Steps[UrgInfo]:
     ):
         if parameters.get(key) != str(value):
             raise LinkError(
-                f"this lidar is no URG-04LX: {key} is {parameters.get(key)}, not {value} "
+                f"this lidar is not an URG-04LX: {key} is {parameters.get(key)}, not {value} "
                 f"({parameters.get('MODL', 'unknown model')})"
             )
+
+    # Read version and state, if they can be read
     version: dict[str, str] = {}
     state: dict[str, str] = {}
     with suppress(LinkTimeoutError):
@@ -174,45 +185,51 @@ def identify(link: UrgLink) -> Steps[UrgInfo]:
 
 
 def speed_up(link: UrgLink, requests: Sequence[ScanRequest]) -> Steps[ScanRequest]:
-    """Choose a bit rate that both sides manage, and return the stream that fits it.
+    """Set a bit rate that port and sensor support; return the best stream it can carry.
 
     Raises:
-        LinkError: None fits; says what would.
+        LinkError: No stream fits; the message says what would.
     """
     failed: set[int] = set()
     for request, baud in choices(requests, link.baud):
         if baud in failed:
             continue
-        if baud == link.baud or (yield from _changed(link, baud)):
+        if baud == link.baud or (yield from _change_baud(link, baud)):
             return request
         failed.add(baud)
     raise too_slow(requests[-1], link.baud)
 
 
-def _changed(link: UrgLink, baud: int) -> Steps[bool]:
-    """Change the bit rate to ``baud`` and return whether both sides can; else it is as before.
+def _change_baud(link: UrgLink, baud: int) -> Steps[bool]:
+    """Change the bit rate to ``baud``; return whether port and sensor support it.
+
+    If not, the bit rate stays as it was.
 
     Raises:
-        LinkError: Both said they can, but then do not understand each other.
+        LinkError: Both accept it, but then cannot communicate.
     """
+    # Try the port first: a sensor at a rate the port cannot set is lost until power-up
     before = link.baud
-    # First the port alone: a sensor that went where the port cannot follow is lost until power-up.
     try:
         link.set_baud(baud)
     except LinkError:
         return False
     finally:
         link.set_baud(before)
+
+    # Change the sensor, then the port
     status, _ = yield from link.ask(Request("SS", f"{baud:06d}"), status_of)
     if status not in ("00", "03"):
         return False
-    yield from link.wait(SETTLE)
+    yield from link.wait(BAUD_SETTLE)
     link.set_baud(baud)
     with suppress(LinkTimeoutError):
         yield from link.ask(_QUIT, status_of, attempts=2)
         return True
+
+    # No answer: return to the bit rate before
     try:
-        yield from find(link, link.clock.now() + FALLBACK, (before, *ORDER))
+        yield from find(link, link.clock.now() + FALLBACK_TIMEOUT, (before, *LIKELY_BAUDS))
     except LinkError:
         raise LinkError(
             f"the lidar went to {baud} baud as asked, but this port does not understand it there: "
@@ -222,10 +239,10 @@ def _changed(link: UrgLink, baud: int) -> Steps[bool]:
 
 
 def synchronise(link: UrgLink, clock: SensorClock) -> Steps[None]:
-    """Read the sensor's timer in its time mode, as far as it lets us."""
+    """Read the sensor's timer in its time mode, if the sensor supports that."""
     with suppress(LinkTimeoutError):
         yield from link.ask(Request("TM", "0"), status_of, attempts=1)
-        for _ in range(TIMES):
+        for _ in range(TIMER_READINGS):
             time_ms, arrival = yield from link.ask(Request("TM", "1"), decode_time, attempts=1)
             clock.anchor(time_ms, arrival)
     yield from link.ask(_TIME_OFF, status_of)

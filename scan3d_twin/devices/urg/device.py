@@ -1,4 +1,4 @@
-"""The URG-04LX as the rest of the house knows it."""
+"""Description of the URG-04LX for the device registry."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.lines import link_spec
 
 SCIP1, SCIP2 = "1.1", "2.0"
-"""Versions of the protocol."""
+"""Versions of the SCIP protocol."""
 
 
 def open_urg(
@@ -32,7 +32,7 @@ def emulate_urg(lidar: Lidar, wiring: Wiring) -> UrgEmulator:
 
 
 def describe_urg(lidar: UrgLidar) -> str:
-    """Return what the sensor says about itself."""
+    """Return product, firmware, protocol and state in one line."""
     words = [lidar.info.version.get(name, "unknown") for name in ("PROD", "FIRM", "PROT")]
     text = "{}, firmware {}, {}".format(*words)
     state = lidar.info.state.get("STAT")

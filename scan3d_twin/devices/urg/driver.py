@@ -19,7 +19,7 @@ from scan3d_twin.devices.links.transport import Transport
 from scan3d_twin.devices.urg.clock_sync import SensorClock
 from scan3d_twin.devices.urg.codec import Request, ScanRequest
 from scan3d_twin.devices.urg.connect import (
-    ORDER,
+    LIKELY_BAUDS,
     UrgInfo,
     find,
     identify,
@@ -34,39 +34,39 @@ from scan3d_twin.devices.urg.replies import DONE, STREAMED, decode_scan, find_ec
 from scan3d_twin.devices.urg.scan_modes import duration, period, scan_requests
 
 CONNECT_TIMEOUT = 5.8
-"""From opening the port to a running stream, whatever state the sensor was left in [s]; it never
-takes over 6 s."""
+"""Time-out from opening the port to a running stream, in whatever state the sensor was left [s]."""
 FIND_TIMEOUT = 3.5
-"""Of that for finding it [s]; all bit rates take 1.05 s, and it may still be starting."""
-UNREAD_LINES = 16
-"""Unread lines that are kept, as in the twin."""
+"""Share of ``CONNECT_TIMEOUT`` for finding the sensor [s]: trying all bit rates takes 1.05 s, and
+the sensor may still be starting."""
+MAX_UNREAD = 16
+"""Number of unread lines kept, as in the twin."""
 POLL = 0.005
-"""How often a waiting reader looks at the port [s]."""
-QUIET = 1.0
-"""Without a good scan for so long, the stream is asked for once more [s]."""
-NUDGES = 3
-"""After so many in vain the connection is made anew, unless bytes still come."""
-BROKEN = 10
-"""After so many it is made anew even so."""
+"""Interval at which a waiting reader polls the port [s]."""
+MAX_SCAN_GAP = 1.0
+"""Time without a good scan after which the stream is requested again [s]."""
+MAX_REQUESTS_SILENT = 3
+"""Fruitless requests to a silent sensor after which the driver reconnects."""
+MAX_REQUESTS = 10
+"""Fruitless requests after which it reconnects although bytes still arrive."""
 BACKOFF = (0.1, 0.25)
-"""First and longest wait between two attempts to connect again [s]; it doubles."""
+"""First and longest wait between two attempts to reconnect [s]; it doubles each time."""
 CLOSE_TIMEOUT = 0.5
-"""For stopping the laser at the end [s]: two ticks, and the scan in the line's buffer."""
+"""Time-out for each request on closing [s]: two ticks, besides the scan in the line's buffer."""
 USUAL_BAUDS = (19200, 57600, 115200)
-"""Bit rates at which other programs look for the sensor."""
+"""Bit rates at which other programs look for the sensor [bit/s]."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass
 class UrgStats:
-    """What happened on the line.
+    """Statistics of the link.
 
     Attributes:
         good: Scans received.
-        bad: Scans and other blocks that were dropped: wrong sum, length or time.
+        bad: Blocks dropped, scans or others: wrong checksum, length or time.
         reconnects: Connections after the first.
-        problem: What is wrong now; empty if nothing is.
+        problem: The current problem; empty if there is none.
     """
 
     good: int = 0
@@ -78,14 +78,14 @@ class UrgStats:
 class UrgLidar:
     """A ``Lidar``: an URG-04LX behind a transport.
 
-    There are no threads: ``service`` does what can be done without waiting, connecting anew after
-    the sensor was unplugged included. Call it at least every 50 ms, or wait in ``read_line``.
+    There are no threads: ``service`` does all work that needs no waiting, including to reconnect
+    after the sensor was unplugged. Call it at least every 50 ms, or wait in ``read_line``.
 
     Attributes:
         spec: See ``Lidar.spec``.
-        info: What the sensor says about itself.
-        request: The stream that is running.
-        stats: What happened on the line.
+        info: The sensor's description of itself.
+        request: The running stream.
+        stats: Statistics of the link.
     """
 
     spec: LidarSpec
@@ -104,27 +104,33 @@ class UrgLidar:
         Args:
             open_transport: Opens the port; called again after the sensor was unplugged.
             clock: The robot's clock; its ``sleep`` may service this lidar.
-            mode: Which steps are wanted, and how often; None is as many as come every turn.
-            cluster: Steps merged into one reading, the shortest; None is as few as the wanted lines
-                need on this line.
+            mode: Which steps to read, and how often; None is as many as the line carries every
+                turn.
+            cluster: Steps merged into one reading, the shortest; None is the smallest number with
+                which the line can carry ``mode``.
 
         Raises:
             ConfigError: There is no such mode.
-            LinkError: No sensor, or it cannot deliver ``mode``; says why.
+            LinkError: There is no sensor, or it cannot deliver ``mode``; the message says why.
         """
+        # Port and statistics
         self._requests = scan_requests(mode, cluster)
         self.stats = UrgStats()
         self._open_transport = open_transport
         self._clock = clock
-        self._unread: deque[ScanLine] = deque(maxlen=UNREAD_LINES)
-        self._bauds: tuple[int, ...] = ORDER
+        self._unread: deque[ScanLine] = deque(maxlen=MAX_UNREAD)
+
+        # State of the connection
+        self._bauds: tuple[int, ...] = LIKELY_BAUDS
         self._info: UrgInfo | None = None
         self._sensor_clock = SensorClock()
         self._transport: Transport | None = None
         self._link: UrgLink | None = None
         self._connected = False
         self._last_good = -math.inf
-        self._life = self._live()
+        self._work = self._run_work()
+
+        # Connect
         try:
             self._connect_first()
             self.spec = line_spec(self.request)
@@ -140,16 +146,16 @@ class UrgLidar:
 
     @property
     def bad(self) -> int:
-        """Scans and other blocks that were dropped."""
+        """Blocks dropped, scans or others."""
         return self.stats.bad
 
     def service(self, now: float | None = None) -> None:
         """Take in what has arrived, without waiting.
 
         Args:
-            now: Not needed; the lidar has its clock.
+            now: Ignored; the lidar has a clock of its own.
         """
-        next(self._life, None)
+        next(self._work, None)
 
     def read_line(self, timeout: float) -> ScanLine:
         """See ``Lidar.read_line``."""
@@ -165,12 +171,12 @@ class UrgLidar:
         return self._unread.popleft()
 
     def close(self) -> None:
-        """Stop the laser, leave the sensor as other programs expect it, and give the port back."""
-        self._life.close()
+        """Stop the laser, restore a bit rate that other programs expect, and close the port."""
+        self._work.close()
         transport, self._transport = self._transport, None
         if transport is not None:
             with suppress(LinkError):
-                self._leave()
+                self._stop_and_restore_baud()
             transport.close()
 
     def _connect_first(self) -> None:
@@ -181,31 +187,34 @@ class UrgLidar:
                     f"the lidar was not ready within {CONNECT_TIMEOUT:g} s, power it off and on: "
                     f"{self.stats.problem or 'it never fell silent'}"
                 )
-            next(self._life)
+            next(self._work)
             if self._link is None:
                 self._clock.sleep(POLL)
             else:
                 self._link.pump(POLL)
 
-    def _live(self) -> Steps[NoReturn]:
-        """Connect, stream, and connect again whenever the line is lost."""
+    def _run_work(self) -> Steps[NoReturn]:
+        """Connect, stream, and reconnect whenever the link is lost."""
         wait, longest = BACKOFF
         while True:
+            # Stream until the link is lost
             started = self._clock.now()
             try:
                 yield from self._stream()
             except LinkError as error:
                 if not (self._connected or isinstance(error, LinkTimeoutError)):
                     raise
-                self._lose(error)
+                self._drop_link(error)
+
+            # Wait before the next attempt
             wait = BACKOFF[0] if self._last_good > started else min(longest, 2 * wait)
             until = self._clock.now() + wait
             while self._clock.now() < until:
                 yield
 
-    def _lose(self, error: LinkError) -> None:
+    def _drop_link(self, error: LinkError) -> None:
         if not self.stats.problem:
-            _log.warning("lidar lost: %s; connecting again", error)
+            _log.warning("lidar lost: %s; reconnecting", error)
         self.stats.problem = str(error)
         self._link = None
         transport, self._transport = self._transport, None
@@ -213,31 +222,40 @@ class UrgLidar:
             transport.close()
 
     def _stream(self) -> Steps[NoReturn]:
-        """Connect and take in scans for as long as that works."""
+        """Connect and take in scans until the link is lost."""
         link = yield from self._connect()
         nudges, heard = 0, link.received
         looked = self._clock.now()
         while True:
+            # Take in what has arrived
             for arrived in link.take():
                 self._take(arrived)
+
+            # Request again after a silence
             now = self._clock.now()
             if self._last_good > looked:
                 nudges, looked = 0, self._last_good
-            elif now - looked > QUIET + 3 * period(self.request):
+            elif now - looked > MAX_SCAN_GAP + 3 * period(self.request):
                 nudges, looked = nudges + 1, now
-                self._nudge(link, nudges, silent=link.received == heard)
+                self._request_again(link, nudges, silent=link.received == heard)
                 heard = link.received
             yield
 
-    def _nudge(self, link: UrgLink, nudges: int, *, silent: bool) -> None:
-        """Ask for the stream once more; a sensor that is streaming refuses that and goes on."""
+    def _request_again(self, link: UrgLink, nudges: int, *, silent: bool) -> None:
+        """Request the stream again; a sensor that is streaming refuses and continues.
+
+        Raises:
+            LinkTimeoutError: There have been too many requests already.
+        """
         self.stats.problem = "no good scan arrives" if not silent else "the lidar fell silent"
         _log.warning("%s, asking again", self.stats.problem)
-        if nudges > (NUDGES if silent else BROKEN):
+        if nudges > (MAX_REQUESTS_SILENT if silent else MAX_REQUESTS):
             raise LinkTimeoutError(f"{self.stats.problem} for {nudges} s")
         link.send(b"\n" + self.request.request().encode())
 
     def _connect(self) -> Steps[UrgLink]:
+        """Open the port, find the sensor and start the stream."""
+        # Find and identify the sensor
         self._transport = self._open_transport()
         link = self._link = UrgLink(self._transport, self._clock, self._bauds[0])
         deadline = self._clock.now() + FIND_TIMEOUT
@@ -245,22 +263,29 @@ class UrgLidar:
         found = link.baud
         if self._info is None:
             self._info = self.info = yield from identify(link)
+
+        # Set the bit rate and synchronise the clocks
         self.request = yield from speed_up(link, self._requests)
         self._sensor_clock = SensorClock(self._sensor_clock.latency)
         if not self._connected:
             yield from synchronise(link, self._sensor_clock)
-        # The lines of one robot all look the same, whatever the next port could carry.
+
+        # After a reconnect the lines must have the same shape, whatever the next port could carry
         same = (self.request.first, self.request.last, self.request.cluster)
         self._requests = tuple(r for r in self._requests if (r.first, r.last, r.cluster) == same)
-        # Look first where it was found, then where it was left.
-        self._bauds = tuple(dict.fromkeys((link.baud, found, *ORDER)))
+
+        # Try the current bit rate first, then the one at which it was found
+        self._bauds = tuple(dict.fromkeys((link.baud, found, *LIKELY_BAUDS)))
+
+        # Start the stream
         yield from link.ask(self.request.request(), status_of)
         self.stats.reconnects += self._connected
         self._connected = True
         return link
 
     def _take(self, arrived: Arrived) -> None:
-        """Keep the scan in a block that has arrived; count it as bad if it is."""
+        """Keep the scan in a block that has arrived; count the block as bad if it is damaged."""
+        # Decode and check
         try:
             reply, began = arrived.reply(self.request.request().echo)
             if reply.status != STREAMED:
@@ -270,29 +295,31 @@ class UrgLidar:
             scan = decode_scan(reply, self.request)
             values = np.array(scan.values)
             if values.max() > int(self.info.parameters["DMAX"]):
-                raise ProtocolError(f"{values.max()} mm is more than the lidar can see")
+                raise ProtocolError(f"{values.max()} mm is beyond the lidar's range")
             stamp = self._sensor_clock.stamp(scan.time_ms, began)
         except ProtocolError as error:
             self.stats.bad += 1
             _log.debug("scan dropped: %s", error)
             return
+
+        # Store the line
         self.stats.good += 1
         self.stats.problem = ""
         self._last_good = self._clock.now()
         self._unread.append(to_line(stamp, values))
 
-    def _leave(self) -> None:
+    def _stop_and_restore_baud(self) -> None:
         """Stop the stream and return to a usual bit rate."""
         link = self._link
         if link is None or self._info is None:
             return
-        self._finish(link, Request("QT"))
+        self._send_and_wait(link, Request("QT"))
         usual = self._info.baud if self._info.baud in USUAL_BAUDS else 115200
         if usual != link.baud:
-            self._finish(link, Request("SS", f"{usual:06d}"))
+            self._send_and_wait(link, Request("SS", f"{usual:06d}"))
 
-    def _finish(self, link: UrgLink, request: Request) -> None:
-        """Send ``request`` and wait for its answer, without the robot's clock."""
+    def _send_and_wait(self, link: UrgLink, request: Request) -> None:
+        """Send ``request`` and wait for its answer without sleeping on the robot's clock."""
         deadline = self._clock.now() + CLOSE_TIMEOUT + duration(self._requests[0], link.baud)
         link.send(b"\n" + request.encode())
         while self._clock.now() < deadline:

@@ -1,8 +1,8 @@
-"""What the firmware of an URG-04LX does with a request: SCIP 1.1 and 2.0, without any timing.
+"""How the firmware of an emulated URG-04LX answers requests in SCIP 1.1 and 2.0; no timing.
 
-Sources: the SCIP 2.0 specification (C-42-03320B), "the specification"; texts and states as in a
-capture of firmware 3.1.04. What SCIP 1.1 answers to ``VV`` is not documented; it is taken for an
-unknown request here.
+Sources: the SCIP 2.0 specification (C-42-03320B), called "the specification" below; texts and
+states as in a capture of firmware 3.1.04. The answer of SCIP 1.1 to ``VV`` is undocumented; here
+``VV`` is an unknown request.
 """
 
 from __future__ import annotations
@@ -18,47 +18,53 @@ from scan3d_twin.devices.urg.emulated_quirks import Stream, UrgProfile
 from scan3d_twin.devices.urg.replies import Scan
 
 HAS_HS = (3, 2, 0)
-"""First firmware with HS (sensitivity); the specification."""
+"""First firmware that has HS (sensitivity); the specification."""
 HAS_DB = (3, 3, 0)
-"""First firmware with DB (malfunctions); the specification."""
+"""First firmware that has DB (simulated malfunctions); the specification."""
 _MULTIECHO = (b"ME", b"GE", b"HD", b"HE", b"ND", b"NE")
-"""Requests of later lidars for several echoes and for intensities."""
-
+"""Requests of later lidars for multiple echoes and for intensities."""
 
 Latest = Callable[[float], ScanLine | None]
-"""Returns the last whole turn before a time [s]."""
+"""Returns the last complete turn before a time [s]."""
 
 
 class Firmware:
     """The state of the sensor, and its answers.
 
     Attributes:
+        profile: The sensor and the quirks of its firmware.
         baud: Bit rate [bit/s].
-        wanted_baud: Bit rate from the end of the current reply on.
-        laser: Whether it is on.
+        wanted_baud: Bit rate from the end of the current reply on [bit/s].
+        scip1: Whether it speaks SCIP 1.1.
+        laser: Whether the laser is on.
         stream: The running stream, if any.
-        time_mode: Whether TM0 was given.
-        mute: Whether it answers nothing until it is powered up again.
+        time_mode: Whether the time mode is on (TM0).
+        mute: Whether it stays silent until the next power-up.
     """
 
     def __init__(self, profile: UrgProfile, spec: LidarSpec, latest: Latest) -> None:
         self.profile = profile
         self._latest = latest
-        # Step of the sensor to place in the lines of the hardware interface.
+
+        # Relate steps to the beams of the hardware interface
         first = round(spec.elevations[0] / urg04lx.step_angle(urg04lx.FRONT_STEP + 1))
         self._first_step = urg04lx.FRONT_STEP + first
         self._turns_per_line = round(spec.line_period / urg04lx.REVOLUTION)
+
+        # Handlers by command
         self._handlers: dict[str, Callable[[Request, float], tuple[str, list[bytes]]]] = {
             **{"VV": self._version, "PP": self._parameters, "II": self._state},
             **{"BM": self._laser_on, "QT": self._quit, "RS": self._reset, "TM": self._time},
             **{"SS": self._speed, "CR": self._motor, "HS": self._sensitivity, "DB": self._debug},
             **{"GD": self._get, "GS": self._get, "MD": self._start, "MS": self._start},
         }
+
+        # Power up
         self.power_up(0.0)
         self._timer_zero = -profile.timer_ms / 1000
 
     def power_up(self, now: float) -> None:
-        """Return to the state after power-up at ``now`` [s]; the timer starts at 0."""
+        """Reset to the state after power-up at ``now`` [s]; the timer starts at 0."""
         self.baud = self.wanted_baud = self.profile.baud
         self.scip1 = self.profile.scip1
         self.laser = self.scip1
@@ -69,17 +75,26 @@ class Firmware:
         self._timer_zero = now
 
     def timer_ms(self, now: float) -> int:
-        """Return the timer at ``now`` [s]."""
+        """Return the sensor's timer at ``now`` [s], modulo 2**24 [ms]."""
         elapsed = (now - self._timer_zero) * (1 + self.profile.skew)
         return int(elapsed * 1000) % (1 << scip.TIMER_BITS)
 
     def answer(self, line: bytes, now: float, seen: set[str]) -> bytes:
-        """Return the reply to a ``line``; ``seen`` are the commands already answered this tick."""
+        """Return the reply to one request.
+
+        Args:
+            line: The request without its terminator.
+            now: Time of the tick [s].
+            seen: Commands already answered on this tick; this one is added.
+        """
+        # Special cases: SCIP 1.1, and the mute quirk
         if self.scip1:
             return self._answer_scip1(line, now)
         if self.profile.mute_on_multiecho and line.startswith(_MULTIECHO):
             self.mute = True
             return b""
+
+        # Parse and dispatch
         echo = line.decode("latin-1")
         try:
             request = scip.parse_request(line)
@@ -94,7 +109,7 @@ class Firmware:
         return scip_replies.encode_reply(echo, status, lines)
 
     def is_due(self, line: ScanLine) -> bool:
-        """Return whether the stream sends ``line``, a turn that is complete now."""
+        """Return whether the stream sends ``line``, a turn just completed; count skipped turns."""
         stream = self.stream
         if stream is None or line.stamp < stream.since or self._malfunction:
             return False
@@ -105,11 +120,15 @@ class Firmware:
         """Return ``line`` as the next scan of the stream."""
         stream = self.stream
         assert stream is not None
+
+        # Count down, and stop after the last scan
         stream.skipped = 0
         if stream.remaining is not None:
             stream.remaining -= 1
             if stream.remaining == 0:
                 self.stream, self.laser = None, False
+
+        # Encode
         echo = stream.request.request(stream.remaining or 0).echo
         return scip_replies.encode_reply(echo, "99", self._scan(line, stream.request))
 
@@ -120,13 +139,16 @@ class Firmware:
         return scip_replies.encode_scan(scan, request.width)
 
     def _values(self, line: ScanLine, first: int, last: int, cluster: int) -> list[int]:
-        """Return the distances [mm] or codes; of a cluster the smallest distance."""
+        """Return the distances [mm] or error codes; for a cluster its smallest distance."""
+        # Distances in mm by step
         mm = [
             round(1000 * distance) if code == VALID else int(code)
             for distance, code in zip(line.ranges.tolist(), line.codes.tolist(), strict=True)
         ]
         places = range(first - self._first_step, last + 1 - self._first_step)
         steps = [mm[i] if 0 <= i < len(mm) else urg04lx.NO_RETURN for i in places]
+
+        # Merge the clusters
         width = max(1, cluster)
         groups = (steps[i : i + width] for i in range(0, len(steps), width))
         return [
@@ -244,7 +266,7 @@ class Firmware:
         return "00", []
 
     def interruption(self, malfunction: int) -> bytes:
-        """Return the block that says the stream is halted (21 to 49), or goes on again (98)."""
+        """Return the block that reports the stream as halted (21 to 49) or resumed (98)."""
         if self.stream is None:
             return b""
         echo = self.stream.request.request(self.stream.remaining or 0).echo
@@ -252,7 +274,7 @@ class Firmware:
 
     @property
     def malfunction(self) -> int:
-        """The malfunction DB simulates, 1 to 5; 0 is none."""
+        """The malfunction simulated by DB, 1 to 5; 0 is none."""
         return self._malfunction
 
     def _get(self, request: Request, now: float) -> tuple[str, list[bytes]]:
@@ -271,8 +293,10 @@ class Firmware:
         return "00", []
 
     def _answer_scip1(self, line: bytes, now: float) -> bytes:
-        """Return the reply in SCIP 1.1; what it does not know it answers with E."""
+        """Return the reply in SCIP 1.1; unknown requests are answered with E."""
         echo, status, lines = line.decode("latin-1"), "0", list[bytes]()
+
+        # Dispatch
         if line == scip.SWITCH.encode():
             self.scip1, self.laser = False, False
         elif line == b"V":
@@ -285,6 +309,7 @@ class Firmware:
             status, lines = self._get_scip1(line, now)
         else:
             status = "E"
+
         return scip_replies.encode_old_reply(echo, status, lines)
 
     def _get_scip1(self, line: bytes, now: float) -> tuple[str, list[bytes]]:

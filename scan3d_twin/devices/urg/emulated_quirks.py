@@ -1,4 +1,4 @@
-"""One URG-04LX with its quirks, and the stream it may be sending."""
+"""Settings of an emulated URG-04LX: its quirks, and its running stream."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ class UrgProfile:
     """One URG-04LX and its firmware's quirks.
 
     Attributes:
-        usb: Connected by USB, where the bit rate means nothing.
-        baud: Bit rate when powered up [bit/s].
-        scip1: Speaks SCIP 1.1 with the laser on when powered up, the factory's default for many.
-        firmware: Version.
-        tick: Requests are answered once per this time [s]; 0 is at once.
+        usb: Whether it is connected by USB, where the bit rate has no effect.
+        baud: Bit rate after power-up [bit/s].
+        scip1: Whether it powers up in SCIP 1.1 with the laser on, a common factory default.
+        firmware: Firmware version.
+        tick: Interval at which requests are answered [s]; 0 is at once.
         boot: Silence after power-up while the motor gets up to speed [s]; assumption.
         timer_ms: The timer at time 0 [ms].
-        skew: How much too fast its clock runs (0.004 in the capture).
+        skew: Clock skew, positive if its clock is fast (0.004 in the capture).
         knows_38400: Whether SS accepts 38400.
-        faulty_version: VV has a stray line and a wrong sum on ``SERI``.
-        mute_on_multiecho: Requests for several echoes silence it until it is powered up again, as
-            users of urg_c report; otherwise they are unknown requests.
+        faulty_version: Whether the reply to VV has a stray line and a wrong checksum on ``SERI``.
+        mute_on_multiecho: Whether a request for multiple echoes mutes it until the next power-up,
+            as users of urg_c report; otherwise it is an unknown request.
     """
 
     usb: bool = True
@@ -42,13 +42,13 @@ class UrgProfile:
 
 @dataclass
 class Stream:
-    """A running MD or MS.
+    """A running stream (MD or MS).
 
     Attributes:
-        request: What was asked for.
-        since: Turns that began earlier are not sent [s].
-        remaining: Scans still to come; None is without end.
-        skipped: Turns left out since the last scan.
+        request: The request that started it.
+        since: Start time [s]; turns that began earlier are not sent.
+        remaining: Scans still to be sent; None is without end.
+        skipped: Turns since the last scan that was sent.
     """
 
     request: ScanRequest

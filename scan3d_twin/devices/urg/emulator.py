@@ -1,6 +1,6 @@
-"""An emulated URG-04LX: serves any ``Lidar`` as bytes, with the real one's timing.
+"""An emulated URG-04LX: serves any ``Lidar`` as bytes, with the timing of the real sensor.
 
-Source of the timing: a capture of firmware 3.1.04 over USB; see ``urg04lx``.
+Source of the timing: a capture of firmware 3.1.04 over USB; see ``model``.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.model import REPLY_LATENCY
 
 MAX_REQUEST = 64
-"""Longest request that is kept [bytes]; the longest, MD with a text, has 32."""
+"""Length at which a request is cut off [bytes]; the longest valid one, MD with a tag, has 32."""
 UART_BUFFER = 0.005
-"""A scan waits so long for the one before to leave the UART [s]; assumption, some 60 bytes."""
+"""Longest time a scan waits for the previous one to leave the UART [s]; assumption: 60 bytes."""
 MAX_QUEUE = 16
-"""Requests that wait for the tick; assumption."""
+"""Number of requests that can wait for the tick; assumption."""
 
 
 class UrgEmulator:
@@ -44,7 +44,7 @@ class UrgEmulator:
         self._lidar = lidar
         self._profile = profile
         self._booted_at = 0.0
-        self._forget()
+        self._clear()
 
     @property
     def baud(self) -> int:
@@ -52,10 +52,10 @@ class UrgEmulator:
         return self._out[0][0] if self._out else self._uart_baud()
 
     def power_up(self, now: float) -> None:
-        """Take the power away and give it back at ``now`` [s]."""
+        """Turn the power off, and on again at ``now`` [s]."""
         self.firmware.power_up(now)
         self._booted_at = now + self._profile.boot
-        self._forget()
+        self._clear()
 
     def receive(self, data: bytes, now: float) -> None:
         """See ``Device.receive``."""
@@ -78,7 +78,7 @@ class UrgEmulator:
         _, self.began, data = self._out.popleft()
         return data
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self._request = bytearray()
         self._queue: deque[tuple[float, bytes]] = deque()
         self._turns: deque[ScanLine] = deque()
@@ -87,9 +87,12 @@ class UrgEmulator:
         self._free_at = -math.inf
 
     def _advance(self, now: float) -> None:
-        """Let everything happen that is due, in its order."""
+        """Process everything that is due by ``now`` [s], in order of time."""
+        # Collect measured turns
         if self.firmware.stream is not None:
             self._collect()
+
+        # Send scans and answers when due
         while True:
             answer_at = self._queue[0][0] if self._queue else math.inf
             scan_at = self._turns[0].stamp + REPLY_LATENCY if self._turns else math.inf
@@ -99,6 +102,8 @@ class UrgEmulator:
                 self._send(self._turns.popleft(), scan_at)
             else:
                 self._answer(answer_at)
+
+        # Change the bit rate once idle
         if now >= self._free_at:
             self.firmware.baud = self.firmware.wanted_baud
 
@@ -123,7 +128,7 @@ class UrgEmulator:
             self.dropped += 1
 
     def _put(self, data: bytes, now: float) -> None:
-        """Put ``data`` into the UART; a new bit rate is in force once it is empty."""
+        """Put ``data`` into the UART; a new bit rate takes effect once the UART is empty."""
         if now >= self._free_at:
             self.firmware.baud = self.firmware.wanted_baud
         if data:
@@ -140,7 +145,7 @@ class UrgEmulator:
         return math.ceil(now / tick - 1e-9) * tick if tick else now
 
     def _collect(self) -> None:
-        """Take in the turns that have been measured since the last call."""
+        """Take in the turns measured since the last call."""
         while True:
             try:
                 self._turns.append(self._lidar.read_line(0.0))

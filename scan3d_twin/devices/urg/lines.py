@@ -1,4 +1,4 @@
-"""From steps and millimetres to the lines of the hardware interface."""
+"""From SCIP steps and millimetres to the scan lines of the hardware interface."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def link_spec(link: str) -> LidarSpec:
 
 
 def line_spec(request: ScanRequest) -> LidarSpec:
-    """Return the geometry of the lines of a stream; the middle of a cluster stands for it."""
+    """Return the geometry of the lines of a stream; a cluster is represented by its middle."""
     steps = range(request.first, request.last + 1)
     groups = [steps[i : i + request.cluster] for i in range(0, len(steps), request.cluster)]
     return LidarSpec(
@@ -37,9 +37,13 @@ def line_spec(request: ScanRequest) -> LidarSpec:
 
 
 def to_line(stamp: float, values: IntArray) -> ScanLine:
-    """Return the readings [mm] as distances and codes.
+    """Return a scan line from the readings.
 
-    A reading beyond the data sheet's range is none, as in the two-character encoding.
+    A reading beyond the data sheet's range is dropped, as the two-character encoding does.
+
+    Args:
+        stamp: Time of step 0 [s].
+        values: Distances [mm] or error codes, (n_beams,).
     """
     near, far = values < urg04lx.MIN_RANGE_MM, values > urg04lx.MAX_RANGE_MM
     ranges = np.where(near | far, np.nan, values / 1000)

@@ -1,7 +1,7 @@
-"""Question and answer with an URG-04LX, without ever waiting.
+"""Requests to an URG-04LX and their replies, without blocking.
 
-What takes time is a generator that yields whenever it would have to wait; whoever drives it serves
-other devices meanwhile.
+Functions that take time are generators that yield where they would block; the caller services other
+devices meanwhile.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from scan3d_twin.devices.urg.replies import Block, Reply, Splitter, decode_reply
 
 T = TypeVar("T")
 Steps = Generator[None, None, T]
-"""Work that yields when it would have to wait, and returns a T."""
+"""A generator that yields where it would block, and returns a T."""
 
 TIMEOUT = 0.45
-"""For the answer to a request [s]: the tick of 0.1 s, 0.11 s for the longest at 19200 baud, and a
-busy host; three such attempts fit beside the rest of connecting."""
+"""Time-out for the answer to a request [s]: the tick of 0.1 s, 0.11 s for the longest answer at
+19200 baud, and a margin for a busy host; three attempts fit into the time-out for connecting."""
 ATTEMPTS = 3
+"""Number of times that a request is sent before giving up."""
 BITS_PER_BYTE = 10
+"""8N1: start bit, eight data bits, stop bit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +36,8 @@ class Arrived:
 
     Attributes:
         block: Its lines.
-        began: When its first byte came [s].
-        ended: When its last byte came [s].
+        began: Arrival time of its first byte [s].
+        ended: Arrival time of its last byte [s].
     """
 
     block: Block
@@ -43,22 +45,23 @@ class Arrived:
     ended: float
 
     def reply(self, echo: str) -> tuple[Reply, float]:
-        """Return the reply to ``echo`` in it, and when that began to arrive [s].
+        """Return the reply to ``echo`` in the block, and the time it began to arrive [s].
 
         Raises:
-            ProtocolError: There is none.
+            ProtocolError: There is no such reply.
         """
         block = find_echo(self.block, echo)
-        # What came before the echo belongs to something else: then only the end is known.
+        # If other lines precede the echo, only the arrival of the end is known.
         return decode_reply(block), self.began if len(block) == len(self.block) else self.ended
 
 
 class UrgLink:
-    """A transport, cut into blocks.
+    """A transport whose incoming bytes are split into blocks.
 
     Attributes:
+        clock: The robot's clock.
         baud: Bit rate [bit/s].
-        received: Bytes that have come so far.
+        received: Number of bytes received.
     """
 
     def __init__(self, transport: Transport, clock: Clock, baud: int) -> None:
@@ -86,7 +89,7 @@ class UrgLink:
             self._began = now
 
     def take(self) -> Iterator[Arrived]:
-        """Take out the blocks that have arrived, without waiting.
+        """Yield the blocks that have arrived, without waiting, and remove them.
 
         Raises:
             LinkError: The sensor is unplugged.
@@ -97,7 +100,7 @@ class UrgLink:
 
     @property
     def unfinished(self) -> Block:
-        """The whole lines of the block that is arriving."""
+        """The complete lines of the block that is still arriving."""
         return self._splitter.lines
 
     def send(self, data: bytes) -> None:
@@ -105,17 +108,17 @@ class UrgLink:
         self._transport.write(data)
 
     def set_baud(self, baud: int) -> None:
-        """Change the host's bit rate and forget what has arrived.
+        """Change the host's bit rate and discard what has arrived.
 
         Raises:
-            LinkError: The port cannot do that.
+            LinkError: The port does not support it.
         """
         self._transport.set_baud(baud)
         self.baud = baud
         self.forget()
 
     def forget(self) -> None:
-        """Forget what has arrived."""
+        """Discard what has arrived."""
         self._transport.discard_input()
         self._splitter.reset()
         self._blocks.clear()
@@ -123,10 +126,15 @@ class UrgLink:
     def ask(
         self, request: Request, decode: Callable[[Reply], T], attempts: int = ATTEMPTS
     ) -> Steps[tuple[T, float]]:
-        """Send ``request`` and return its decoded reply, and when that began to arrive [s].
+        """Send ``request``; return its decoded reply and the time that began to arrive [s].
+
+        Args:
+            request: The request.
+            decode: Decodes the reply; a reply for which it raises ``ProtocolError`` is skipped.
+            attempts: Number of times the request is sent.
 
         Raises:
-            LinkTimeoutError: No answer.
+            LinkTimeoutError: The sensor does not answer.
             LinkError: The sensor is unplugged.
         """
         for _ in range(attempts):

@@ -18,24 +18,23 @@ FRONT_STEP = 384
 LAST_STEP = 725
 """Last step measured [AMAX]."""
 LAST_POINT = 768
-"""Last step that can be asked for, the first being 0; beyond [AMIN] and [AMAX] nothing is measured.
-"""
+"""Last step that can be requested, the first being 0; only [AMIN] to [AMAX] are measured."""
 MIN_RANGE_MM = 20
 """Shortest distance [DMIN]; smaller values are error codes."""
 MAX_RANGE_MM = 4095
-"""Longest distance of the data sheet and of the two-character encoding."""
+"""Longest distance, of the data sheet and of the two-character encoding."""
 TRUSTED_RANGE_MM = 4000
 """Longest distance for which the data sheet states an accuracy (1 %)."""
 REVOLUTION = 0.1
-"""Time of one turn of the mirror at 600 rpm [SCAN] [s]; the time stamp is that of step 0."""
+"""Period of the mirror at 600 rpm [SCAN] [s]; timestamps are those of step 0."""
 
 MODULATIONS = (46.55e6, 53.2e6)
 """Frequencies of the light's two modulations [Hz]; their phases repeat together every 22.5 m."""
 REPLY_LATENCY = 0.101
-"""From step 0 of a turn to the start of the reply that holds it [s]; a capture of firmware 3.1.04
-over USB, a single sample."""
+"""Time from step 0 of a turn to the start of its reply [s]; a single sample in a capture of
+firmware 3.1.04 over USB."""
 COMMAND_TICK = 0.0998
-"""Commands are answered once per turn, on this tick [s]; the same capture, 9 replies."""
+"""Interval at which commands are answered, once per turn [s]; 9 replies in the same capture."""
 
 NO_RETURN = 0
 """Error code "possibly 22 m": nothing came back."""
@@ -84,7 +83,7 @@ LINKS = {
     "115200": ScanMode(FRONT_STEP - 178, FRONT_STEP + 178, 1),
     "115200-full": ScanMode(FIRST_STEP, LAST_STEP, 2),
 }
-"""Scan mode by the name of the link."""
+"""Scan modes by the name of the link."""
 
 
 def step_angle(step: int) -> float:

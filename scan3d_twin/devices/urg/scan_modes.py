@@ -1,4 +1,4 @@
-"""Which scans fit which bit rate."""
+"""Choice of the scan mode: which scans fit which bit rate."""
 
 from __future__ import annotations
 
@@ -13,31 +13,36 @@ from scan3d_twin.devices.urg.model import ScanMode
 from scan3d_twin.devices.urg.replies import scan_length
 
 _COMMANDS: tuple[ScanCommand, ...] = ("MD", "MS")
-"""Three characters a step first; two go up to 4095 mm, which is the data sheet's range."""
-
-
+"""Streams to try: three characters per step, then two, which reach the data sheet's 4095 mm."""
 MAX_CLUSTER = 4
-"""Most steps that are merged by themselves to keep the rate: 1.4 deg; assumption."""
+"""Largest cluster chosen automatically to keep the line rate: 1.4 deg; assumption."""
 
 
 def scan_requests(mode: ScanMode | None, cluster: int | None = None) -> tuple[ScanRequest, ...]:
     """Return the streams that deliver ``mode``, the best first.
 
-    Without a mode every turn counts: all steps if a bit rate carries them, else as many around the
-    front as it does. Without a cluster, as few steps as needed are merged for the wanted rate.
+    Args:
+        mode: Which steps to read, and how often; None is every turn, with all steps or as many
+            around the front as a bit rate carries.
+        cluster: Steps merged into one; None is as few as needed.
 
     Raises:
         ConfigError: There is no such stream.
     """
+    # Without a mode: every turn, the widest window first
     if mode is None:
         cluster = 1 if cluster is None else cluster
         full = ScanMode(urg04lx.FIRST_STEP, urg04lx.LAST_STEP, 1)
         windows = [window(baud, cluster) for baud in (115200, 57600, 38400, 19200)]
         modes = [full, *(window for window in windows if window != full)]
         return tuple(request for mode in modes for request in scan_requests(mode, cluster))
+
+    # Without a cluster: the smallest first
     if cluster is None:
         some = range(1, min(MAX_CLUSTER, len(mode.steps)) + 1 if mode.steps else 2)
         return tuple(request for size in some for request in scan_requests(mode, size))
+
+    # Check the values
     low, high = urg04lx.FIRST_STEP, urg04lx.LAST_STEP
     if not low <= mode.first_step <= mode.last_step <= high:
         raise ConfigError(
@@ -48,6 +53,8 @@ def scan_requests(mode: ScanMode | None, cluster: int | None = None) -> tuple[Sc
             f"cluster must be 1 to 99 and turns per line 1 to 10, got {cluster} and "
             f"{mode.turns_per_line}"
         )
+
+    # One stream per encoding
     skip = mode.turns_per_line - 1
     return tuple(
         ScanRequest(command, mode.first_step, mode.last_step, cluster, skip)
@@ -56,7 +63,11 @@ def scan_requests(mode: ScanMode | None, cluster: int | None = None) -> tuple[Sc
 
 
 def window(baud: int, cluster: int = 1) -> ScanMode:
-    """Return the widest window around the front that ``baud`` carries every turn."""
+    """Return the widest window around the front that ``baud`` carries every turn.
+
+    Raises:
+        ConfigError: It carries none.
+    """
     front = urg04lx.FRONT_STEP
     for half in range(front - urg04lx.FIRST_STEP, 0, -1):
         last = min(front + half, urg04lx.LAST_STEP)
@@ -67,7 +78,7 @@ def window(baud: int, cluster: int = 1) -> ScanMode:
 
 
 def duration(request: ScanRequest, baud: int) -> float:
-    """Return how long a scan is on its way at ``baud`` bit/s [s]."""
+    """Return the transmission time of a scan at ``baud`` bit/s [s]."""
     return scan_length(request) * BITS_PER_BYTE / baud
 
 
@@ -79,7 +90,10 @@ def period(request: ScanRequest) -> float:
 def choices(
     requests: Iterable[ScanRequest], current: int, bauds: Iterable[int] = scip.BAUDS
 ) -> Iterator[tuple[ScanRequest, int]]:
-    """Yield what fits, the best first: the ``current`` bit rate before the slowest other one."""
+    """Yield (request, bit rate) that fit, the best first.
+
+    For each request the ``current`` bit rate comes first, then the others, the slowest first.
+    """
     order = [current, *sorted(set(bauds) - {current})]
     for request in requests:
         for baud in order:
@@ -88,7 +102,7 @@ def choices(
 
 
 def too_slow(request: ScanRequest, baud: int) -> LinkError:
-    """Return the error that says with numbers why ``request`` does not fit."""
+    """Return the error that explains, with numbers, why ``request`` does not fit."""
     needed, there = duration(request, baud), period(request)
     steps = request.last - request.first + 1
     most = int(steps * there / needed)

@@ -49,7 +49,7 @@ def commands(model):
 
 
 def test_the_stream_example_of_the_create_manual():
-    # Create Open Interface, page 14: the sum leaves the header out.
+    # Create Open Interface, page 14: the checksum leaves out the header.
     assert oi.stream(CLIFF_AND_WALL) == bytes([148, 2, 29, 13])
     frame = bytes([19, 5, 29, 2, 37, 13, 0, 170])
     assert encode_frame(CLIFF_AND_WALL, VALUES, header_summed=False) == frame
@@ -140,8 +140,8 @@ def test_the_bytes_in_15_ms(baud, budget):
     rest = [] if (budget - 3) % 2 == 0 else [Packet.LEFT_COUNTS]
     packets = packets[: len(packets) - len(rest)] + rest
     assert oi.frame_size(packets) == budget
-    assert oi.fits(packets, baud)
-    assert not oi.fits([*packets, Packet.MODE], baud)
+    assert oi.fits_stream(packets, baud)
+    assert not oi.fits_stream([*packets, Packet.MODE], baud)
 
 
 # Properties.

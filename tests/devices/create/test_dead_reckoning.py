@@ -7,7 +7,7 @@ import pytest
 
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.devices.create.dead_reckoning import (
-    RESTARTED,
+    RESTART_AFTER,
     CommandedReckoning,
     CommandedWheels,
     EncoderReckoning,
@@ -71,11 +71,11 @@ def test_one_wrong_reading_leaves_no_trace():
 def test_a_counter_that_begins_anew_moves_nothing():
     reckoning = EncoderReckoning(SPEC, 0.0, counts(30_000, 30_000))
     before = reckoning.take(PERIOD, counts(30_000, 30_000))
-    for k in range(RESTARTED - 1):
+    for k in range(RESTART_AFTER - 1):
         assert reckoning.take((2 + k) * PERIOD, counts(7, 9)) is None
-    after = reckoning.take((1 + RESTARTED) * PERIOD, counts(7, 9))
+    after = reckoning.take((1 + RESTART_AFTER) * PERIOD, counts(7, 9))
     assert after.T_odom_base == before.T_odom_base
-    later = reckoning.take((2 + RESTARTED) * PERIOD, counts(9, 11))
+    later = reckoning.take((2 + RESTART_AFTER) * PERIOD, counts(9, 11))
     assert later.T_odom_base.x == pytest.approx(0.002 * MM_PER_COUNT)
 
 

@@ -14,7 +14,7 @@ from scan3d_twin.devices.create.codec import CREATE1, CREATE2, Op
 from scan3d_twin.devices.create.driver import FAREWELL, open_create
 from scan3d_twin.devices.create.emulated_body import Quirks
 from scan3d_twin.devices.create.emulator import CreateEmulator
-from scan3d_twin.devices.create.link import HALF_DRIVE, watched
+from scan3d_twin.devices.create.link import HALF_DRIVE, watched_packets
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.links.line_model import NO_FAULTS, Faults, Line, Wire
 
@@ -22,7 +22,7 @@ SLICE = 0.005
 
 
 class Recorded:
-    """A guard that remembers what it was told."""
+    """A guard that records its heartbeats."""
 
     def __init__(self):
         self.beats = []
@@ -589,7 +589,7 @@ def test_odometry_is_back_within_300_ms_of_the_line(model):
 def test_the_packets_asked_for_fit_the_line(rig):
     (request,) = (d for _, d in rig.written if d[0] == Op.STREAM and len(d) > 3)
     packets = list(request[2:])
-    assert oi.fits(packets, 115200)
+    assert oi.fits_stream(packets, 115200)
     assert Packet.LEFT_COUNTS in packets
     slow = Rig(before=at(19200)).open()
     assert slow.driver.spec.sample_period == 0.03
@@ -666,7 +666,9 @@ def test_on_a_bad_line_a_hazard_is_believed_when_it_is_read_twice(rig):
     rig.wait(0.2)
     rig.line._arrived += bytes(range(100))
     rig.wait(0.1)
-    bump = oi.encode_frame(list(watched(rig.driver.contact)), bumped(rig), header_summed=True)
+    bump = oi.encode_frame(
+        list(watched_packets(rig.driver.contact)), bumped(rig), header_summed=True
+    )
     rig.line._arrived += bump
     rig.wait(0.1)
     assert not rig.driver.hazards().active()

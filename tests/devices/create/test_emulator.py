@@ -14,7 +14,7 @@ FORWARD = oi.drive_direct(200, 200)
 
 
 class Bench:
-    """An emulated base on the bench: say something, let time pass, listen."""
+    """An emulated base on the bench: send bytes, let time pass, receive."""
 
     def __init__(self, model=CREATE2, **quirks):
         self.base = KinematicBase()
@@ -107,7 +107,7 @@ def test_drive_commands(bench, command, speed):
 
 
 def test_requested_speeds_are_those_of_the_command_of_their_kind(bench):
-    """Packets 39 and 40 tell of Drive, 41 and 42 of Drive Direct; within +-500 mm/s."""
+    """Packets 39 and 40 report Drive, 41 and 42 report Drive Direct; within +-500 mm/s."""
     bench.say(Op.START, Op.SAFE, oi.drive_direct(100, -50))
     packets = (Packet.REQUESTED_VELOCITY, Packet.REQUESTED_RADIUS)
     wheels = (Packet.REQUESTED_RIGHT, Packet.REQUESTED_LEFT)
@@ -402,7 +402,7 @@ def test_a_frozen_base_says_nothing():
 
 
 def test_a_lost_byte_turns_data_into_opcodes(bench):
-    # What a driver has to reckon with: 145 0 200 0 200 without its last byte takes the next opcode.
+    # Without its last byte, 145 0 200 0 200 swallows the next opcode; a driver must expect that.
     bench.say(Op.START, Op.SAFE, FORWARD[:-1])
     bench.say(oi.drive_direct(0, 0))
     assert bench.base.speed != (0.0, 0.0)

@@ -1,9 +1,9 @@
-"""What readings say about safety, packet by packet."""
+"""Hazards in the readings, packet by packet."""
 
 import pytest
 
 from scan3d_twin.core.types import Hazards
-from scan3d_twin.devices.create.hazards import blocking, hazards_of, why_not_safe
+from scan3d_twin.devices.create.hazards import blocking_hazards, decode_hazards, find_unsafe_causes
 from scan3d_twin.devices.create.link import COMMON
 from scan3d_twin.devices.create.packets import BumpsDrops, Overcurrents, Packet
 
@@ -21,8 +21,8 @@ def with_packets(**values):
 
 
 def test_nothing_is_wrong_with_a_base_on_the_floor():
-    assert hazards_of(SAFE) == Hazards(battery=0.4)
-    assert hazards_of(SAFE).active() == ()
+    assert decode_hazards(SAFE) == Hazards(battery=0.4)
+    assert decode_hazards(SAFE).active() == ()
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_nothing_is_wrong_with_a_base_on_the_floor():
     ],
 )
 def test_every_packet_means_what_the_manual_says(values, names):
-    assert hazards_of(with_packets(**values)).active() == names
+    assert decode_hazards(with_packets(**values)).active() == names
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_the_battery_is_known_by_its_charge_or_else_by_its_voltage(
     charge, capacity, millivolts, share
 ):
     values = with_packets(charge=charge, capacity=capacity, voltage=millivolts)
-    assert hazards_of(values).battery == pytest.approx(share)
+    assert decode_hazards(values).battery == pytest.approx(share)
 
 
 @pytest.mark.parametrize(
@@ -75,13 +75,13 @@ def test_the_battery_is_known_by_its_charge_or_else_by_its_voltage(
     ],
 )
 def test_new_hazards_stop_and_old_ones_forbid_to_drive_on(before, now, ahead, names):
-    assert blocking(before, now, ahead) == names
+    assert blocking_hazards(before, now, ahead) == names
 
 
 def test_why_safe_mode_was_left():
-    assert why_not_safe(with_packets(charging_sources=2), Hazards()) == [
+    assert find_unsafe_causes(with_packets(charging_sources=2), Hazards()) == [
         "the charger was plugged in"
     ]
-    assert why_not_safe(SAFE, Hazards(wheel_drop_left=True)) == ["wheel drop left"]
-    (why,) = why_not_safe(SAFE, Hazards())
+    assert find_unsafe_causes(SAFE, Hazards(wheel_drop_left=True)) == ["wheel drop left"]
+    (why,) = find_unsafe_causes(SAFE, Hazards())
     assert "guard" in why

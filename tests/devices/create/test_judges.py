@@ -1,4 +1,4 @@
-"""Programs nobody here wrote read the emulated lidar.
+"""Third-party programs read the emulated lidar.
 
 MRPT's rawlog-grabber is Debian's package mrpt-apps.
 """
@@ -35,7 +35,7 @@ pose_roll = 0
 """
 SCANS = 4
 ENOUGH = (SCANS + 2) * 2137
-"""Bytes: so many scans and what is said before them."""
+"""Size of that number of scans and of the handshake before them [bytes]."""
 DEADLINE = 20.0
 ATTEMPTS = 4
 PROFILES = {

@@ -10,7 +10,7 @@ from scan3d_twin.devices.create.link import (
     Contact,
     Poll,
     base_spec,
-    plausible,
+    is_plausible,
 )
 from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets
 
@@ -24,19 +24,19 @@ SAFE = {
     Packet.CLIFF_LEFT: 1,
     Packet.CLIFF_RIGHT: 1,
 }
-"""The largest of what each packet can say."""
+"""Largest valid value by packet."""
 
 
 @pytest.mark.parametrize("offset", [0, 1])
 def test_the_largest_readings_are_plausible_and_larger_ones_are_not(offset):
     contact = Contact(CREATE2, 115200, offset)
     values = {**SAFE, Packet.MODE: Mode.FULL + offset}
-    assert plausible(values, contact)
+    assert is_plausible(values, contact)
     for packet, value in values.items():
         beyond = value - 1 if value < 0 else value + 1
-        assert not plausible({**values, packet: beyond}, contact), packet
-    assert plausible({**values, Packet.MODE: offset}, contact)
-    assert not plausible({**values, Packet.MODE: offset - 1}, contact)
+        assert not is_plausible({**values, packet: beyond}, contact), packet
+    assert is_plausible({**values, Packet.MODE: offset}, contact)
+    assert not is_plausible({**values, Packet.MODE: offset - 1}, contact)
 
 
 def test_a_create_1_counts_whole_millimetres_and_a_create_2_its_encoder():
@@ -47,7 +47,7 @@ def test_a_create_1_counts_whole_millimetres_and_a_create_2_its_encoder():
 
 
 class Asked:
-    """A line that keeps what was written."""
+    """A line that records what was written."""
 
     def __init__(self):
         self.written = []
@@ -65,7 +65,7 @@ ANSWER = encode_packets(PACKETS, {Packet.MODE: 2, Packet.VOLTAGE: 15000})
 
 @pytest.fixture
 def polled():
-    """A poll that has asked for the first time, at 1 s; its line."""
+    """Return a source that sent its first poll at 1 s, and its line."""
     line = Asked()
     poll = Poll(line, PACKETS)
     assert poll.take(b"", 0.0) == []
@@ -98,7 +98,7 @@ def test_a_poll_asks_again_one_period_after_it_asked(polled):
 def test_an_answer_that_is_too_long_or_too_late_is_dropped_and_counted(polled):
     poll, line = polled
     assert poll.take(ANSWER + b"\x00", 1.01) == []
-    assert (poll.bad, poll.broken) == (1, 1)
+    assert (poll.bad, poll.errors) == (1, 1)
     poll.take(b"", 1.05)
     assert len(line.written) == 2
     assert poll.take(b"", 1.05 + 1.01 * POLL_TIMEOUT) == []

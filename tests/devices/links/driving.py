@@ -1,7 +1,8 @@
-"""Drives the base on the port named by the first argument until it is killed; then hangs if told.
+"""A process that drives the base on the port given as first argument, for tests of the guard.
 
-What it does is told by the second argument: ``drive`` services the base for ever, ``hang`` stops
-servicing after half a second, ``rest`` opens it and stands, ``leave`` drives and ends in order.
+The second argument chooses what it does: ``drive`` services the base until it is killed, ``hang``
+stops servicing after half a second, ``rest`` opens the base and stands, ``leave`` drives and exits
+in order.
 """
 
 import sys

@@ -9,7 +9,7 @@ from scan3d_twin.devices.links.line_model import Faults, Line, Wire
 
 
 class Parrot:
-    """A device that says what it hears, or what it is told to say."""
+    """A device that records what it receives and sends ``say`` once."""
 
     def __init__(self, baud=115200):
         self.baud = baud

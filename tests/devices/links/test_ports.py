@@ -22,14 +22,14 @@ from scan3d_twin.devices.urg.model import LINKS
 
 
 class Served:
-    """Lets the world run behind the port while the client reads: one thread serves both."""
+    """Runs the simulation behind the port while the client reads, in one thread."""
 
     def __init__(self, port, clock):
         self.port, self.clock = port, clock
         self.started = time.monotonic() - clock.now()
 
     def now(self):
-        """The client's clock; looking at it lets the device live."""
+        """The client's clock; reading it services the device."""
         self.clock.sleep(time.monotonic() - self.started - self.clock.now())
         self.port.service(self.clock.now())
         return self.clock.now()
@@ -138,7 +138,7 @@ def test_a_client_that_does_not_read_loses_bytes_and_does_not_hang_the_device(pt
     set_baud(fd, termios.B115200)
     clock.sleep(0.01)
     for _ in range(50):
-        port._line._keep(bytes(4000))
+        port._line._store(bytes(4000))
         clock.sleep(0.01)
     waiting = len(receive(fd, clock))
     assert 1000 < waiting < 100_000

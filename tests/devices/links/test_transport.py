@@ -97,7 +97,7 @@ def test_a_closed_port_is_a_link_error_and_closing_twice_is_not(port):
 
 def test_a_device_that_takes_no_bytes_is_a_link_error(port, monkeypatch):
     monkeypatch.setattr(transport, "WRITE_TIMEOUT", 0.05)
-    with pytest.raises(LinkError, match="takes no bytes"):
+    with pytest.raises(LinkError, match="accepts no bytes"):
         port.write(bytes(200_000))
 
 
@@ -196,7 +196,7 @@ def test_the_real_clock_runs_and_waits():
 
 
 class Plug:
-    """A port that can be pulled out; tells what came through."""
+    """A port that can be unplugged; records the calls that pass."""
 
     def __init__(self):
         self.plugged, self.opened, self.passed = True, [], []

@@ -25,7 +25,7 @@ from scan3d_twin.wired import HazardFreeClock
 
 
 class Accident(HazardFreeClock):
-    """A clock at whose will a plug is out, and the device behind it without power."""
+    """A clock that can unplug a device and cut its power."""
 
     def __init__(self, clock, line, seconds):
         super().__init__(clock)
@@ -101,7 +101,7 @@ def test_a_lidar_that_stays_away_ends_the_sweep_and_the_robot_stood_meanwhile():
 
 
 class Unplugged(HazardFreeClock):
-    """A clock at whose will the base's plug is out for ``seconds`` from ``out`` on."""
+    """A clock that unplugs the base for ``seconds`` from ``out`` on."""
 
     def __init__(self, clock, line, seconds):
         super().__init__(clock)
@@ -158,7 +158,7 @@ def test_the_wheels_are_stopped_before_anything_else_when_the_base_is_back(model
         robot.clock.sleep(1.5)
         assert before != (0, 0)
         assert b"".join(heard).startswith(HALF_DRIVE + STOP)
-        # It drives on, as it was told; the way it took alone is known on a Create 2.
+        # It drives on as commanded; only a Create 2 measures the distance it moved alone.
         assert firmware.wheels_mm == before
         if model == "create2":
             assert robot.base.odometry().T_odom_base.x > 0.2

@@ -1,4 +1,4 @@
-"""Numbers, sums and requests; quoted values are from the SCIP 2.0 specification."""
+"""Numbers, checksums and requests; quoted values are from the SCIP 2.0 specification."""
 
 import pytest
 from hypothesis import given

@@ -36,7 +36,7 @@ class Bench:
         return self.lidar
 
     def talk(self, data, seconds=0.3, baud=None):
-        """Let a client that is dead by now have sent ``data``."""
+        """Send ``data`` as a client that has since died."""
         wire = Wire(self.line, self.clock, baud or self.device.baud)
         for request in data:
             wire.write(request)
@@ -310,7 +310,7 @@ def test_another_lidar_is_refused():
     bench = Bench()
     answer = bench.device.firmware.answer
     bench.device.firmware.answer = lambda *a: answer(*a).replace(b"ARES:1024;\\", b"ARES:1440;^")
-    with pytest.raises(LinkError, match=r"no URG-04LX: ARES is 1440, not 1024"):
+    with pytest.raises(LinkError, match=r"not an URG-04LX: ARES is 1440, not 1024"):
         bench.connect()
 
 

@@ -260,7 +260,7 @@ def test_the_time_of_tm1():
         ((), "no time"),
         ((b"m2@0?",), "0 values instead of 22"),
         ((b"m2@0?", b"1DhM", b"1DhM"), "64 characters"),
-        ((b"m2@0?", b"1DhL"), "wrong sum"),
+        ((b"m2@0?", b"1DhL"), "wrong checksum"),
         ((b"2@0R", b"1DhM"), "no time"),
     ],
 )
