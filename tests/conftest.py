@@ -1,5 +1,6 @@
-"""What all tests share: the arithmetic of the program, the robot's ports, and a limit of time."""
+"""What all tests share: fixed arithmetic, ports of a robot, a limit of time and a browser."""
 
+import shutil
 import signal
 from collections.abc import Generator
 from types import FrameType
@@ -37,3 +38,18 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium that finds nothing but this machine; Playwright allows one a process."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+    path = shutil.which("chromium")
+    if path is None:
+        pytest.skip("needs Chromium (Debian: apt install chromium)")
+    blocked = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", blocked]
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=path, args=arguments)
+        yield opened
+        opened.close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 import re
-import shutil
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +17,6 @@ from scan3d_twin.bench.reporting.files import write_report
 from scan3d_twin.bench.reporting.measures import MEASURES, format_table, summarise
 from scan3d_twin.bench.store import RESULTS_FILE, read_results, write_parquet
 from scan3d_twin.core.errors import FileError
-
-CHROMIUM = shutil.which("chromium")
 
 
 @pytest.fixture(scope="module")
@@ -173,20 +170,16 @@ def test_the_page_asks_for_nothing_from_outside(report):
         assert (report / path).is_file()
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-def test_a_browser_shows_the_page_without_a_word(report):
-    sync_api = pytest.importorskip("playwright.sync_api")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1200, "height": 900})
-        said, asked = [], []
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto((report / "report.html").as_uri())
-        widths = page.eval_on_selector_all("figure svg", "all => all.map(e => e.clientWidth)")
-        over = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
-        browser.close()
+def test_a_browser_shows_the_page_without_a_word(report, browser):
+    page = browser.new_page(viewport={"width": 1200, "height": 900})
+    said, asked = [], []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto((report / "report.html").as_uri())
+    widths = page.eval_on_selector_all("figure svg", "all => all.map(e => e.clientWidth)")
+    over = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+    page.close()
     assert said == []
     assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
     assert widths

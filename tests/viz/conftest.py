@@ -1,7 +1,6 @@
-"""A session to be shown, and a browser without access to other machines."""
+"""A session to be shown, and pages that note what goes wrong on them."""
 
 import math
-import shutil
 
 import numpy as np
 import pytest
@@ -39,21 +38,6 @@ def session() -> Session:
         seen = synthetic.observe(Pose2(-0.4, y, 0.0), sigma=0.004, rng=rng)
         session = integrate(session, seen).with_plan(each)
     return session.with_stop_reason("front complete")
-
-
-@pytest.fixture(scope="session")
-def browser():
-    """A headless Chromium that finds nothing but this machine."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
-    path = shutil.which("chromium")
-    if path is None:
-        pytest.skip("needs Chromium (Debian: apt install chromium)")
-    blocked = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
-    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", blocked]
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=path, args=arguments)
-        yield opened
-        opened.close()
 
 
 class Watched:

@@ -163,7 +163,7 @@ def test_a_dropped_view_takes_its_plan_and_leaves_the_looks() -> None:
 
 def test_a_run_of_one_view_stays_as_it_is() -> None:
     one = replace(tour(), views=tour().views[:1])
-    assert align(one).views == one.views
+    assert align(one).views[0].T_world_scan == one.views[0].T_world_scan
 
 
 def pair() -> tuple[RegistrationResult, PosePrior, RegistrationResult]:
