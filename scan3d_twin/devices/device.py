@@ -132,7 +132,7 @@ class LidarDevice:
     """One lidar: its data sheet, its driver, its emulator.
 
     Attributes:
-        name: By which it is chosen, as on the command line.
+        name: By which it is chosen, as on the command line; the name of its entry point too.
         summary: One line for people.
         links: Names of the ways to connect it, the fastest first; each is a choice of
             ``lidar_link``.
@@ -169,9 +169,9 @@ class BaseDevice:
     """One drive base: its data sheet, its driver, its emulator.
 
     Attributes:
-        name: By which it is chosen, such as ``create2``.
+        name: By which it is chosen, such as ``create2``; the name of its entry point too.
         summary: One line for people.
-        spec: The data sheet.
+        spec: The data sheet, which has the same name.
         open_driver: Opens the base on a line, for a clock and a guard that stops the wheels if this
             process cannot. Raises ``LinkError`` where there is no such base.
         emulate: Returns a base as a device on a line.

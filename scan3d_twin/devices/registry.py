@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.plugins import PluginError, load_plugin
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -67,15 +68,40 @@ def lidar_device(name: str) -> LidarDevice:
 
     Raises:
         UnknownNameError: There is none.
-        ConfigError: The package that offers it cannot be loaded.
+        PluginError: The package that offers it cannot be loaded, or what it offers is no lidar of
+            this name.
     """
-    device: LidarDevice = _load("lidar", name, _OWN_LIDARS, LIDARS)
+    if name in _OWN_LIDARS:
+        own: LidarDevice = resolve_name(f"{__package__}.{_OWN_LIDARS[name]}")
+        return own
+    from scan3d_twin.devices.device import LidarDevice
+
+    place = _place("lidar", name, _OWN_LIDARS, LIDARS)
+    device = load_plugin("lidar", name, place)
+    if not isinstance(device, LidarDevice):
+        raise PluginError("lidar", name, place, f"it is no LidarDevice but {device!r}")
+    if device.name != name:
+        raise PluginError("lidar", name, place, f"its own name is {device.name!r}")
+    if not device.links:
+        raise PluginError("lidar", name, place, "it has no links")
     return device
 
 
 def base_device(name: str) -> BaseDevice:
     """Return the base called ``name``; errors as ``lidar_device``."""
-    device: BaseDevice = _load("robot", name, _OWN_BASES, BASES)
+    if name in _OWN_BASES:
+        own: BaseDevice = resolve_name(f"{__package__}.{_OWN_BASES[name]}")
+        return own
+    from scan3d_twin.devices.device import BaseDevice
+
+    place = _place("robot", name, _OWN_BASES, BASES)
+    device = load_plugin("robot", name, place)
+    if not isinstance(device, BaseDevice):
+        raise PluginError("robot", name, place, f"it is no BaseDevice but {device!r}")
+    if device.name != name:
+        raise PluginError("robot", name, place, f"its own name is {device.name!r}")
+    if device.spec.name != name:
+        raise PluginError("robot", name, place, f"its spec's name is {device.spec.name!r}")
     return device
 
 
@@ -83,18 +109,12 @@ def _names(own: dict[str, str], group: str) -> tuple[str, ...]:
     return tuple(sorted({*own, *_others(own, group)}))
 
 
-def _load(kind: str, name: str, own: dict[str, str], group: str) -> Any:
-    if name in own:
-        return resolve_name(f"{__package__}.{own[name]}")
+def _place(kind: str, name: str, own: dict[str, str], group: str) -> str:
+    """Return where another package holds its device ``name``."""
     others = _others(own, group)
     if name not in others:
         raise UnknownNameError(kind, name, _names(own, group))
-    try:
-        return others[name].load()
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(
-            f"{kind} {name} ({others[name].value}) cannot be loaded: {error}"
-        ) from None
+    return others[name].value
 
 
 def _others(own: dict[str, str], group: str) -> dict[str, EntryPoint]:

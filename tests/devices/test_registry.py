@@ -1,6 +1,9 @@
 """Devices by name: our own, other packages', and names that nobody knows."""
 
+import sys
+from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
+from types import ModuleType
 
 import pytest
 
@@ -17,11 +20,24 @@ from scan3d_twin.devices.registry import (
 
 @pytest.fixture
 def others(monkeypatch):
-    """Another package with a lidar under a name of ours, and a base that cannot be loaded."""
+    """Another package: a good lidar, one under a name of ours, and what cannot be used."""
+    create = base_device("create2")
+    package = ModuleType("others")
+    package.COPY = replace(lidar_device("urg04lx"), name="copy")
+    package.UNLINKED = replace(package.COPY, name="unlinked", links=())
+    package.TABLE = {"name": "table"}
+    package.DRIFT = replace(create, name="drift")
+    monkeypatch.setitem(sys.modules, "others", package)
     points = EntryPoints(
         [
             EntryPoint("urg04lx", "builtins:object", registry.LIDARS),
-            EntryPoint("copy", "scan3d_twin.devices.urg.device:URG04LX", registry.LIDARS),
+            EntryPoint("copy", "others:COPY", registry.LIDARS),
+            EntryPoint("alias", "others:COPY", registry.LIDARS),
+            EntryPoint("unlinked", "others:UNLINKED", registry.LIDARS),
+            EntryPoint("table", "others:TABLE", registry.LIDARS),
+            EntryPoint("table", "others:TABLE", registry.BASES),
+            EntryPoint("drift", "others:DRIFT", registry.BASES),
+            EntryPoint("alias", "others:DRIFT", registry.BASES),
             EntryPoint("broken", "scan3d_twin.no_such_module:BASE", registry.BASES),
         ]
     )
@@ -43,11 +59,30 @@ def test_every_device_has_its_own_name_and_one_line():
 
 @pytest.mark.usefixtures("others")
 def test_other_packages_add_devices_and_replace_none():
-    assert lidar_names() == ("copy", "urg04lx")
-    assert lidar_device("copy") is lidar_device("urg04lx")
+    assert {"copy", "urg04lx"} < set(lidar_names())
+    assert lidar_device("copy") is sys.modules["others"].COPY
+    assert type(lidar_device("urg04lx")).__name__ == "LidarDevice"
     assert "broken" in base_names()
     with pytest.raises(ConfigError, match=r"robot broken \(scan3d_twin.no_such_module:BASE\)"):
         base_device("broken")
+
+
+@pytest.mark.usefixtures("others")
+@pytest.mark.parametrize(
+    ("find", "name", "reason"),
+    [
+        (lidar_device, "table", "it is no LidarDevice but {'name': 'table'}"),
+        (lidar_device, "alias", "its own name is 'copy'"),
+        (lidar_device, "unlinked", "it has no links"),
+        (base_device, "table", "it is no BaseDevice but {'name': 'table'}"),
+        (base_device, "alias", "its own name is 'drift'"),
+        (base_device, "drift", "its spec's name is 'create2'"),
+    ],
+)
+def test_what_is_no_device_of_its_name_is_refused(find, name, reason):
+    with pytest.raises(ConfigError, match="cannot be loaded: ") as refused:
+        find(name)
+    assert str(refused.value).endswith(f": {reason}")
 
 
 def test_what_nobody_knows_lists_what_is_known():

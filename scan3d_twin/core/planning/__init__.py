@@ -10,13 +10,15 @@ those last; they are stated with the name, as in ``patient:overlap=0.9:rest=true
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import entry_points
+from inspect import signature
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Protocol
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.errors import ConfigError, TwinError, UnknownNameError
 from scan3d_twin.core.options import parse_options
+from scan3d_twin.core.plugins import PluginError, load_plugin
 
 if TYPE_CHECKING:
     import numpy as np
@@ -185,10 +187,34 @@ def _load_entry(planner: str) -> Entry:
     if name not in others and ":" not in name:
         raise UnknownNameError("planner", name, list_planners())
     place = others[name].value if name in others else name
+    build = load_plugin("planner", name, place)
+    if not callable(build):
+        raise PluginError("planner", name, place, f"it is no class or factory but {build!r}")
+    return _guard(Entry.of(build), name, place)
+
+
+def _guard(entry: Entry, name: str, place: str) -> Entry:
+    """Return the ``entry`` of another package's planner; its failures become ``PluginError``."""
+    # Refuse what cannot be called as the protocol has it.
+    wanted = ["the truth"] * entry.needs_truth + ["its Options"] * (entry.options is not None)
     try:
-        return Entry.of(resolve_name(place))
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"planner {name} ({place}) cannot be loaded: {error}") from None
+        signature(entry.build).bind(*wanted)
+    except (TypeError, ValueError) as error:
+        called = f"is called with {' and '.join(wanted) or 'no argument'}"
+        raise PluginError("planner", name, place, f"it {called}: {error}") from error
+
+    def build(*arguments: Any) -> Planner:
+        try:
+            planner = entry.build(*arguments)
+        except TwinError:
+            raise
+        except Exception as error:
+            raise PluginError("planner", name, place, error) from error
+        if not callable(getattr(planner, "plan", None)):
+            raise PluginError("planner", name, place, f"{planner!r} has no method plan")
+        return planner
+
+    return replace(entry, build=build)
 
 
 def _find_external() -> dict[str, Any]:

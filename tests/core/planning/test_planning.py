@@ -51,15 +51,6 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         planning, "entry_points", lambda group: EntryPoints(points).select(group=group)
     )
-    monkeypatch.setattr(EntryPoint, "load", lambda self: _load(self.value))
-
-
-def _load(value: str) -> object:
-    """Load the entry point ``value`` from this module, or fail as an import does."""
-    name = value.partition(":")[2]
-    if "no_such_module" in value:
-        raise ImportError("no module named scan3d_twin.no_such_module")
-    return globals()[name]
 
 
 def test_every_planner_has_one_line() -> None:
@@ -131,6 +122,36 @@ def test_plans_are_pure_and_complete(name: str, pilasters: Session) -> None:
     assert a.candidates[-1].feasible
     assert a.predicted_rmse > 0
     assert a.reason
+
+
+def returns_a_number() -> int:
+    return 3
+
+
+def fails() -> Stubborn:
+    raise OSError("no weights")
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("a_dict", "it is no class or factory but {}"),
+        ("Omniscient.__init__", "it is called with no argument: missing a required argument"),
+        ("returns_a_number", "3 has no method plan"),
+        ("fails", "OSError: no weights"),
+    ],
+)
+def test_what_is_no_planner_is_refused_in_one_line(
+    name: str, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    monkeypatch.setattr(sys.modules[__name__], "a_dict", {}, raising=False)
+    with pytest.raises(
+        ConfigError, match=r"^planner homemade:\S+ \(homemade.*cannot be loaded: "
+    ) as told:
+        make_planner(f"homemade:{name}")
+    assert reason in str(told.value)
+    assert "\n" not in str(told.value)
 
 
 class Homemade:
