@@ -49,8 +49,9 @@ def open_wired(
     with open_sim(scene, seed, config) as (twin, truth):
         clock = HazardFreeClock(twin.clock)
         base = base_device(config.robot).emulate(twin.base)
-        wiring = Wiring(usb=config.lidar_link == "usb")
-        lidar = lidar_device(config.lidar_model).emulate(twin.lidar, wiring)
+        device = lidar_device(config.lidar_model)
+        wiring = Wiring(usb=config.lidar_link in device.usb_links)
+        lidar = device.emulate(twin.lidar, wiring)
         links = Wire(base, clock), lambda: Wire(lidar, clock)
         with open_over(*links, clock, config.devices) as robot:
             yield robot, truth

@@ -135,13 +135,14 @@ class LidarDevice:
         name: By which it is chosen, as on the command line; the name of its entry point too.
         summary: One line for people.
         links: Names of the ways to connect it, the fastest first; each is a choice of
-            ``lidar_link``.
+            ``lidar_link``, and the first is its default.
         spec: Returns the geometry of the lines that come over the named link.
         sensor: What the twin makes of its light.
         open_driver: Opens the lidar for a function that opens the line and is called again after
             the lidar was unplugged, a clock, and the name of a link; None is whatever the line
             carries. Raises ``LinkError`` where there is no such lidar.
         emulate: Returns a lidar's readings as a device on a line.
+        usb_links: Those of ``links`` that are USB, where a bit rate means nothing.
         usb_ids: Makers by USB id, to find its port: ``15d1``, or with the product ``10c4:ea60``.
         bauds: Bit rates that its emulator can be powered up with, its own first.
         protocols: Protocols that its emulator can be powered up with, its own first.
@@ -157,6 +158,7 @@ class LidarDevice:
     sensor: LidarSensor
     open_driver: Callable[[Callable[[], Transport], Clock, str | None], LidarDriver]
     emulate: Callable[[Lidar, Wiring], Device]
+    usb_links: tuple[str, ...] = ("usb",)
     usb_ids: Mapping[str, str] = field(default_factory=dict)
     bauds: tuple[int, ...] = ()
     protocols: tuple[str, ...] = ()

@@ -36,21 +36,17 @@ class Devices:
     Attributes:
         base: Name of the base.
         lidar: Name of the lidar.
-        link: How the lidar is connected: one of its ``links``.
+        link: How the lidar is connected: one of its ``links``; where it is given empty, the first.
     """
 
     base: str = DEFAULT_BASE
     lidar: str = DEFAULT_LIDAR
-    link: str = DEFAULT_LINK
+    link: str = ""
 
     def __post_init__(self) -> None:
         if self.base not in _OWN_BASES and self.base not in base_names():
             raise UnknownNameError("robot", self.base, base_names())
-        if (self.lidar, self.link) == (DEFAULT_LIDAR, DEFAULT_LINK):
-            return  # known to be right without loading it: help pages show it, and load no NumPy
-        links = lidar_device(self.lidar).links
-        if self.link not in links:
-            raise UnknownNameError("lidar link", self.link, links)
+        object.__setattr__(self, "link", _choose_link(self.lidar, self.link))
 
 
 def lidar_names() -> tuple[str, ...]:
@@ -103,6 +99,17 @@ def base_device(name: str) -> BaseDevice:
     if device.spec.name != name:
         raise PluginError("robot", name, place, f"its spec's name is {device.spec.name!r}")
     return device
+
+
+def _choose_link(lidar: str, link: str) -> str:
+    """Return ``link``, or the first one of the lidar where it is empty."""
+    # The default is known without loading the lidar: help pages show it, and load no NumPy.
+    if lidar == DEFAULT_LIDAR and link in ("", DEFAULT_LINK):
+        return DEFAULT_LINK
+    links = lidar_device(lidar).links
+    if link and link not in links:
+        raise UnknownNameError("lidar link", link, links)
+    return link or links[0]
 
 
 def _names(own: dict[str, str], group: str) -> tuple[str, ...]:

@@ -11,12 +11,7 @@ from typing import Literal
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import check_options, number
-from scan3d_twin.devices.registry import (
-    DEFAULT_BASE,
-    DEFAULT_LIDAR,
-    DEFAULT_LINK,
-    Devices,
-)
+from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, Devices
 from scan3d_twin.sim.lidar.config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelConfig
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
@@ -111,14 +106,14 @@ class TwinConfig:
     """Name of the base."""
     lidar_model: str = DEFAULT_LIDAR
     """Name of the lidar."""
-    lidar_link: str = DEFAULT_LINK
-    """How the lidar is connected: one of its links."""
+    lidar_link: str = ""
+    """How the lidar is connected: one of its links; where it is given empty, the first."""
     lidar: LidarModelConfig = field(default_factory=LidarModelConfig)
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
 
     def __post_init__(self) -> None:
         check_options(self)
-        _ = self.devices
+        object.__setattr__(self, "lidar_link", self.devices.link)
 
     @property
     def devices(self) -> Devices:
@@ -126,14 +121,12 @@ class TwinConfig:
         return Devices(self.robot, self.lidar_model, self.lidar_link)
 
     @classmethod
-    def ideal(cls, lidar_link: str = DEFAULT_LINK) -> TwinConfig:
+    def ideal(cls, lidar_link: str = "") -> TwinConfig:
         """Return a robot and a lidar without errors, for tests."""
         return cls.of("ideal", lidar_link=lidar_link)
 
     @classmethod
-    def of(
-        cls, world: str, robot: str = DEFAULT_BASE, lidar_link: str = DEFAULT_LINK
-    ) -> TwinConfig:
+    def of(cls, world: str, robot: str = DEFAULT_BASE, lidar_link: str = "") -> TwinConfig:
         """Return the twin in the named ``world``: ideal, typical or harsh.
 
         Raises:

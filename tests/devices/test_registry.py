@@ -7,7 +7,8 @@ from types import ModuleType
 
 import pytest
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin import wired
+from scan3d_twin.core.errors import ConfigError, HazardError, UnknownNameError
 from scan3d_twin.devices import registry
 from scan3d_twin.devices.registry import (
     Devices,
@@ -16,6 +17,8 @@ from scan3d_twin.devices.registry import (
     lidar_device,
     lidar_names,
 )
+from scan3d_twin.run.settings import build_settings
+from scan3d_twin.sim.config import TwinConfig
 
 
 @pytest.fixture
@@ -25,6 +28,7 @@ def others(monkeypatch):
     package = ModuleType("others")
     package.COPY = replace(lidar_device("urg04lx"), name="copy")
     package.UNLINKED = replace(package.COPY, name="unlinked", links=())
+    package.NETWORKED = replace(package.COPY, name="networked", links=("ethernet", "usb-c"))
     package.TABLE = {"name": "table"}
     package.DRIFT = replace(create, name="drift")
     monkeypatch.setitem(sys.modules, "others", package)
@@ -34,6 +38,7 @@ def others(monkeypatch):
             EntryPoint("copy", "others:COPY", registry.LIDARS),
             EntryPoint("alias", "others:COPY", registry.LIDARS),
             EntryPoint("unlinked", "others:UNLINKED", registry.LIDARS),
+            EntryPoint("networked", "others:NETWORKED", registry.LIDARS),
             EntryPoint("table", "others:TABLE", registry.LIDARS),
             EntryPoint("table", "others:TABLE", registry.BASES),
             EntryPoint("drift", "others:DRIFT", registry.BASES),
@@ -83,6 +88,32 @@ def test_what_is_no_device_of_its_name_is_refused(find, name, reason):
     with pytest.raises(ConfigError, match="cannot be loaded: ") as refused:
         find(name)
     assert str(refused.value).endswith(f": {reason}")
+
+
+@pytest.mark.usefixtures("others")
+def test_the_first_link_is_the_default():
+    assert Devices().link == Devices(link="usb").link == TwinConfig().lidar_link == "usb"
+    assert Devices(lidar="networked").link == "ethernet"
+    assert TwinConfig(lidar_model="networked").lidar_link == "ethernet"
+    assert build_settings([{"lidar_model": "networked"}]).twin.lidar_link == "ethernet"
+    assert Devices(lidar="networked", link="usb-c").link == "usb-c"
+    with pytest.raises(UnknownNameError, match="no lidar link 'usb'; known: ethernet, usb-c"):
+        Devices(lidar="networked", link="usb")
+
+
+def test_the_device_says_which_links_are_usb(monkeypatch):
+    wirings = []
+
+    def emulate(lidar, wiring):
+        wirings.append(wiring.usb)
+        raise HazardError("seen enough")
+
+    for usb_links in (), ("usb",), ("other",):
+        device = replace(lidar_device("urg04lx"), emulate=emulate, usb_links=usb_links)
+        monkeypatch.setattr(wired, "lidar_device", lambda name, device=device: device)
+        with pytest.raises(HazardError), wired.open_wired("plain_wall", 0):
+            pass
+    assert wirings == [False, True, False]
 
 
 def test_what_nobody_knows_lists_what_is_known():
