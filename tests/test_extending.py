@@ -194,8 +194,9 @@ def test_the_script_of_the_page_runs(site, tmp_path):
         r"```python\n(from scan3d_twin import TwinConfig.*?)```", PAGE.read_text(), re.DOTALL
     )
     lines = run("-c", script[0], folder=tmp_path, path=[site]).splitlines()
-    assert len(lines) == 2
-    assert all("(301,)" in line for line in lines)
+    assert len(lines) == 3
+    assert all("(301,)" in line for line in lines[:2])
+    assert float(lines[2]) == 0.006  # as the description of the Pico states it
 
 
 @pytest.mark.timeout(300)

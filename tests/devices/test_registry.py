@@ -17,7 +17,7 @@ from scan3d_twin.devices.registry import (
     lidar_device,
     lidar_names,
 )
-from scan3d_twin.run.settings import build_settings
+from scan3d_twin.run.settings import build_settings, device_options, world_options
 from scan3d_twin.sim.config import TwinConfig
 
 
@@ -29,6 +29,8 @@ def others(monkeypatch):
     package.COPY = replace(lidar_device("urg04lx"), name="copy")
     package.UNLINKED = replace(package.COPY, name="unlinked", links=())
     package.NETWORKED = replace(package.COPY, name="networked", links=("ethernet", "usb-c"))
+    package.NOISY = replace(package.COPY, name="noisy", options={"lidar": {"sigma": 0.02}})
+    package.COLOURED = replace(package.COPY, name="coloured", options={"lidar": {"colour": 1}})
     package.TABLE = {"name": "table"}
     package.DRIFT = replace(create, name="drift")
     monkeypatch.setitem(sys.modules, "others", package)
@@ -38,6 +40,8 @@ def others(monkeypatch):
             EntryPoint("copy", "others:COPY", registry.LIDARS),
             EntryPoint("alias", "others:COPY", registry.LIDARS),
             EntryPoint("unlinked", "others:UNLINKED", registry.LIDARS),
+            EntryPoint("noisy", "others:NOISY", registry.LIDARS),
+            EntryPoint("coloured", "others:COLOURED", registry.LIDARS),
             EntryPoint("networked", "others:NETWORKED", registry.LIDARS),
             EntryPoint("table", "others:TABLE", registry.LIDARS),
             EntryPoint("table", "others:TABLE", registry.BASES),
@@ -99,6 +103,22 @@ def test_the_first_link_is_the_default():
     assert Devices(lidar="networked", link="usb-c").link == "usb-c"
     with pytest.raises(UnknownNameError, match="no lidar link 'usb'; known: ethernet, usb-c"):
         Devices(lidar="networked", link="usb")
+
+
+@pytest.mark.usefixtures("others")
+@pytest.mark.parametrize("world", ["ideal", "typical", "harsh"])
+def test_a_twin_in_python_has_the_errors_that_its_devices_state(world):
+    twin = TwinConfig.of(world, lidar="noisy")
+    assert (twin.lidar_model, twin.lidar_link) == ("noisy", "usb")
+    named = device_options(twin.devices), world_options(world), {"lidar_model": "noisy"}
+    assert twin == build_settings(named).twin
+    assert (twin.lidar.sigma == 0.02) == (world == "typical")
+
+
+@pytest.mark.usefixtures("others")
+def test_an_option_that_there_is_not_is_refused():
+    with pytest.raises(UnknownNameError, match=r"no option 'lidar\.colour'; known: .*sigma"):
+        TwinConfig.of("typical", lidar="coloured")
 
 
 def test_the_device_says_which_links_are_usb(monkeypatch):
