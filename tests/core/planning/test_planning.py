@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import dataclass, make_dataclass
 from importlib.metadata import EntryPoint, EntryPoints
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -152,6 +154,63 @@ def test_what_is_no_planner_is_refused_in_one_line(
         make_planner(f"homemade:{name}")
     assert reason in str(told.value)
     assert "\n" not in str(told.value)
+
+
+class Tunable(Stubborn):
+    """Has options."""
+
+    Options: type
+
+    def __init__(self, options: object) -> None:
+        self.options = options
+
+
+def with_option(hint: object, default: object) -> type:
+    return make_dataclass("Options", [("x", hint, default)], frozen=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (with_option(float | None, None), r"x of type float \| None; can be int, float, str"),
+        (with_option(Literal[1, 2], 1), "x of type typing.Literal"),
+        (with_option("Missing", 1), "type that is not known: name 'Missing'"),
+        (make_dataclass("Options", [("x", float)]), "no default for x"),
+        (int, "must be a dataclass"),
+    ],
+)
+def test_options_that_words_cannot_state_are_refused(
+    options: type, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    monkeypatch.setattr(Tunable, "Options", options, raising=False)
+    with pytest.raises(ConfigError, match=rf"cannot be loaded: its Options .*{reason}"):
+        make_planner("homemade:Tunable")
+
+
+@pytest.mark.parametrize("text", ["inf", "nan", "-inf"])
+def test_options_are_finite_even_without_bounds(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    monkeypatch.setattr(Tunable, "Options", with_option(float, 1.0), raising=False)
+    assert make_planner("homemade:Tunable:x=2").options.x == 2.0  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match=rf"x must be finite, got {text}"):
+        make_planner(f"homemade:Tunable:x={text}")
+
+
+@dataclass(frozen=True)
+class Even:
+    x: int = 2
+
+    def __post_init__(self) -> None:
+        if self.x % 2:
+            raise ValueError(f"{self.x} is odd")
+
+
+def test_options_can_check_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    monkeypatch.setattr(Tunable, "Options", Even, raising=False)
+    with pytest.raises(ConfigError, match="^options of planner homemade:Tunable: 3 is odd$"):
+        make_planner("homemade:Tunable:x=3")
 
 
 class Homemade:
