@@ -1,7 +1,8 @@
 """Automated 3D digitisation with a vacuum-cleaner robot and a small laser scanner.
 
 The names of this module are the public interface: documented, versioned, and loaded when they are
-first used. ``__init__.pyi`` lists them. Everything else in the package is private to it.
+first used. ``__init__.pyi`` lists them. ``scan3d_twin.extend`` is public too: it holds what another
+package's planner, export format or device needs. Everything else in the package is private to it.
 
 Importing it before NumPy selects the kernels of OpenBLAS, so that one seed gives the same bytes on
 every processor; see ``scan3d_twin.arithmetic``.

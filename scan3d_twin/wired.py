@@ -50,8 +50,9 @@ def open_wired(
         # Emulate the devices
         clock = HazardFreeClock(twin.clock)
         base = base_device(config.robot).emulate(twin.base)
-        wiring = Wiring(usb=config.lidar_link == "usb")
-        lidar = lidar_device(config.lidar_model).emulate(twin.lidar, wiring)
+        device = lidar_device(config.lidar_model)
+        wiring = Wiring(usb=config.lidar_link in device.usb_links)
+        lidar = device.emulate(twin.lidar, wiring)
 
         # Connect the drivers
         links = Wire(base, clock), lambda: Wire(lidar, clock)

@@ -1,5 +1,6 @@
 """The package of docs/extending.md, built and installed from the page, and used as it says."""
 
+import ast
 import json
 import os
 import re
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scan3d_twin import extend
 from scan3d_twin.recording.load import load_session
 
 ROOT = Path(__file__).parents[1]
@@ -21,13 +23,21 @@ BUILD = "import sys; from hatchling.build import build_wheel; build_wheel(sys.ar
 RUN = ["--max-views", "2", "--planning.trials", "2", "--json"]
 
 
+def with_packages(path):
+    """Return the environment in which Python looks into the folders of ``path`` first."""
+    inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, [*map(str, path), *inherited])),
+    }
+
+
 def run(*command, folder, path=(), timeout=240):
     """Run Python in ``folder`` with ``path`` before everything else that it imports."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))}
     done = subprocess.run(
         [sys.executable, *map(str, command)],
         cwd=folder,
-        env=environment,
+        env=with_packages(path),
         capture_output=True,
         text=True,
         timeout=timeout,
@@ -68,6 +78,23 @@ def test_the_page_shows_every_file(site):
     assert {
         f"acme_scan/{device}/{name}.py" for device in ("pico", "rover") for name in family
     } < names
+
+
+def test_the_page_needs_public_modules_only():
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    imports = [
+        node
+        for block in blocks
+        for node in ast.walk(ast.parse(block))
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("scan3d_twin")
+    ]
+    assert {node.module for node in imports} == {"scan3d_twin", "scan3d_twin.extend"}
+
+
+def test_the_reference_has_every_name_of_the_module_for_other_packages():
+    reference = (ROOT / "docs/api.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\.\. auto\w+:: scan3d_twin\.extend\.(\w+)$", reference, re.MULTILINE)
+    assert sorted(listed) == sorted(extend.__all__)
 
 
 def test_the_planner_and_its_option_are_listed_and_checked(twin):
@@ -164,20 +191,20 @@ def test_lidar_and_base_keep_the_contract_through_bytes(site):
 
 def test_the_script_of_the_page_runs(site, tmp_path):
     script = re.findall(
-        r"```python\n(from scan3d_twin.sim.config.*?)```", PAGE.read_text(), re.DOTALL
+        r"```python\n(from scan3d_twin import TwinConfig.*?)```", PAGE.read_text(), re.DOTALL
     )
     lines = run("-c", script[0], folder=tmp_path, path=[site]).splitlines()
-    assert len(lines) == 2
-    assert all("(301,)" in line for line in lines)
+    assert len(lines) == 3
+    assert all("(301,)" in line for line in lines[:2])
+    assert float(lines[2]) == 0.006  # as the description of the Pico states it
 
 
 @pytest.mark.timeout(300)
 def test_the_doctor_and_the_real_robot_find_the_emulated_devices(site, twin):
     command = [sys.executable, "-m", "scan3d_twin.cli", "emulate", "--json"]
     words = ["--robot", "rover", "--lidar", "pico"]
-    environment = {**os.environ, "PYTHONPATH": str(site)}
     with subprocess.Popen(
-        [*command, *words], stdout=subprocess.PIPE, text=True, env=environment
+        [*command, *words], stdout=subprocess.PIPE, text=True, env=with_packages([site])
     ) as process:
         try:
             ports = json.loads(process.stdout.readline())

@@ -147,7 +147,7 @@ def _check(name: str, value: Any, hint: Any, bounds: Bounds | None) -> None:
     expected = (int, float) if hint is float else hint
     if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):
         raise ConfigError(f"{name} must be {_WORDS.get(hint, hint.__name__)}, got {value!r}")
-    if hint is float and not math.isfinite(value):
+    if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name} must be finite, got {value:g}")
     if bounds is not None and (wanted := bounds.find_violation(value)):
         raise ConfigError(f"{name} must be {wanted}, got {value:g}")

@@ -133,15 +133,17 @@ class LidarDevice:
     """One lidar: its data sheet, its driver, its emulator.
 
     Attributes:
-        name: Name by which it is chosen, as on the command line.
+        name: Name by which it is chosen, as on the command line; also that of its entry point.
         summary: One-line description.
-        links: Names of the ways to connect it, the fastest first; the choices of ``lidar_link``.
+        links: Names of the ways to connect it, the fastest first, which is the default;
+            the choices of ``lidar_link``.
         spec: Returns the geometry of the scan lines received over the named link.
         sensor: Its receiver, for the twin.
         open_driver: Opens the lidar. Its arguments are a function that opens the line, called again
             after the lidar was unplugged; a clock; and the name of a link, None for whatever the
             line carries. Raises ``LinkError`` if there is no such lidar.
         emulate: Returns an emulated device that serves the readings of a ``Lidar``.
+        usb_links: Those of ``links`` that are USB, where a bit rate means nothing.
         usb_ids: Makers by USB id, to find its port: ``15d1``, or with the product ``10c4:ea60``.
         bauds: Bit rates that its emulator can power up with, the default first.
         protocols: Protocols that its emulator can power up with, the default first.
@@ -157,6 +159,7 @@ class LidarDevice:
     sensor: LidarSensor
     open_driver: Callable[[Callable[[], Transport], Clock, str | None], LidarDriver]
     emulate: Callable[[Lidar, Wiring], Device]
+    usb_links: tuple[str, ...] = ("usb",)
     usb_ids: Mapping[str, str] = field(default_factory=dict)
     bauds: tuple[int, ...] = ()
     protocols: tuple[str, ...] = ()
@@ -169,7 +172,7 @@ class BaseDevice:
     """One drive base: its data sheet, its driver, its emulator.
 
     Attributes:
-        name: Name by which it is chosen, such as ``create2``.
+        name: Name by which it is chosen, such as ``create2``; also that of its entry point and ``spec``.
         summary: One-line description.
         spec: The data sheet.
         open_driver: Opens the base on a line. Its other arguments are a clock and a guard that

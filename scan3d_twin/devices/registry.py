@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.plugins import PluginError, load_plugin
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -38,21 +39,17 @@ class Devices:
     Attributes:
         base: Name of the base.
         lidar: Name of the lidar.
-        link: How the lidar is connected: one of its ``links``.
+        link: How the lidar is connected: one of its ``links``; where it is given empty, the first.
     """
 
     base: str = DEFAULT_BASE
     lidar: str = DEFAULT_LIDAR
-    link: str = DEFAULT_LINK
+    link: str = ""
 
     def __post_init__(self) -> None:
         if self.base not in _OWN_BASES and self.base not in base_names():
             raise UnknownNameError("robot", self.base, base_names())
-        if (self.lidar, self.link) == (DEFAULT_LIDAR, DEFAULT_LINK):
-            return  # known to be right without loading it: help pages show it, and load no NumPy
-        links = lidar_device(self.lidar).links
-        if self.link not in links:
-            raise UnknownNameError("lidar link", self.link, links)
+        object.__setattr__(self, "link", _choose_link(self.lidar, self.link))
 
 
 def lidar_names() -> tuple[str, ...]:
@@ -70,34 +67,64 @@ def lidar_device(name: str) -> LidarDevice:
 
     Raises:
         UnknownNameError: There is none.
-        ConfigError: The package that offers it cannot be loaded.
+        PluginError: The package that offers it cannot be loaded, or what it offers is no lidar of
+            this name.
     """
-    device: LidarDevice = _load("lidar", name, _OWN_LIDARS, LIDARS)
+    if name in _OWN_LIDARS:
+        own: LidarDevice = resolve_name(f"{__package__}.{_OWN_LIDARS[name]}")
+        return own
+    from scan3d_twin.devices.device import LidarDevice
+
+    place = _place("lidar", name, _OWN_LIDARS, LIDARS)
+    device = load_plugin("lidar", name, place)
+    if not isinstance(device, LidarDevice):
+        raise PluginError("lidar", name, place, f"it is no LidarDevice but {device!r}")
+    if device.name != name:
+        raise PluginError("lidar", name, place, f"its own name is {device.name!r}")
+    if not device.links:
+        raise PluginError("lidar", name, place, "it has no links")
     return device
 
 
 def base_device(name: str) -> BaseDevice:
     """Return the base called ``name``; raises the errors of ``lidar_device``."""
-    device: BaseDevice = _load("robot", name, _OWN_BASES, BASES)
+    if name in _OWN_BASES:
+        own: BaseDevice = resolve_name(f"{__package__}.{_OWN_BASES[name]}")
+        return own
+    from scan3d_twin.devices.device import BaseDevice
+
+    place = _place("robot", name, _OWN_BASES, BASES)
+    device = load_plugin("robot", name, place)
+    if not isinstance(device, BaseDevice):
+        raise PluginError("robot", name, place, f"it is no BaseDevice but {device!r}")
+    if device.name != name:
+        raise PluginError("robot", name, place, f"its own name is {device.name!r}")
+    if device.spec.name != name:
+        raise PluginError("robot", name, place, f"its spec's name is {device.spec.name!r}")
     return device
+
+
+def _choose_link(lidar: str, link: str) -> str:
+    """Return ``link``, or the first one of the lidar where it is empty."""
+    # The default is known without loading the lidar: help pages show it, and load no NumPy.
+    if lidar == DEFAULT_LIDAR and link in ("", DEFAULT_LINK):
+        return DEFAULT_LINK
+    links = lidar_device(lidar).links
+    if link and link not in links:
+        raise UnknownNameError("lidar link", link, links)
+    return link or links[0]
 
 
 def _names(own: dict[str, str], group: str) -> tuple[str, ...]:
     return tuple(sorted({*own, *_others(own, group)}))
 
 
-def _load(kind: str, name: str, own: dict[str, str], group: str) -> Any:
-    if name in own:
-        return resolve_name(f"{__package__}.{own[name]}")
+def _place(kind: str, name: str, own: dict[str, str], group: str) -> str:
+    """Return where another package holds its device ``name``."""
     others = _others(own, group)
     if name not in others:
         raise UnknownNameError(kind, name, _names(own, group))
-    try:
-        return others[name].load()
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(
-            f"{kind} {name} ({others[name].value}) cannot be loaded: {error}"
-        ) from None
+    return others[name].value
 
 
 def _others(own: dict[str, str], group: str) -> dict[str, EntryPoint]:

@@ -6,21 +6,27 @@ Default is the `typical` robot: each seed draws its own errors from these distri
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import check_options, number, repr_options
 from scan3d_twin.devices.registry import (
     DEFAULT_BASE,
     DEFAULT_LIDAR,
-    DEFAULT_LINK,
     Devices,
+    base_device,
+    lidar_device,
 )
 from scan3d_twin.sim.lidar.config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelConfig
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
 
+if TYPE_CHECKING:
+    from scan3d_twin.devices.device import ConfigTables
+
+T = TypeVar("T", LidarModelConfig, "RobotErrorConfig")
 Reckoning = Literal["driver", "wheels"]
 
 
@@ -101,7 +107,7 @@ HARSH_ROBOT = RobotErrorConfig(
 
 @dataclass(frozen=True, slots=True)
 class TwinConfig:
-    """The twin of the robot, its lidar and their errors.
+    """The twin of the robot, its lidar and their errors; ``of`` knows those of each device.
 
     >>> exact = s3d.TwinConfig.of("ideal")
     >>> with s3d.open_sim("three_boxes", seed=0, config=exact) as (robot, truth):
@@ -113,8 +119,8 @@ class TwinConfig:
     """Name of the base."""
     lidar_model: str = DEFAULT_LIDAR
     """Name of the lidar."""
-    lidar_link: str = DEFAULT_LINK
-    """How the lidar is connected: one of its links."""
+    lidar_link: str = ""
+    """How the lidar is connected: one of its links; where it is given empty, the first."""
     lidar: LidarModelConfig = field(default_factory=LidarModelConfig)
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
 
@@ -122,7 +128,7 @@ class TwinConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
-        _ = self.devices
+        object.__setattr__(self, "lidar_link", self.devices.link)
 
     @property
     def devices(self) -> Devices:
@@ -130,23 +136,51 @@ class TwinConfig:
         return Devices(self.robot, self.lidar_model, self.lidar_link)
 
     @classmethod
-    def ideal(cls, lidar_link: str = DEFAULT_LINK) -> TwinConfig:
+    def ideal(cls, lidar_link: str = "") -> TwinConfig:
         """Return a robot and a lidar without errors, for tests."""
         return cls.of("ideal", lidar_link=lidar_link)
 
     @classmethod
     def of(
-        cls, world: str, robot: str = DEFAULT_BASE, lidar_link: str = DEFAULT_LINK
+        cls,
+        world: str,
+        robot: str = DEFAULT_BASE,
+        lidar: str = DEFAULT_LIDAR,
+        lidar_link: str = "",
     ) -> TwinConfig:
-        """Return the twin in the named ``world``: ideal, typical or harsh.
+        """Return the twin of these devices in the named ``world``: ideal, typical or harsh.
+
+        What the devices say about their own errors holds where the world is typical.
 
         Raises:
-            UnknownNameError: There is no such world.
+            UnknownNameError: There is no such world or device.
+            ConfigError: A device states an option that there is not, or a wrong value.
         """
         if world not in WORLDS:
             raise UnknownNameError("world", world, WORLDS)
-        lidar, errors = WORLDS[world]
-        return cls(robot, lidar_link=lidar_link, lidar=lidar, errors=errors)
+        devices = Devices(robot, lidar, lidar_link)
+        stated = [base_device(devices.base).options, lidar_device(devices.lidar).options]
+        lidar_errors, robot_errors = WORLDS[world]
+        return cls(
+            devices.base,
+            devices.lidar,
+            devices.link,
+            _apply_stated("lidar", stated, lidar_errors),
+            _apply_stated("errors", stated, robot_errors),
+        )
+
+
+def _apply_stated(section: str, stated: Sequence[ConfigTables], errors: T) -> T:
+    """Return ``errors`` with what devices state in a ``section``, where they are typical."""
+    typical = type(errors)()
+    known = {each.name for each in fields(errors)}
+    changes: dict[str, Any] = {}
+    for name, value in (each for tables in stated for each in tables.get(section, {}).items()):
+        if name not in known:
+            raise UnknownNameError("option", f"{section}.{name}", known)
+        if getattr(errors, name) == getattr(typical, name):
+            changes[name] = value
+    return replace(errors, **changes)
 
 
 DEFAULT_WORLD = "typical"

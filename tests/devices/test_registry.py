@@ -1,10 +1,14 @@
 """Devices by name: built-in ones, those of other packages, and unknown names."""
 
+import sys
+from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
+from types import ModuleType
 
 import pytest
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin import wired
+from scan3d_twin.core.errors import ConfigError, HazardError, UnknownNameError
 from scan3d_twin.devices import registry
 from scan3d_twin.devices.registry import (
     Devices,
@@ -13,15 +17,36 @@ from scan3d_twin.devices.registry import (
     lidar_device,
     lidar_names,
 )
+from scan3d_twin.run.settings import build_settings, device_options, world_options
+from scan3d_twin.sim.config import TwinConfig
 
 
 @pytest.fixture
 def others(monkeypatch):
-    """Another package with a lidar named like a built-in one, and a base that cannot be loaded."""
+    """Another package: a good lidar, one named like a built-in one, and what cannot be used."""
+    create = base_device("create2")
+    package = ModuleType("others")
+    package.COPY = replace(lidar_device("urg04lx"), name="copy")
+    package.UNLINKED = replace(package.COPY, name="unlinked", links=())
+    package.NETWORKED = replace(package.COPY, name="networked", links=("ethernet", "usb-c"))
+    package.NOISY = replace(package.COPY, name="noisy", options={"lidar": {"sigma": 0.02}})
+    package.COLOURED = replace(package.COPY, name="coloured", options={"lidar": {"colour": 1}})
+    package.TABLE = {"name": "table"}
+    package.DRIFT = replace(create, name="drift")
+    monkeypatch.setitem(sys.modules, "others", package)
     points = EntryPoints(
         [
             EntryPoint("urg04lx", "builtins:object", registry.LIDARS),
-            EntryPoint("copy", "scan3d_twin.devices.urg.device:URG04LX", registry.LIDARS),
+            EntryPoint("copy", "others:COPY", registry.LIDARS),
+            EntryPoint("alias", "others:COPY", registry.LIDARS),
+            EntryPoint("unlinked", "others:UNLINKED", registry.LIDARS),
+            EntryPoint("noisy", "others:NOISY", registry.LIDARS),
+            EntryPoint("coloured", "others:COLOURED", registry.LIDARS),
+            EntryPoint("networked", "others:NETWORKED", registry.LIDARS),
+            EntryPoint("table", "others:TABLE", registry.LIDARS),
+            EntryPoint("table", "others:TABLE", registry.BASES),
+            EntryPoint("drift", "others:DRIFT", registry.BASES),
+            EntryPoint("alias", "others:DRIFT", registry.BASES),
             EntryPoint("broken", "scan3d_twin.no_such_module:BASE", registry.BASES),
         ]
     )
@@ -43,11 +68,72 @@ def test_every_device_has_its_own_name_and_one_line():
 
 @pytest.mark.usefixtures("others")
 def test_other_packages_add_devices_and_replace_none():
-    assert lidar_names() == ("copy", "urg04lx")
-    assert lidar_device("copy") is lidar_device("urg04lx")
+    assert {"copy", "urg04lx"} < set(lidar_names())
+    assert lidar_device("copy") is sys.modules["others"].COPY
+    assert type(lidar_device("urg04lx")).__name__ == "LidarDevice"
     assert "broken" in base_names()
     with pytest.raises(ConfigError, match=r"robot broken \(scan3d_twin.no_such_module:BASE\)"):
         base_device("broken")
+
+
+@pytest.mark.usefixtures("others")
+@pytest.mark.parametrize(
+    ("find", "name", "reason"),
+    [
+        (lidar_device, "table", "it is no LidarDevice but {'name': 'table'}"),
+        (lidar_device, "alias", "its own name is 'copy'"),
+        (lidar_device, "unlinked", "it has no links"),
+        (base_device, "table", "it is no BaseDevice but {'name': 'table'}"),
+        (base_device, "alias", "its own name is 'drift'"),
+        (base_device, "drift", "its spec's name is 'create2'"),
+    ],
+)
+def test_what_is_no_device_of_its_name_is_refused(find, name, reason):
+    with pytest.raises(ConfigError, match="cannot be loaded: ") as refused:
+        find(name)
+    assert str(refused.value).endswith(f": {reason}")
+
+
+@pytest.mark.usefixtures("others")
+def test_the_first_link_is_the_default():
+    assert Devices().link == Devices(link="usb").link == TwinConfig().lidar_link == "usb"
+    assert Devices(lidar="networked").link == "ethernet"
+    assert TwinConfig(lidar_model="networked").lidar_link == "ethernet"
+    assert build_settings([{"lidar_model": "networked"}]).twin.lidar_link == "ethernet"
+    assert Devices(lidar="networked", link="usb-c").link == "usb-c"
+    with pytest.raises(UnknownNameError, match="no lidar link 'usb'; known: ethernet, usb-c"):
+        Devices(lidar="networked", link="usb")
+
+
+@pytest.mark.usefixtures("others")
+@pytest.mark.parametrize("world", ["ideal", "typical", "harsh"])
+def test_a_twin_in_python_has_the_errors_that_its_devices_state(world):
+    twin = TwinConfig.of(world, lidar="noisy")
+    assert (twin.lidar_model, twin.lidar_link) == ("noisy", "usb")
+    named = device_options(twin.devices), world_options(world), {"lidar_model": "noisy"}
+    assert twin == build_settings(named).twin
+    assert (twin.lidar.sigma == 0.02) == (world == "typical")
+
+
+@pytest.mark.usefixtures("others")
+def test_an_option_that_there_is_not_is_refused():
+    with pytest.raises(UnknownNameError, match=r"no option 'lidar\.colour'; known: .*sigma"):
+        TwinConfig.of("typical", lidar="coloured")
+
+
+def test_the_device_says_which_links_are_usb(monkeypatch):
+    wirings = []
+
+    def emulate(lidar, wiring):
+        wirings.append(wiring.usb)
+        raise HazardError("seen enough")
+
+    for usb_links in (), ("usb",), ("other",):
+        device = replace(lidar_device("urg04lx"), emulate=emulate, usb_links=usb_links)
+        monkeypatch.setattr(wired, "lidar_device", lambda name, device=device: device)
+        with pytest.raises(HazardError), wired.open_wired("plain_wall", 0):
+            pass
+    assert wirings == [False, True, False]
 
 
 def test_what_nobody_knows_lists_what_is_known():

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json as json_module
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.plugins import PluginError
 
 
 def scenes(
@@ -54,7 +56,7 @@ def planners(*, json: bool = False) -> None:
     """
     from scan3d_twin.core.planning import list_planners, summarise_planner
 
-    _show({name: summarise_planner(name) for name in list_planners()}, json)
+    _show({name: _summarise(summarise_planner, name) for name in list_planners()}, json)
 
 
 def devices(*, json: bool = False) -> None:
@@ -65,9 +67,23 @@ def devices(*, json: bool = False) -> None:
     """
     from scan3d_twin.devices.registry import base_device, base_names, lidar_device, lidar_names
 
-    bases = {name: f"[base] {base_device(name).summary}" for name in base_names()}
-    lidars = {name: f"[lidar] {lidar_device(name).summary}" for name in lidar_names()}
+    bases = {
+        name: f"[base] {_summarise(lambda name: base_device(name).summary, name)}"
+        for name in base_names()
+    }
+    lidars = {
+        name: f"[lidar] {_summarise(lambda name: lidar_device(name).summary, name)}"
+        for name in lidar_names()
+    }
     _show({**bases, **lidars}, json)
+
+
+def _summarise(summary: Callable[[str], str], name: str) -> str:
+    """Return the line about ``name``, or why another package's thing cannot be loaded."""
+    try:
+        return summary(name)
+    except PluginError as error:
+        return f"cannot be loaded: {error.reason}"
 
 
 def _show(lines: dict[str, str], as_json: bool) -> None:

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from scan3d_twin.cli.options import PortOptions, env
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, DEFAULT_LINK, Devices
+from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, Devices
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -32,7 +32,7 @@ class OneScanOptions(PortOptions):
     """Horizontal angle of the image, centred on the robot's heading [deg]."""
     rate: float = 5.0
     """Speed of the turn [deg/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
-    lidar_link: Annotated[str, env("LIDAR_LINK")] = DEFAULT_LINK
+    lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
     """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
     (682 steps, 5 Hz)."""
     back: bool = False
@@ -62,7 +62,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
     devices = Devices(
-        options.robot or DEFAULT_BASE, options.lidar or DEFAULT_LIDAR, options.lidar_link
+        options.robot or DEFAULT_BASE, options.lidar or DEFAULT_LIDAR, options.lidar_link or ""
     )
     if options.scene and (options.port or options.lidar_port):
         raise ConfigError("--scene is for the twin, --port and --lidar-port for the real robot")

@@ -4,19 +4,22 @@ Other packages add planners by the entry point group ``scan3d_twin.planners``: a
 that is called without arguments and returns a ``Planner`` (docs/extending.md). What has a true
 attribute ``needs_truth`` is called with the truth, and is refused where nobody knows it. What has
 options of its own has a frozen dataclass as its attribute ``Options``, and is called with one of
-those last; they are stated with the name, as in ``patient:overlap=0.9:rest=true``.
+those last; its fields have defaults, and are int, float, str, bool or a Literal of texts. They are
+stated with the name, as in ``patient:overlap=0.9:rest=true``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from importlib.metadata import entry_points
+from inspect import signature
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args, get_origin, get_type_hints
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.errors import ConfigError, TwinError, UnknownNameError
 from scan3d_twin.core.options import parse_options
+from scan3d_twin.core.plugins import PluginError, load_plugin
 
 if TYPE_CHECKING:
     import numpy as np
@@ -81,7 +84,10 @@ class Entry:
         """
         name, words = _split(planner)
         if self.options is not None:
-            return (parse_options(self.options, words, f"planner {name}"),)
+            try:
+                return (parse_options(self.options, words, f"planner {name}"),)
+            except (TypeError, ValueError) as error:
+                raise ConfigError(f"options of planner {name}: {error}") from error
         if words:
             raise ConfigError(f"planner {name} has no options of its own, got {':'.join(words)}")
         return ()
@@ -185,10 +191,56 @@ def _load_entry(planner: str) -> Entry:
     if name not in others and ":" not in name:
         raise UnknownNameError("planner", name, list_planners())
     place = others[name].value if name in others else name
+    build = load_plugin("planner", name, place)
+    if not callable(build):
+        raise PluginError("planner", name, place, f"it is no class or factory but {build!r}")
+    entry = Entry.of(build)
+    if entry.options is not None and (fault := _find_fault(entry.options)):
+        raise PluginError("planner", name, place, f"its Options {fault}")
+    return _guard(entry, name, place)
+
+
+def _find_fault(options: Any) -> str:
+    """Return why words cannot state the fields of the class ``options``; empty if they can."""
+    if not is_dataclass(options) or not isinstance(options, type):
+        return "must be a dataclass"
     try:
-        return Entry.of(resolve_name(place))
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"planner {name} ({place}) cannot be loaded: {error}") from None
+        hints = get_type_hints(options)
+    except (NameError, TypeError) as error:
+        return f"have a type that is not known: {error}"
+    for each in fields(options):
+        hint = hints[each.name]
+        texts = get_origin(hint) is Literal and all(isinstance(x, str) for x in get_args(hint))
+        if hint not in (int, float, str, bool) and not texts:
+            kinds = "int, float, str, bool or a Literal of texts"
+            return f"have {each.name} of type {each.type}; can be {kinds}"
+        if each.default is MISSING:
+            return f"have no default for {each.name}"
+    return ""
+
+
+def _guard(entry: Entry, name: str, place: str) -> Entry:
+    """Return the ``entry`` of another package's planner; its failures become ``PluginError``."""
+    # Refuse what cannot be called as the protocol has it.
+    wanted = ["the truth"] * entry.needs_truth + ["its Options"] * (entry.options is not None)
+    try:
+        signature(entry.build).bind(*wanted)
+    except (TypeError, ValueError) as error:
+        called = f"is called with {' and '.join(wanted) or 'no argument'}"
+        raise PluginError("planner", name, place, f"it {called}: {error}") from error
+
+    def build(*arguments: Any) -> Planner:
+        try:
+            planner = entry.build(*arguments)
+        except TwinError:
+            raise
+        except Exception as error:
+            raise PluginError("planner", name, place, error) from error
+        if not callable(getattr(planner, "plan", None)):
+            raise PluginError("planner", name, place, f"{planner!r} has no method plan")
+        return planner
+
+    return replace(entry, build=build)
 
 
 def _find_external() -> dict[str, Any]:

@@ -11,7 +11,8 @@ from importlib.metadata import EntryPoint, entry_points
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
-from scan3d_twin.core.errors import ConfigError, UnknownNameError
+from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.plugins import PluginError, load_plugin
 
 if TYPE_CHECKING:
     from scan3d_twin.recording.export.format import Format, MeshFormat
@@ -46,11 +47,8 @@ def list_formats() -> tuple[str, ...]:
 
 
 def list_mesh_formats() -> tuple[str, ...]:
-    """Return the names that ``find_mesh_format`` knows."""
-    from scan3d_twin.recording.export.format import MeshFormat
-
-    others = (name for name in _find_external() if isinstance(find_format(name), MeshFormat))
-    return tuple(sorted({*_BUILT_IN_MESHES, *others}))
+    """Return the names that ``find_mesh_format`` knows; what cannot be loaded is left out."""
+    return tuple(sorted({*_BUILT_IN_MESHES, *filter(_is_mesh_format, _find_external())}))
 
 
 def find_format(name: str) -> Format:
@@ -58,19 +56,20 @@ def find_format(name: str) -> Format:
 
     Raises:
         UnknownNameError: There is none.
-        ConfigError: The package that offers it cannot be loaded.
+        PluginError: The package that offers it cannot be loaded, or what it offers is no format.
     """
     if name in _BUILT_IN:
         return _load_built_in(_BUILT_IN[name])
     others = _find_external()
     if name not in others:
         raise UnknownNameError("format", name, list_formats())
-    try:
-        found: Format = others[name].load()
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(
-            f"format {name} ({others[name].value}) cannot be loaded: {error}"
-        ) from None
+    from scan3d_twin.recording.export.format import CloudFormat, MeshFormat, RecordingFormat
+
+    place = others[name].value
+    found = load_plugin("format", name, place)
+    if not isinstance(found, CloudFormat | MeshFormat | RecordingFormat):
+        reason = f"it is no CloudFormat, MeshFormat or RecordingFormat but {found!r}"
+        raise PluginError("format", name, place, reason)
     return found
 
 
@@ -78,13 +77,24 @@ def find_mesh_format(name: str) -> MeshFormat:
     """Return the format of meshes called ``name``; errors as ``find_format``."""
     from scan3d_twin.recording.export.format import MeshFormat
 
-    if name not in list_mesh_formats():
+    if name in _BUILT_IN_MESHES:
+        found = _load_built_in(_BUILT_IN_MESHES[name])
+    elif name in _find_external():
+        found = find_format(name)
+    else:
+        found = None
+    if not isinstance(found, MeshFormat):
         raise UnknownNameError("format of meshes", name, list_mesh_formats())
-    found = (
-        _load_built_in(_BUILT_IN_MESHES[name]) if name in _BUILT_IN_MESHES else find_format(name)
-    )
-    assert isinstance(found, MeshFormat)
     return found
+
+
+def _is_mesh_format(name: str) -> bool:
+    from scan3d_twin.recording.export.format import MeshFormat
+
+    try:
+        return isinstance(find_format(name), MeshFormat)
+    except PluginError:
+        return False
 
 
 def _load_built_in(place: str) -> Format:

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import dataclass, make_dataclass
 from importlib.metadata import EntryPoint, EntryPoints
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -51,15 +53,6 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         planning, "entry_points", lambda group: EntryPoints(points).select(group=group)
     )
-    monkeypatch.setattr(EntryPoint, "load", lambda self: _load(self.value))
-
-
-def _load(value: str) -> object:
-    """Load the entry point ``value`` from this module, or fail as an import does."""
-    name = value.partition(":")[2]
-    if "no_such_module" in value:
-        raise ImportError("no module named scan3d_twin.no_such_module")
-    return globals()[name]
 
 
 def test_every_planner_has_one_line() -> None:
@@ -131,6 +124,93 @@ def test_plans_are_pure_and_complete(name: str, pilasters: Session) -> None:
     assert a.candidates[-1].feasible
     assert a.predicted_rmse > 0
     assert a.reason
+
+
+def returns_a_number() -> int:
+    return 3
+
+
+def fails() -> Stubborn:
+    raise OSError("no weights")
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("a_dict", "it is no class or factory but {}"),
+        ("Omniscient.__init__", "it is called with no argument: missing a required argument"),
+        ("returns_a_number", "3 has no method plan"),
+        ("fails", "OSError: no weights"),
+    ],
+)
+def test_what_is_no_planner_is_refused_in_one_line(
+    name: str, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    monkeypatch.setattr(sys.modules[__name__], "a_dict", {}, raising=False)
+    with pytest.raises(
+        ConfigError, match=r"^planner homemade:\S+ \(homemade.*cannot be loaded: "
+    ) as told:
+        make_planner(f"homemade:{name}")
+    assert reason in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+class Tunable(Stubborn):
+    """Has options."""
+
+    Options: type
+
+    def __init__(self, options: object) -> None:
+        self.options = options
+
+
+def with_option(hint: object, default: object) -> type:
+    return make_dataclass("Options", [("x", hint, default)], frozen=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (with_option(float | None, None), r"x of type float \| None; can be int, float, str"),
+        (with_option(Literal[1, 2], 1), "x of type typing.Literal"),
+        (with_option("Missing", 1), "type that is not known: name 'Missing'"),
+        (make_dataclass("Options", [("x", float)]), "no default for x"),
+        (int, "must be a dataclass"),
+    ],
+)
+def test_options_that_words_cannot_state_are_refused(
+    options: type, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    monkeypatch.setattr(Tunable, "Options", options, raising=False)
+    with pytest.raises(ConfigError, match=rf"cannot be loaded: its Options .*{reason}"):
+        make_planner("homemade:Tunable")
+
+
+@pytest.mark.parametrize("text", ["inf", "nan", "-inf"])
+def test_options_are_finite_even_without_bounds(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    monkeypatch.setattr(Tunable, "Options", with_option(float, 1.0), raising=False)
+    assert make_planner("homemade:Tunable:x=2").options.x == 2.0  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match=rf"x must be finite, got {text}"):
+        make_planner(f"homemade:Tunable:x={text}")
+
+
+@dataclass(frozen=True)
+class Even:
+    x: int = 2
+
+    def __post_init__(self) -> None:
+        if self.x % 2:
+            raise ValueError(f"{self.x} is odd")
+
+
+def test_options_can_check_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
+    monkeypatch.setattr(Tunable, "Options", Even, raising=False)
+    with pytest.raises(ConfigError, match="^options of planner homemade:Tunable: 3 is odd$"):
+        make_planner("homemade:Tunable:x=3")
 
 
 class Homemade:

@@ -1,12 +1,18 @@
+import sys
+from importlib.metadata import EntryPoint, EntryPoints
+from types import ModuleType
+
 import numpy as np
 import pytest
 import trimesh
 
-from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_clouds
 from scan3d_twin.core.model.mesh import Mesh, build_mesh
+from scan3d_twin.recording import export
 from scan3d_twin.recording.colours import view_colours_rgb
-from scan3d_twin.recording.export import find_mesh_format
+from scan3d_twin.recording.export import find_format, find_mesh_format, list_mesh_formats
+from scan3d_twin.recording.export.format import CloudFormat, MeshFormat
 from scan3d_twin.recording.export.meshes import (
     MAX_POISSON_DISTANCE,
     reconstruct_poisson,
@@ -43,6 +49,42 @@ def test_vertices_have_the_colours_of_their_views(name, mesh, tmp_path):
 def test_unknown_formats_are_refused(mesh, tmp_path):
     with pytest.raises(UnknownNameError, match="glb, obj, ply, stl"):
         find_mesh_format("dwg")
+
+
+@pytest.fixture
+def others(monkeypatch):
+    """Another package: a format of meshes, one of clouds, what is none and what is not there."""
+    package = ModuleType("others")
+    package.NAMES = MeshFormat(encode=lambda mesh: b"mesh")
+    package.ROWS = CloudFormat(suffix=".rows", encode=lambda piece: b"")
+    package.TABLE = {}
+    monkeypatch.setitem(sys.modules, "others", package)
+    places = {
+        "names": "others:NAMES",
+        "rows": "others:ROWS",
+        "table": "others:TABLE",
+        "broken": "scan3d_twin.no_such_module:X",
+    }
+    points = EntryPoints([EntryPoint(*each, export.ENTRY_POINTS) for each in places.items()])
+    monkeypatch.setattr(export, "entry_points", lambda group: points.select(group=group))
+
+
+@pytest.mark.usefixtures("others")
+def test_one_broken_format_of_another_package_breaks_no_other():
+    assert find_mesh_format("obj").encode
+    assert find_mesh_format("names").encode(None) == b"mesh"
+    assert list_mesh_formats() == ("glb", "names", "obj", "ply", "stl")
+    with pytest.raises(UnknownNameError, match="glb, names, obj, ply, stl"):
+        find_mesh_format("rows")
+
+
+@pytest.mark.usefixtures("others")
+@pytest.mark.parametrize("find", [find_format, find_mesh_format])
+def test_what_is_no_format_is_refused(find):
+    with pytest.raises(ConfigError, match=r"^format table \(others:TABLE\) cannot .* but {}$"):
+        find("table")
+    with pytest.raises(ConfigError, match=r"^format broken .*ModuleNotFoundError: No module"):
+        find("broken")
 
 
 def test_poisson_closes_no_hole(tmp_path):
