@@ -138,8 +138,10 @@ def open_robot(
 
     @contextmanager
     def opened() -> Iterator[tuple[Robot, None]]:
-        base, lidar = choose_ports(options.port, options.lidar_port, devices)
-        with open_real(base, lidar, devices, taps) as robot:
+        ports = choose_ports(options.port, options.lidar_port, devices)
+        with open_real(
+            *ports, base=devices.base, lidar=devices.lidar, link=devices.link, taps=taps
+        ) as robot:
             yield robot, None
 
     return opened()
