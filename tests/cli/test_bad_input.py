@@ -126,7 +126,7 @@ def test_a_misspelt_command(fails):
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("--preset", "beste", "known: "),
+        ("--preset", "beste", "did you mean best? Known: best, paper"),
         ("--planner", "magic", "siicp"),
         ("--tour", "back", "front"),
         ("--robot", "create9", "create2"),
