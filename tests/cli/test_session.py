@@ -45,6 +45,10 @@ def test_info_tells_what_is_there(finished, twin):
     words = twin("session", "info", folder).out
     assert "finished" in words
     assert words.count("\nview ") == 2
+    first, second = words.splitlines()[-2:]
+    assert first.startswith("view 0: ")
+    assert first.endswith(" points, defines the frame world")
+    assert second.endswith(" points, registered")
 
 
 def test_a_killed_run_can_be_looked_at_and_made_whole(run, twin):
