@@ -58,7 +58,13 @@ def sim(
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
-    watch = WatchOptions(options.address, SPEED, lambda: _picture(scene, effective.twin.robot))
+
+    def picture() -> bytes | str:
+        from scan3d_twin.api.sim import draw_scene  # slow to import
+
+        return draw_scene(scene, effective.twin.robot)
+
+    watch = WatchOptions(options.address, SPEED, picture)
     if options.targets is not None:
         from scan3d_twin.cli.multi_target import run_each
 
@@ -84,13 +90,6 @@ def sim(
             resume=resume,
             watch=watch,
         )
-
-
-def _picture(scene: Scene, robot: str) -> bytes | str:
-    """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
-    from scan3d_twin.api.sim import draw_scene
-
-    return draw_scene(scene, robot)
 
 
 def _opened(scene: Scene, effective: Settings) -> RobotContext:
