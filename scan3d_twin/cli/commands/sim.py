@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
-from scan3d_twin.cli.options import ScanOptions, SceneOptions, stated_options
+from scan3d_twin.cli.options import RunOptions, SceneOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
@@ -34,7 +34,7 @@ SPEED = "10x"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimOptions(ViewOptions, ScanOptions, SceneOptions):
+class SimOptions(ViewOptions, RunOptions, SceneOptions):
     """The options of the twin; None is not stated."""
 
 
