@@ -8,6 +8,7 @@ from pathlib import Path
 
 from scan3d_twin.cli.output import say
 from scan3d_twin.run.folder import claim_folder, default_folder, release_folder
+from scan3d_twin.run.settings import REAL_SCENE
 
 
 @contextmanager
@@ -21,7 +22,8 @@ def begun(scene: str, out: Path | None) -> Iterator[Path]:
     """
     folder = claim_folder(default_folder(scene) if out is None else out)
     try:
-        say(f"digitising {scene} into {folder}")
+        what = "with the real robot" if scene == REAL_SCENE else scene
+        say(f"digitising {what} into {folder}")
         yield folder
     finally:
         release_folder(folder)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, get_args, get_type_hints
 
 from scan3d_twin.cli.defaults import PREFIX
-from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.errors import ConfigError, find_near_name
 
 
 def refuse_unknown_variables(*_: Any) -> None:
@@ -21,26 +21,29 @@ def refuse_unknown_variables(*_: Any) -> None:
     present = sorted(name for name in os.environ if name.startswith(PREFIX))
     if not present:
         return
-    from difflib import get_close_matches
-
     known = known_variables()
     for name in present:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            cure = f"did you mean {near[0]}?" if near else "unset it, or see `twin options`"
-            raise ConfigError(f"the variable {name} sets no option; {cure}")
+            raise ConfigError(f"the variable {name} sets no option; {_suggest_cure(name, known)}")
+
+
+def _suggest_cure(name: str, known: Iterable[str]) -> str:
+    """Return what to do about the unknown variable ``name``; the common prefix makes none near."""
+    own = (each.removeprefix(PREFIX) for each in known)
+    near = find_near_name(name.removeprefix(PREFIX), own)
+    return "unset it, or see `twin options`" if near is None else f"did you mean {PREFIX}{near}?"
 
 
 def known_variables() -> frozenset[str]:
     """Return the variables that set an option of some command."""
     from scan3d_twin.cli.dotted import dotted_fields
-    from scan3d_twin.cli.options import PortOptions, ScanOptions, SceneOptions
+    from scan3d_twin.cli.options import PortOptions, RunOptions, SceneOptions
     from scan3d_twin.cli.viewing import ViewOptions
     from scan3d_twin.core.config import Config
     from scan3d_twin.sim.config import TwinConfig
 
     dotted = (option.variable for option in dotted_fields(Config, TwinConfig))
-    return frozenset([*dotted, *_variables((SceneOptions, ScanOptions, PortOptions, ViewOptions))])
+    return frozenset([*dotted, *_variables((SceneOptions, RunOptions, PortOptions, ViewOptions))])
 
 
 def _variables(classes: Iterable[type]) -> Iterator[str]:

@@ -46,8 +46,8 @@ class SceneOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScanOptions:
-    """The options people use most; None is not stated."""
+class RunOptions:
+    """The options of a run, of the twin or the real robot; None is not stated."""
 
     epsilon: Annotated[float | None, env("EPSILON", "{epsilon_mm:g}")] = None
     """Wanted registration error, root mean square [mm]."""
@@ -103,13 +103,13 @@ class PortOptions:
     """Serial port of the lidar."""
 
 
-def stated_options(options: ScanOptions, sections: Options) -> Options:
+def stated_options(options: RunOptions, sections: Options) -> Options:
     """Return what the file, the dotted ``sections`` and the flat ``options`` state, merged."""
     file = {} if options.config is None else read_settings(options.config)
     return merge_options([file, sections, _flat(options, sections)])
 
 
-def _flat(options: ScanOptions, sections: Options) -> Options:
+def _flat(options: RunOptions, sections: Options) -> Options:
     """Return the flat options where they belong in a configuration, in SI units."""
     run, top = {}, {}
     for name, value in _given(options):
@@ -129,7 +129,7 @@ def _flat(options: ScanOptions, sections: Options) -> Options:
     return {**top, "run": run, "planning": planning}
 
 
-def _given(options: ScanOptions) -> Iterator[tuple[str, Any]]:
+def _given(options: RunOptions) -> Iterator[tuple[str, Any]]:
     for field in fields(options):
         value = getattr(options, field.name)
         if value is not None:

@@ -1,8 +1,8 @@
 """Progress of a run on standard error: a live line on a terminal, plain lines elsewhere.
 
-Views are numbered from 0, as in the files of a run. The share of the outline is what the robot
-itself can know: in the top view, and of what it found when it first looked around. How much of the
-surface is covered needs the truth, see ``summary``.
+Views are numbered from 0, as in the files of a run; "1 view of at most 20" counts them. The share
+of the outline is what the robot itself can know: in the top view, and of what it found when it
+first looked around. How much of the surface is covered needs the truth, see ``summary``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from scan3d_twin.cli.output import say
+from scan3d_twin.cli.summary import count
 from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.session import Session
@@ -62,26 +63,32 @@ class Pace:
         left = elapsed / self._views * (session.config.max_views - done)
         stamp = float(session.views[-1].observation.image.stamps.max())
         return (
-            f"; {done} of at most {session.config.max_views} views, "
-            f"{stamp:.0f} s on the robot's clock, {elapsed:.0f} s elapsed, "
-            f"at most {max(0.0, left):.0f} s left"
+            f"; {count(done, 'view')} of at most {session.config.max_views}, "
+            f"{stamp:.0f} s on the robot's clock, {elapsed:.0f} s elapsed"
+            + _time_left(left, "at most ")
         )
 
 
-def steps(progress: Observer, what: str, count: int) -> Callable[[int], None]:
-    """Return a function that reports each of ``count`` steps done, by its index from 0.
+def steps(
+    progress: Observer, what: str, total: int, clock: Callable[[], float] = time.monotonic
+) -> Callable[[int], None]:
+    """Return a function that reports each of ``total`` steps done, by its index from 0.
 
     With ``what`` was done, how many steps are, and how long the others will take.
     """
-    started = time.monotonic()
+    started = clock()
 
     def step(index: int) -> None:
         done = index + 1
-        left = (time.monotonic() - started) / done * (count - done)
-        words = f"{what} {index}: {done} of {count} done"
-        progress.on_event(words + (f", {left:.0f} s left" if left else ""))
+        left = (clock() - started) / done * (total - done)
+        progress.on_event(f"{what} {index}: {done} of {total} done" + _time_left(left))
 
     return step
+
+
+def _time_left(seconds: float, bound: str = "") -> str:
+    """Return how much time is left, after a comma; nothing if it rounds to 0 s."""
+    return f", {bound}{seconds:.0f} s left" if round(seconds) > 0 else ""
 
 
 class PlainProgress(Unobserved):

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from scan3d_twin.run.report import Report
 
+SHARE, LENGTH = "{:.0%}", "{:.1f} mm"
+"""How tables show an overlap and an error [mm]."""
 _COLUMNS = (
     ("view", "view", "{}"),
-    ("overlap", "overlap", "{:.0%}"),
-    ("predicted_rmse_mm", "predicted", "{:.1f} mm"),
-    ("error_mm", "realised", "{:.1f} mm"),
-    ("odometry_error_mm", "odometry", "{:.1f} mm"),
+    ("overlap", "overlap", SHARE),
+    ("predicted_rmse_mm", "predicted", LENGTH),
+    ("error_mm", "realised", LENGTH),
+    ("odometry_error_mm", "odometry", LENGTH),
 )
+_MIN_WIDTH = 9
+"""Smallest width of a column."""
 
 
 def summary(report: Report, folder: Path) -> str:
@@ -39,10 +44,28 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def format_cell(value: float | None, form: str) -> str:
+    """Return ``value`` as ``form`` shows it; a dash where there is none."""
+    return "-" if value is None else form.format(value)
+
+
+def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return ``header`` and ``rows`` as lines, aligned on the right.
+
+    A row may be longer than the header: what it has more is a remark, and not aligned.
+    """
+    widths = [max(_MIN_WIDTH, len(title)) for title in header]
+    lines = []
+    for row in (header, *rows):
+        cells = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=False)]
+        lines.append("  ".join([*cells, *row[len(widths) :]]))
+    return lines
+
+
 def _table(report: Report) -> list[str]:
-    rows = [[title for _, title, _ in _COLUMNS]]
+    rows = []
     for row in report["registration"]:
-        cells = ["-" if row[k] is None else form.format(row[k]) for k, _, form in _COLUMNS]
+        cells = [format_cell(row[key], form) for key, _, form in _COLUMNS]
         marks = [] if row["converged"] else ["not registered"]
         rows.append(cells + marks + (["fell back to 80 %"] if row["fell_back"] else []))
-    return ["  ".join(f"{cell:>9}" for cell in row) for row in rows]
+    return format_table([title for _, title, _ in _COLUMNS], rows)

@@ -82,7 +82,7 @@ def digitize(
     >>> with s3d.open_sim("three_boxes", seed=0) as (robot, truth):
     ...     session = s3d.digitize(robot, s3d.Config(max_views=1))
     >>> len(session.views), session.stop_reason
-    (1, 'max_views: 1 views taken')
+    (1, '1 view taken (max_views)')
     """
     if seed < 0:
         raise ConfigError(f"seed must be >= 0, got {seed}")

@@ -18,6 +18,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+MIN_NAME_SIMILARITY = 0.7
+"""Share of equal letters, by ``difflib``, from which one name is taken for a misspelt other one."""
+
 
 class TwinError(Exception):
     """Base of all errors raised on purpose; its message is one line for the user.
@@ -35,10 +38,21 @@ class ConfigError(TwinError):
 
 
 class UnknownNameError(ConfigError):
-    """A name is not one of the known ones; the message lists them."""
+    """A name is not one of the known ones; the message lists them and suggests the nearest."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
-        super().__init__(f"no {kind} {name!r}; known: {', '.join(sorted(known))}")
+        names = sorted(known)
+        near = find_near_name(name, names)
+        listed = ", ".join(names)
+        cure = f"known: {listed}" if near is None else f"did you mean {near}? Known: {listed}"
+        super().__init__(f"no {kind} {name!r}; {cure}")
+
+
+def find_near_name(name: str, known: Iterable[str]) -> str | None:
+    """Return which of ``known`` was probably meant by ``name``; None if nothing is near."""
+    from difflib import get_close_matches
+
+    return next(iter(get_close_matches(name, sorted(known), 1, MIN_NAME_SIMILARITY)), None)
 
 
 class FileError(TwinError):

@@ -172,7 +172,8 @@ class BaseDevice:
     """One drive base: its data sheet, its driver, its emulator.
 
     Attributes:
-        name: Name by which it is chosen, such as ``create2``; also that of its entry point and ``spec``.
+        name: Name by which it is chosen, such as ``create2``; also that of its entry point and of
+            ``spec``.
         summary: One-line description.
         spec: The data sheet.
         open_driver: Opens the base on a line. Its other arguments are a clock and a guard that

@@ -15,6 +15,7 @@ from gymnasium import error, spaces
 from gymnasium.utils import EzPickle
 
 from scan3d_twin.core.errors import ConfigError, ScanError, SceneError, TwinError
+from scan3d_twin.core.planning.context import explain_view_limit
 from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
@@ -229,7 +230,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
 
         # Decide on termination and truncation.
         done = coverage >= self.options.goal or bool(failure)
-        complete = bool(ended) and not ended.startswith("max_views")
+        complete = bool(ended) and ended != explain_view_limit(self.session)
         terminated = done or complete
         truncated = not terminated and (bool(ended) or not self.update_actions())
         self._is_done = terminated or truncated

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from scan3d_twin.core.navigation.costmap import RESOLUTION
+from scan3d_twin.core.planning.context import explain_view_limit
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap
 from scan3d_twin.envs.base import ViewPlanEnv
 
@@ -46,8 +47,7 @@ class PoseEnv(ViewPlanEnv[PoseAction]):
 
     def completion_reason(self) -> str | None:
         """See ``ViewPlanEnv``; only ``max_views`` counts, since a pose may face away."""
-        most = self.session.config.max_views
-        return f"max_views: {most} views taken" if len(self.session.views) >= most else None
+        return explain_view_limit(self.session)
 
     def plan_of_action(self, action: PoseAction) -> tuple[Plan, bool]:
         """See ``ViewPlanEnv``."""

@@ -11,7 +11,13 @@ from scan3d_twin.core.hal import Clock, Robot
 from scan3d_twin.devices.device import LidarDriver
 from scan3d_twin.devices.links.guard import Guard, PortGuard
 from scan3d_twin.devices.links.transport import Reopening, SerialTransport, Tapped, Transport
-from scan3d_twin.devices.registry import Devices, base_device, lidar_device
+from scan3d_twin.devices.registry import (
+    DEFAULT_BASE,
+    DEFAULT_LIDAR,
+    Devices,
+    base_device,
+    lidar_device,
+)
 from scan3d_twin.real.clock import RealClock
 
 SLICE = 0.005
@@ -110,7 +116,10 @@ def _forget_lines(lidar: LidarDriver) -> None:
 def open_real(
     base_port: str,
     lidar_port: str,
-    devices: Devices | None = None,
+    *,
+    base: str = DEFAULT_BASE,
+    lidar: str = DEFAULT_LIDAR,
+    link: str | None = None,
     taps: Taps | None = None,
 ) -> Iterator[Robot]:
     """Open the robot on two serial ports; it does not move, and is stopped on every exit.
@@ -118,10 +127,13 @@ def open_real(
     Args:
         base_port: Port of the base, such as ``/dev/ttyUSB0``.
         lidar_port: Port of the lidar, such as ``/dev/ttyACM0``.
-        devices: Devices on the ports; None is the robot of the paper.
+        base: Name of the base (``twin devices`` lists them).
+        lidar: Name of the lidar.
+        link: How the lidar is connected, one of its links; None is the first of them.
         taps: Receive every byte sent and received.
 
     Raises:
+        UnknownNameError: There is no such device or link.
         LinkError: A port cannot be opened, or the device on it does not answer; the message says
             what to do.
 
@@ -131,9 +143,9 @@ def open_real(
     scan3d_twin.core.errors.LinkError: ...
     """
     # Clock and guard
-    devices = Devices() if devices is None else devices
-    base, clock = base_device(devices.base), RealClock()
-    guard = PortGuard(base.farewell, clock)
+    devices = Devices(base, lidar, link or lidar_device(lidar).links[0])
+    device, clock = base_device(base), RealClock()
+    guard = PortGuard(device.farewell, clock)
 
     def open_base_link() -> Transport:
         port = SerialTransport(base_port)
@@ -147,7 +159,7 @@ def open_real(
     # Open the ports, then the drivers
     with ExitStack() as stack:
         stack.callback(guard.close)
-        link = stack.enter_context(
-            closing(Reopening(open_base_link, clock, base.halt, guard.close))
+        base_link = stack.enter_context(
+            closing(Reopening(open_base_link, clock, device.halt, guard.close))
         )
-        yield stack.enter_context(open_over(link, open_lidar_link, clock, devices, guard))
+        yield stack.enter_context(open_over(base_link, open_lidar_link, clock, devices, guard))

@@ -64,11 +64,14 @@ def is_identical(a: object, b: object) -> bool:
 
 
 def compare_sessions(recorded: Session, again: Session) -> list[Row]:
-    """Return a row per view: differences of pose, registration and plan [mm, deg]."""
+    """Return a row per view: differences of pose, registration and plan [mm, deg].
+
+    The plan of a view is the one that led to it; the first view has none.
+    """
     rows = []
     for k, (before, now) in enumerate(zip(recorded.views, again.views, strict=True)):
-        # Take both plans
-        plans = [each.plans[k] if k < len(each.plans) else None for each in (recorded, again)]
+        # Take the plans that led here
+        plans = [each.plans[k - 1] if k else None for each in (recorded, again)]
 
         # Compare pose, registration and plan
         row = {
@@ -81,6 +84,18 @@ def compare_sessions(recorded: Session, again: Session) -> list[Row]:
         }
         rows.append(row)
     return rows
+
+
+def compare_last_plans(recorded: Session, again: Session) -> Row | None:
+    """Return what was planned after the last view, then and now; None if nothing was recorded."""
+    if len(recorded.plans) < len(recorded.views) or not recorded.plans:
+        return None
+    before, now = recorded.plans[-1], again.plans[-1]
+    return {
+        "identical": is_identical(before, now),
+        "recorded": {**_plan(before), "reason": before.reason},
+        "replayed": {**_plan(now), "reason": now.reason},
+    }
 
 
 def _registration(view: View) -> Row:

@@ -21,9 +21,10 @@ def test_a_misspelt_variable_suggests_the_right_one(fails, monkeypatch, tmp_path
     assert not (tmp_path / "run").exists()
 
 
-def test_a_variable_like_no_other_is_refused_too(fails, monkeypatch):
-    monkeypatch.setenv("TWIN_XYZZY", "")
-    assert "TWIN_XYZZY sets no option; unset it" in fails(2, "planners")
+@pytest.mark.parametrize("name", ["TWIN_XYZZY", "TWIN_FOO", "TWIN_", "TWIN_MODEL"])
+def test_a_variable_like_no_other_is_refused_too(fails, monkeypatch, name):
+    monkeypatch.setenv(name, "")
+    assert f"{name} sets no option; unset it" in fails(2, "planners")
 
 
 def test_a_variable_of_another_command_is_left_alone(twin, monkeypatch):

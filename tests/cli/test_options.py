@@ -1,4 +1,5 @@
 import inspect
+import re
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import get_type_hints
@@ -117,6 +118,25 @@ def test_a_preset_lies_between_defaults_and_file(tmp_path):
 def test_an_unknown_preset_lists_the_known_ones():
     with pytest.raises(UnknownNameError, match="paper"):
         preset_options("best of all")
+
+
+def test_the_list_says_how_a_file_names_the_options_of_the_command_line(twin):
+    """What it says holds: the file states what the options state."""
+    text = " ".join(twin("options", "sweep").out.split())
+    assert "--lidar is lidar_model; --epsilon [mm] is planning.epsilon [m];" in text
+    flags = ("scene", "mesh-scale", "world", "preset", "seed", "target")
+    (listed,) = re.findall(r"\[m\]; (.*) are in section run", text)
+    assert re.findall(r"--([a-z-]+)", listed) == [*flags]
+    Path("my.toml").write_text(
+        'max_views = 3\nlidar_model = "urg04lx"\nplanning.epsilon = 0.005\n'
+        '[run]\nscene = "sine_box"\nmesh_scale = 2.0\nworld = "harsh"\npreset = "paper"\n'
+        'seed = 3\ntarget = "1,2"\n'
+    )
+    assert effective("--config", "my.toml") == effective(
+        *("--max-views", "3", "--lidar", "urg04lx", "--epsilon", "5", "--scene", "sine_box"),
+        *("--mesh-scale", "2", "--world", "harsh", "--preset", "paper", "--seed", "3"),
+        *("--target", "1,2"),
+    )
 
 
 def test_epsilon_wins_over_the_files_epsilon(tmp_path):

@@ -104,16 +104,25 @@ def test_the_time_left_is_that_of_as_many_views_as_are_allowed():
     pace = Pace(lambda: next(times))
     one = scan()
     clock = f"{one.views[0].observation.image.stamps.max():.0f} s on the robot's clock"
-    assert pace.words(one) == f"; 1 of at most 20 views, {clock}, 10 s elapsed, at most 190 s left"
+    assert pace.words(one) == f"; 1 view of at most 20, {clock}, 10 s elapsed, at most 190 s left"
     two = replace(one, views=one.views * 2, config=replace(one.config, max_views=2))
-    assert pace.words(two) == f"; 2 of at most 2 views, {clock}, 14 s elapsed, at most 0 s left"
+    assert pace.words(two) == f"; 2 views of at most 2, {clock}, 14 s elapsed"
 
 
 def test_steps_tell_how_many_are_done(capsys):
-    step = steps(PlainProgress(), "replayed view", 2)
+    times = iter([100.0, 110.0, 110.5, 112.0])
+    step = steps(PlainProgress(), "replayed view", 3, lambda: next(times))
     step(0)
     step(1)
-    first, second = capsys.readouterr().err.splitlines()
-    assert first.startswith("replayed view 0: 1 of 2 done, ")
-    assert first.endswith(" s left")
-    assert second == "replayed view 1: 2 of 2 done"
+    step(2)
+    assert capsys.readouterr().err.splitlines() == [
+        "replayed view 0: 1 of 3 done, 20 s left",
+        "replayed view 1: 2 of 3 done, 5 s left",
+        "replayed view 2: 3 of 3 done",
+    ]
+
+
+def test_no_time_is_named_that_rounds_to_nothing(capsys):
+    times = iter([100.0, 100.3])
+    steps(PlainProgress(), "replayed view", 2, lambda: next(times))(0)
+    assert capsys.readouterr().err == "replayed view 0: 1 of 2 done\n"

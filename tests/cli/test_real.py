@@ -150,7 +150,7 @@ def test_two_views_over_pseudo_terminals(ports, tmp_path):
 
 def test_ctrl_c_stops_and_leaves_the_base_in_order(ports, tmp_path):
     with started("real", *ports, "--out", tmp_path / "run") as process:
-        assert "digitising real" in process.stderr.readline()
+        assert "digitising with the real robot into" in process.stderr.readline()
         assert "looking around" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
         _, rest = process.communicate(timeout=20)

@@ -1,6 +1,7 @@
 """`twin session` and `twin replay` on a finished run."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -44,6 +45,10 @@ def test_info_tells_what_is_there(finished, twin):
     words = twin("session", "info", folder).out
     assert "finished" in words
     assert words.count("\nview ") == 2
+    first, second = words.splitlines()[-2:]
+    assert first.startswith("view 0: ")
+    assert first.endswith(" points, defines the frame world")
+    assert second.endswith(" points, registered")
 
 
 def test_a_killed_run_can_be_looked_at_and_made_whole(run, twin):
@@ -98,6 +103,32 @@ def test_a_replay_with_the_recorded_options_is_the_same_bit_by_bit(finished, twi
     assert "identical, bit by bit" in twin("replay", finished[0]).out
 
 
+def test_a_replay_shows_each_plan_at_the_view_it_led_to_as_the_run_did(finished, twin):
+    folder, report = finished
+    (planned,) = report["registration"]
+    words = twin("replay", folder).out
+    header, first, second, last, verdict = words.splitlines()
+    titles = ["overlap was", "overlap now", "predicted was", "predicted now"]
+    assert re.split(r"  +", header.strip()) == ["view", "moved", "turned", *titles]
+    overlap, error = f"{planned['overlap']:.0%}", f"{planned['predicted_rmse_mm']:.1f} mm"
+    cells = [re.split(r"  +", line.strip()) for line in (first, second)]
+    assert cells[0] == ["0", "0 mm", "0 deg", "-", "-", "-", "-"]
+    assert cells[1] == ["1", "0 mm", "0 deg", overlap, overlap, error, error]
+    assert last == f"plan after the last view: none ({report['stop_reason']})"
+    assert verdict == "all poses and plans are identical, bit by bit"
+
+
+def test_a_replay_names_the_plan_after_the_last_view_if_only_that_differs(finished, twin):
+    _, report = finished
+    Path("more.toml").write_text("max_views = 3\n")
+    words = twin("replay", finished[0], "--config", "more.toml").out
+    *_, last, verdict = words.splitlines()
+    recorded = f"none ({report['stop_reason']})"
+    assert last.startswith(f"plan after the last view: was {recorded}; now ")
+    assert recorded not in last.partition("; now ")[2]
+    assert verdict == "0 of 2 views differ; the plan after the last view differs"
+
+
 def test_a_replay_with_other_options_tells_what_comes_out_otherwise(finished, twin):
     arguments = ["--epsilon", "1", "--registration.engine", "icp"]
     result = twin("replay", finished[0], *arguments, "--json")
@@ -107,13 +138,13 @@ def test_a_replay_with_other_options_tells_what_comes_out_otherwise(finished, tw
         "planning.epsilon": [0.1, 0.001],
         "registration.engine": ["grid", "icp"],
     }
-    assert [row["identical"] for row in found["views"]] == [False, False]
+    assert [row["identical"] for row in found["views"]] == [True, False]
     assert found["views"][0]["moved_mm"] == 0.0
     assert found["views"][1]["moved_mm"] > 0.0
     assert "replayed view 1: 2 of 2 done" in result.err
     words = twin("replay", finished[0], *arguments).out
     assert "planning.epsilon: 0.1 recorded, 0.001 now" in words
-    assert "2 of 2 views differ" in words
+    assert "1 of 2 views differ; the final poses differ" in words
 
 
 def test_a_replay_needs_no_end(run, twin):

@@ -93,6 +93,19 @@ def test_an_episode_ends_and_says_why(make):
         env.step(np.int64(0))
 
 
+@pytest.mark.parametrize(
+    ("name", "action"),
+    [("ViewPlanOverlap", np.int64(12)), ("ViewPlanPose", np.zeros(3, np.float32))],
+)
+def test_an_episode_of_as_many_views_as_are_allowed_is_truncated(make, name, action):
+    env = make(name, options={"max_views": 2})
+    env.reset(seed=0)
+    env._lost_view_reason = str
+    _, _, terminated, truncated, info = env.step(action)
+    assert (terminated, truncated) == (False, True)
+    assert info["ended"] == "2 views taken (max_views)"
+
+
 def test_a_goal_that_is_reached_is_a_success(make):
     env = make(goal=0.05)
     env.reset(seed=0)

@@ -52,7 +52,7 @@ def looped(observer: Observer, settings: Settings) -> LoopOutcome:
 def test_a_loop_knows_its_way_and_thoughts_view_by_view() -> None:
     loop = looped(Unobserved(), build_settings([{"max_views": 2}]))
     assert loop.ended is None
-    assert loop.session.stop_reason.startswith("max_views")
+    assert loop.session.stop_reason == "2 views taken (max_views)"
     assert len(loop.journeys) == len(loop.plan_times) == len(loop.session.views) == 2
     assert all(seconds >= 1 for seconds in loop.plan_times)
     first, second = loop.journeys

@@ -17,9 +17,14 @@ from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.options import Bounds
 from scan3d_twin.sim.config import TwinConfig
 
-USE = """\
-For `twin sim`, `real`, `bench` and `replay`, in SI units and radians. Ways to set one:
---planning.eta-min 0.3, planning.eta_min = 0.3 in a --config FILE, TWIN_PLANNING_ETA_MIN=0.3"""
+USE = (
+    "For `twin sim`, `real`, `bench` and `replay`, in SI units and radians. Ways to set one: "
+    "--planning.eta-min 0.3, planning.eta_min = 0.3 in a --config FILE, TWIN_PLANNING_ETA_MIN=0.3",
+    "Options of `twin sim --help` have the same name in a FILE (--max-views is max_views), except: "
+    "--lidar is lidar_model; --epsilon [mm] is planning.epsilon [m]; --scene, --mesh-scale, "
+    "--world, --preset, --seed and --target are in section run (run.scene, ...).",
+)
+"""How to set an option, in paragraphs."""
 _TYPES: Mapping[Any, str] = {float: "FLOAT", int: "INT", bool: "BOOL", str: "STR"}
 
 
@@ -41,7 +46,7 @@ def options(section: str | None = None, /, *, json: bool = False) -> None:
     if json:
         print(json_module.dumps([_document(option) for option in wanted], indent=2))
         return
-    print(USE)
+    print("\n".join(_wrap(paragraph) for paragraph in USE))
     for name, group in groupby(wanted, key=lambda option: option.section):
         print(f"\n{_heading(name)}")
         for option in group:
@@ -83,12 +88,16 @@ def _heading(section: str) -> str:
 def _entry(option: DottedOption) -> str:
     """Return an option as a line with its name and values, and below it what it means."""
     facts = "".join(f" [{fact}]" for fact in _facts(option))
+    return f"  {option.flag} {_type(option)}{facts}\n{_wrap(option.doc, ' ' * 6)}"
+
+
+def _wrap(text: str, indent: str = "") -> str:
+    """Return ``text`` in lines that fit the terminal, each after ``indent``."""
     width = max(40, shutil.get_terminal_size().columns)
-    about = textwrap.fill(
-        option.doc, width, initial_indent=" " * 6, subsequent_indent=" " * 6,
+    return textwrap.fill(
+        text, width, initial_indent=indent, subsequent_indent=indent,
         break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
-    return f"  {option.flag} {_type(option)}{facts}\n{about}"
 
 
 def _facts(option: DottedOption) -> Iterator[str]:

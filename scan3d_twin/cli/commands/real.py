@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
-from scan3d_twin.cli.options import PortOptions, ScanOptions, stated_options
+from scan3d_twin.cli.options import PortOptions, RunOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import HazardError, ScanError
@@ -46,7 +46,7 @@ USABLE_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealOptions(ViewOptions, ScanOptions, PortOptions):
+class RealOptions(ViewOptions, RunOptions, PortOptions):
     """The options of the real robot; None is not stated."""
 
     dry_run: bool = False
@@ -138,8 +138,10 @@ def open_robot(
 
     @contextmanager
     def opened() -> Iterator[tuple[Robot, None]]:
-        base, lidar = choose_ports(options.port, options.lidar_port, devices)
-        with open_real(base, lidar, devices, taps) as robot:
+        ports = choose_ports(options.port, options.lidar_port, devices)
+        with open_real(
+            *ports, base=devices.base, lidar=devices.lidar, link=devices.link, taps=taps
+        ) as robot:
             yield robot, None
 
     return opened()

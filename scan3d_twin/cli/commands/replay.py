@@ -26,8 +26,10 @@ if TYPE_CHECKING:
 else:
     DottedOptions = dotted_options(Config)
 
-
 AS_RECORDED = Parameter(show_default=lambda _: "as recorded")
+_HEADER = (
+    "view", "moved", "turned", "overlap was", "overlap now", "predicted was", "predicted now",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +60,9 @@ def replay(
     """Repeat registration and planning on a recorded run, and list what differs.
 
     With the recorded options all poses and plans are identical, bit by bit. With other options
-    the robot's path stays as recorded; the table shows the poses and plans that would have come of
-    it. The default of each option is the recorded value.
+    the robot's path stays as recorded; the table shows the poses that would have come of it, and
+    for each view the plan that would have led to it. The default of each option is the recorded
+    value.
 
     Args:
         folder: Folder of a run, or its session file.
@@ -105,16 +108,23 @@ def _effective(recorded: Settings, options: ReplayOptions, sections: Options) ->
 def _findings(
     recorded: Any, before: Any, again: Any, old: Settings, new: Settings
 ) -> dict[str, Any]:
-    from scan3d_twin.recording.replay import compare_sessions, finish_replay, is_identical
+    from scan3d_twin.recording.replay import (
+        compare_last_plans,
+        compare_sessions,
+        finish_replay,
+        is_identical,
+    )
 
     ended = finish_replay(again, recorded)
     same_end = is_identical((ended.views, ended.misfits), (recorded.views, recorded.misfits))
-    rows = compare_sessions(before, again)
+    rows, last = compare_sessions(before, again), compare_last_plans(before, again)
+    compared = rows if last is None else [*rows, last]
     return {
-        "identical": same_end and all(row["identical"] for row in rows),
+        "identical": same_end and all(row["identical"] for row in compared),
         "identical_at_the_end": same_end,
         "options": _changes(old, new),
         "views": rows,
+        "last_plan": last,
     }
 
 
@@ -136,26 +146,53 @@ def _flat(options: Options, where: str = "") -> list[tuple[str, Any]]:
 
 def _words(found: dict[str, Any]) -> str:
     """Return the findings as lines."""
+    from scan3d_twin.cli.summary import LENGTH, SHARE, format_cell, format_table
+
     lines = [f"{name}: {a} recorded, {b} now" for name, (a, b) in found["options"].items()]
-    header = ("view", "moved", "turned", "overlap", "now", "predicted", "now")
-    lines.append("  ".join(f"{cell:>9}" for cell in header))
+
+    # Compare the views, each with the plan that led to it
+    rows = []
     for row in found["views"]:
-        a, b = row["recorded"], row["replayed"]
+        then, now = row["recorded"], row["replayed"]
         cells = [
-            str(row["view"]), _cell(row["moved_mm"], " mm"), _cell(row["turned_deg"], " deg"),
-            *(_cell(each["overlap"], "") for each in (a, b)),
-            *(_cell(each["predicted_rmse_mm"], " mm") for each in (a, b)),
-        ]  # fmt: skip
-        mark = "" if row["identical"] else "  differs"
-        lines.append("  ".join(f"{cell:>9}" for cell in cells) + mark)
-    lines.append(
-        "all poses and plans are identical, bit by bit"
-        if found["identical"]
-        else f"{sum(not row['identical'] for row in found['views'])} of "
-        f"{len(found['views'])} views differ"
-    )
+            str(row["view"]),
+            format_cell(row["moved_mm"], "{:g} mm"),
+            format_cell(row["turned_deg"], "{:g} deg"),
+            *(format_cell(each["overlap"], SHARE) for each in (then, now)),
+            *(format_cell(each["predicted_rmse_mm"], LENGTH) for each in (then, now)),
+        ]
+        rows.append(cells if row["identical"] else [*cells, "differs"])
+    lines += format_table(_HEADER, rows)
+
+    # Compare what came after them
+    last = found["last_plan"]
+    if last is not None:
+        then, now = _plan_words(last["recorded"]), _plan_words(last["replayed"])
+        change = then if last["identical"] else f"was {then}; now {now}"
+        lines.append(f"plan after the last view: {change}")
+    lines.append(_verdict(found))
     return "\n".join(lines)
 
 
-def _cell(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:g}{unit}"
+def _plan_words(plan: dict[str, Any]) -> str:
+    """Return the plan after the last view in words."""
+    if plan["viewpoint"] is None:
+        return f"none ({plan['reason']})"
+    from scan3d_twin.cli.summary import LENGTH, SHARE, format_cell
+
+    overlap = format_cell(plan["overlap"], SHARE)
+    error = format_cell(plan["predicted_rmse_mm"], LENGTH)
+    return f"{overlap} overlap, predicted error {error} ({plan['reason']})"
+
+
+def _verdict(found: dict[str, Any]) -> str:
+    """Return what differs, in a line."""
+    if found["identical"]:
+        return "all poses and plans are identical, bit by bit"
+    differing = sum(not row["identical"] for row in found["views"])
+    verdict = f"{differing} of {len(found['views'])} views differ"
+    if found["last_plan"] is not None and not found["last_plan"]["identical"]:
+        verdict += "; the plan after the last view differs"
+    if not found["identical_at_the_end"]:
+        verdict += "; the final poses differ"
+    return verdict

@@ -43,7 +43,7 @@ def info(folder: Path, /, *, json: bool = False) -> None:
     )
     for k, view in enumerate(found["views"]):
         placed = "registered" if view["registered"] else "NOT registered"
-        placed = placed if k else "the others are registered on it"
+        placed = placed if k else "defines the frame world"
         print(f"view {k}: {view['lines']} lines, {view['target_points']} points, {placed}")
 
 

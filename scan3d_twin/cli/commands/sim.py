@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
-from scan3d_twin.cli.options import ScanOptions, SceneOptions, stated_options
+from scan3d_twin.cli.options import RunOptions, SceneOptions, stated_options
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
@@ -34,7 +34,7 @@ SPEED = "10x"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimOptions(ViewOptions, ScanOptions, SceneOptions):
+class SimOptions(ViewOptions, RunOptions, SceneOptions):
     """The options of the twin; None is not stated."""
 
 
@@ -58,7 +58,13 @@ def sim(
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
-    watch = WatchOptions(options.address, SPEED, lambda: _picture(scene, effective.twin.robot))
+
+    def picture() -> bytes | str:
+        from scan3d_twin.api.sim import draw_scene  # slow to import
+
+        return draw_scene(scene, effective.twin.robot)
+
+    watch = WatchOptions(options.address, SPEED, picture)
     if options.targets is not None:
         from scan3d_twin.cli.multi_target import run_each
 
@@ -84,13 +90,6 @@ def sim(
             resume=resume,
             watch=watch,
         )
-
-
-def _picture(scene: Scene, robot: str) -> bytes | str:
-    """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
-    from scan3d_twin.api.sim import draw_scene
-
-    return draw_scene(scene, robot)
 
 
 def _opened(scene: Scene, effective: Settings) -> RobotContext:

@@ -191,8 +191,8 @@ class PlanningContext:
         """Return why the tour is finished, or None while there is more to scan."""
         if not self._is_in_sight:
             return "target lost: the latest view shows nothing of it"
-        if self._is_used_up:
-            return f"max_views: {len(self.session.views)} views taken"
+        if (reason := explain_view_limit(self.session)) is not None:
+            return reason
         if not self.is_contour_done:
             return None
         return "front complete" if self.session.config.tour == "front" else "contour complete"
@@ -200,15 +200,11 @@ class PlanningContext:
     @property
     def is_ongoing(self) -> bool:
         """Whether the latest view shows the target and another one may follow."""
-        return self._is_in_sight and not self._is_used_up
+        return self._is_in_sight and explain_view_limit(self.session) is None
 
     @property
     def _is_in_sight(self) -> bool:
         return len(self._seen.occupied_lines) >= MIN_LINES
-
-    @property
-    def _is_used_up(self) -> bool:
-        return len(self.session.views) >= self.session.config.max_views
 
     @cached_property
     def is_contour_done(self) -> bool:
@@ -252,6 +248,14 @@ class PlanningContext:
         first = views[0].T_world_scan.apply(extract_contour(views[0].target).points)
         end = self.view.T_world_scan.apply(self.contour.points[-1])
         return bool(find_nearest(cKDTree(first), end)[0] <= CLOSING_DISTANCE)
+
+
+def explain_view_limit(session: Session) -> str | None:
+    """Return why ``session`` ends if ``max_views`` views are taken, else None."""
+    taken = len(session.views)
+    if taken < session.config.max_views:
+        return None
+    return f"{taken} view{'' if taken == 1 else 's'} taken (max_views)"
 
 
 def stop_plan(reason: str) -> Plan:

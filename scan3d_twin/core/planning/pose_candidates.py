@@ -15,7 +15,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.neighbours import find_nearest
-from scan3d_twin.core.planning.context import MIN_LINES, PlanningContext, stop_plan
+from scan3d_twin.core.planning.context import (
+    MIN_LINES,
+    PlanningContext,
+    explain_view_limit,
+    stop_plan,
+)
 from scan3d_twin.core.planning.overlap_or_default import predict_error
 from scan3d_twin.core.planning.surface_patches import (
     Eye,
@@ -145,12 +150,9 @@ class PoseCandidates:
 
     def termination_reason(self) -> str | None:
         """Return why no planner can plan a further view; None if one can."""
-        views, config = self.session.views, self.session.config
-        if len(views[-1].target.occupied_lines) < MIN_LINES or len(self.surface) == 0:
+        if len(self.session.views[-1].target.occupied_lines) < MIN_LINES or len(self.surface) == 0:
             return "target lost: the latest view shows nothing of it"
-        if len(views) >= config.max_views:
-            return f"max_views: {len(views)} views taken"
-        return None
+        return explain_view_limit(self.session)
 
     def nothing_new(self) -> Plan:
         """Return the plan for when no candidate is worthwhile: a panorama first, then the end."""

@@ -181,7 +181,9 @@ def test_the_most_views_end_the_run(wall: Session) -> None:
     session = replace(wall, config=replace(wall.config, max_views=1))
     made = plan(session)
     assert made.viewpoint is None
-    assert made.reason == "max_views: 1 views taken"
+    assert made.reason == "1 view taken (max_views)"
+    twice = replace(session, views=session.views * 2, plans=session.plans * 2)
+    assert plan(twice).reason == "2 views taken (max_views)"
 
 
 def test_a_lost_target_ends_the_run(wall: Session) -> None:

@@ -28,7 +28,12 @@ from scan3d_twin.core.model.evaluation import (
     lay_on_truth,
 )
 from scan3d_twin.core.neighbours import find_nearest
-from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, stop_plan
+from scan3d_twin.core.planning.context import (
+    PlanningContext,
+    blocked_plan,
+    explain_view_limit,
+    stop_plan,
+)
 from scan3d_twin.core.planning.overlap_or_default import predict_error
 from scan3d_twin.core.planning.pose_candidates import MAX_STANDOFFS, MIN_STANDOFFS
 from scan3d_twin.core.planning.set_cover import Cover, solve_chain_cover, solve_set_cover
@@ -54,8 +59,8 @@ class OraclePlanner:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the first view of a smallest chain that completes the coverage."""
         context, config = PlanningContext(session), session.config
-        if len(session.views) >= config.max_views:
-            return stop_plan(f"max_views: {len(session.views)} views taken")
+        if (reason := explain_view_limit(session)) is not None:
+            return stop_plan(reason)
 
         # Stop when enough is covered
         world = self._worlds.setdefault(config, TrueWorld(self._truth, config))
