@@ -121,9 +121,9 @@ def test_more_seeds_are_added_to_what_there_is(whole, twin, tmp_path):
     ("arguments", "words"),
     [
         ((), "no experiment: give a FILE, --suite smoke"),
-        (("--suite", "smok"), "no suite 'smok'; known: "),
+        (("--suite", "smok"), "no suite 'smok'; did you mean smoke? Known: "),
         (("--suite", "smoke", "--planners", "fisher"), "give one of FILE, --suite"),
-        (("--planners", "fishr"), "no planner 'fishr'; known: "),
+        (("--planners", "fishr"), "no planner 'fishr'; did you mean fisher? Known: "),
         (("--presets", "bst"), "no preset 'bst'"),
         (("--scenes", "nowhere"), "no scene 'nowhere'"),
         (("--planners", "fisher", "--shard", "3/2"), "--shard must be NUMBER/COUNT"),
