@@ -33,8 +33,7 @@ class SceneOptions:
     """What only the twin has a choice of; None is not stated."""
 
     scene: Annotated[str | None, env("SCENE", "{run.scene}")] = None
-    """Name of a scene (`twin scenes`), random:SEED for a drawn one, or a file: .xml, .stl, .ply,
-    .obj or .glb."""
+    """Scene (`twin scenes`), random:SEED, or a file: .xml, .stl, .ply, .obj or .glb."""
     mesh_scale: Annotated[float | None, env("MESH_SCALE", "{run.mesh_scale:g}")] = None
     """Metres per unit of a mesh file."""
     robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
@@ -50,7 +49,7 @@ class RunOptions:
     """The options of a run, of the twin or the real robot; None is not stated."""
 
     epsilon: Annotated[float | None, env("EPSILON", "{epsilon_mm:g}")] = None
-    """Wanted registration error, root mean square [mm]."""
+    """Wanted registration error, RMS [mm]."""
     tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front, or the scene's own")] = (
         None
     )
@@ -61,9 +60,9 @@ class RunOptions:
     preset: Annotated[str | None, env("PRESET", "{run.preset}")] = None
     """Named set of options: paper or best."""
     planner: Annotated[str | None, env("PLANNER", "the preset's, {config.planner}")] = None
-    """Viewpoint planner (`twin planners`), or module:attribute of your own."""
+    """Planner (`twin planners`), or module:attribute of your own."""
     seed: Annotated[int | None, env("SEED", "{run.seed}")] = None
-    """Random seed; in the twin, one seed gives the same files."""
+    """Random seed; repeats a run of the twin."""
     max_views: Annotated[int | None, env("MAX_VIEWS", "{config.max_views}")] = None
     """Stop after this number of views."""
     optimize_for: Annotated[
@@ -76,13 +75,13 @@ class RunOptions:
         env("TARGET", "the most salient thing"),
         Parameter(allow_leading_hyphen=True),
     ] = None
-    """Place x,y of the target in the odometry frame [m], or its name in the twin."""
+    """Target: x,y in the odometry frame [m], or its name in the twin."""
     targets: int | None = None
-    """Scan this number of things, most salient first, each into OUT/target-N."""
+    """Number of things to scan, each into OUT/target-K."""
     config: Annotated[Path | None, env("CONFIG")] = None
     """TOML file of options; TWIN_* variables and the command line override it."""
     out: Annotated[Path | None, env("OUT", "runs/SCENE-TIME")] = None
-    """Folder for the results, new or empty."""
+    """New folder for results."""
     resume: Path | None = None
     """Continue the run in this folder; options given now override its own."""
     json: bool = False
@@ -97,9 +96,9 @@ class PortOptions:
     """Base (`twin devices`); create2 also finds a Create 1."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
     """Name of the lidar (`twin devices`)."""
-    port: Annotated[str | None, env("PORT", "found by its USB id")] = None
+    port: Annotated[str | None, env("PORT", "by its USB id")] = None
     """Serial port of the base."""
-    lidar_port: Annotated[str | None, env("LIDAR_PORT", "found by its USB id")] = None
+    lidar_port: Annotated[str | None, env("LIDAR_PORT", "by its USB id")] = None
     """Serial port of the lidar."""
 
 

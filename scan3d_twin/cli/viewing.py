@@ -14,11 +14,11 @@ class ViewOptions:
     """Whether and where a run can be watched."""
 
     view: Annotated[bool, env("VIEW")] = False
-    """Serve a web page that shows the run and can pause and stop it."""
+    """Show, pause and stop the run on a web page."""
     host: Annotated[str, env("HOST")] = "127.0.0.1"
     """Address of the page; 0.0.0.0 lets others watch, and stop the robot."""
     view_port: Annotated[int, env("VIEW_PORT")] = 8080
-    """TCP port of the page; 0 takes a free one."""
+    """Port of the page; 0 takes a free one."""
 
     @property
     def address(self) -> tuple[str, int] | None:

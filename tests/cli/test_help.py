@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import fields
 from typing import get_args
 
@@ -17,6 +19,8 @@ from scan3d_twin.sim.config import TwinConfig
 
 SCREEN = (100, 40)
 """Columns (set in conftest.py) and lines of a terminal on which a help page must fit."""
+NARROW_SCREEN = (80, 45)
+"""Likewise, of a terminal as wide as most are when they open."""
 PAGES = [
     (), ("sim",), ("real",), ("scan",), ("bench",), ("bench", "report"), ("replay",), ("session",),
     ("session", "info"), ("session", "drop-view"), ("calibrate",), ("doctor",), ("view",),
@@ -50,6 +54,25 @@ def test_each_page_fits_on_a_screen(twin, page):
     assert 8 < len(lines) <= SCREEN[1]
     assert max(map(len, lines)) <= SCREEN[0]
     assert "[default: False]" not in result.out
+
+
+def test_each_page_fits_on_a_narrow_screen(monkeypatch):
+    """In a process of its own, as a console keeps the width that it found first."""
+    columns, most = NARROW_SCREEN
+    program = """
+import json, sys
+from scan3d_twin.cli import main
+for page in json.loads(sys.argv[1]):
+    main([*page, "--help"])
+    print(chr(12), end="")
+"""
+    monkeypatch.setenv("COLUMNS", str(columns))
+    command = [sys.executable, "-c", program, json.dumps(PAGES)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    pages = dict(zip(PAGES, done.stdout.split(chr(12)), strict=False))
+    assert "Usage: twin devices" in pages["devices",]
+    assert {page: n for page, text in pages.items() if (n := len(text.splitlines())) > most} == {}
+    assert max(map(len, done.stdout.splitlines())) <= columns
 
 
 @pytest.mark.parametrize("command", ["sim", "real", "bench", "replay"])
