@@ -209,7 +209,7 @@ class Even:
 def test_options_can_check_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "homemade", sys.modules[__name__])
     monkeypatch.setattr(Tunable, "Options", Even, raising=False)
-    with pytest.raises(ConfigError, match="^options of planner homemade:Tunable: 3 is odd$"):
+    with pytest.raises(ConfigError, match=r"^options of planner homemade:Tunable: 3 is odd$"):
         make_planner("homemade:Tunable:x=3")
 
 
