@@ -15,7 +15,6 @@ from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.navigation.odometry import DeadReckoning
 from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
 from scan3d_twin.core.options import number
-from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.overlap_or_default import plan_with_overlap
@@ -64,7 +63,6 @@ __all__ = [
     "MeshFormat",
     "Odometry",
     "Piece",
-    "Planner",
     "PlanningContext",
     "RecordingFormat",
     "ScanLine",

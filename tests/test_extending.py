@@ -4,6 +4,7 @@ import ast
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import zipfile
@@ -93,8 +94,33 @@ def test_the_page_needs_public_modules_only():
 
 def test_the_reference_has_every_name_of_the_module_for_other_packages():
     reference = (ROOT / "docs/api.md").read_text(encoding="utf-8")
-    listed = re.findall(r"^\.\. auto\w+:: scan3d_twin\.extend\.(\w+)$", reference, re.MULTILINE)
+    entry = re.compile(r"^\.\. (?:auto\w+|py:data):: scan3d_twin\.extend\.(\w+)$", re.MULTILINE)
+    listed = entry.findall(reference)
     assert sorted(listed) == sorted(extend.__all__)
+
+
+@pytest.mark.timeout(600)
+def test_the_commands_of_the_page_run_in_order_in_one_folder(site, tmp_path):
+    (tmp_path / "crates.xml").write_bytes((site / "crates.xml").read_bytes())
+    commands = re.findall(r"^    (twin .*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    assert {command.split()[1] for command in commands} == {"sim", "export", "emulate"}
+    environment = {**with_packages([site]), "TWIN_MAX_VIEWS": "2"}
+    for command in commands:
+        words = [sys.executable, "-m", "scan3d_twin.cli", *shlex.split(command, comments=True)[1:]]
+        with subprocess.Popen(
+            words,
+            cwd=tmp_path,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process:
+            if words[3] == "emulate":
+                assert process.stdout.readline().startswith("twin real --port "), command
+                process.terminate()
+            _, said = process.communicate(timeout=240)
+        assert process.returncode == 0, (command, said)
+    assert (tmp_path / "runs" / "a" / "cloud.csv").is_file()
 
 
 def test_the_planner_and_its_option_are_listed_and_checked(twin):
