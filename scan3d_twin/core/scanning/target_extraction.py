@@ -17,8 +17,8 @@ from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.neighbours import find_nearest
-from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,

@@ -31,7 +31,6 @@ import synthetic
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.grids import dilate, label_cells
-from scan3d_twin.core.readings import SweepPoints
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
 from scan3d_twin.core.registration.clouds import Tree, is_near, prepare_cloud
@@ -45,6 +44,7 @@ from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displ
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
 from scan3d_twin.core.registration.surfels import Beams, fit_surfels, make_native_sweep
+from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.extrinsics import apply_mount
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
 
