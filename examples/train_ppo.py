@@ -1,6 +1,6 @@
 """Teach PPO to choose the overlap: train without physics, judge with it, on scenes never seen.
 
-Needs Stable-Baselines3: ``pip install stable-baselines3``. Trains for ``--steps`` on random
+Needs Stable-Baselines3: ``pip install '.[rl]'``. Trains for ``--steps`` on random
 scenes in ``kinematic``, then runs the trained agent, a random choice, fixed overlaps of 50 and 80 %
 and the paper's planner on the same held-out scenes, first in ``kinematic``, then ``--scenes`` of
 them in ``physics``; writes ``ppo.json`` and ``ppo.zip``. Ctrl-C ends

@@ -1,4 +1,4 @@
-"""The effective settings of a run in the twin: defaults < scene, world, preset < given options."""
+"""The settings of a run in the twin: scene < devices < world < preset < stated options."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _check_target(text: str, scene: Scene) -> None:
 
 
 def _named_options(given: Options) -> list[Options]:
-    """Return what the devices, the world and the preset stand for."""
+    """Return the options behind the names of the devices, the world and the preset."""
     stated = build_settings([given])
     run, devices = stated.run, stated.twin.devices
     return [device_options(devices), world_options(run.world), preset_options(run.preset)]
