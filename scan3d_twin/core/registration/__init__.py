@@ -57,7 +57,10 @@ def register(
             sweeps only, since clouds do not know where space is free.
 
     Returns:
-        Pose, covariance, degenerate directions and the ambiguity gap between basins.
+        Pose, covariance, degenerate directions and the ambiguity gap between basins. The
+        covariance of sweeps is honest; that of bare clouds is too small where planes of neighbours
+        reach across a corner (two walls of 1.2 m and 0.6 m: the squared error is 2 to 3 times what
+        it says).
 
     Raises:
         ConfigError: A pose, an option or an array's shape is wrong.
