@@ -101,7 +101,7 @@ def test_the_first_link_is_the_default():
     assert TwinConfig(lidar_model="networked").lidar_link == "ethernet"
     assert build_settings([{"lidar_model": "networked"}]).twin.lidar_link == "ethernet"
     assert Devices(lidar="networked", link="usb-c").link == "usb-c"
-    with pytest.raises(UnknownNameError, match=r"no lidar link 'usb'; .*nown: ethernet, usb-c"):
+    with pytest.raises(UnknownNameError, match=r"no lidar link 'usb'; .* ethernet, usb-c"):
         Devices(lidar="networked", link="usb")
 
 
