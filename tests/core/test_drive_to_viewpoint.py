@@ -26,6 +26,8 @@ from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 
+pytestmark = pytest.mark.slow
+
 CONFIG = paper_config()
 GLASS_HOUSE = """
 <mujoco><worldbody>

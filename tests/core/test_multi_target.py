@@ -21,6 +21,8 @@ from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 
+pytestmark = pytest.mark.slow
+
 NEAR = Box((1.3, 0.5, 0.0), (1.7, 1.1, 0.6))
 SMALL = Box((1.3, -0.9, 0.0), (1.5, -0.6, 0.4))
 

@@ -3,6 +3,8 @@
 import gc
 import tracemalloc
 
+import pytest
+
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Op
 from scan3d_twin.devices.create.emulator import CreateEmulator
@@ -13,6 +15,8 @@ from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.sim.base import drive_base as sim_base
 from scan3d_twin.sim.robot import open_robot
 from scan3d_twin.wired import HazardFreeClock
+
+pytestmark = pytest.mark.slow
 
 HISTORY, SURPLUS = 400, 100
 """Odometry for 6 s instead of 5 minutes, so that the test need not wait for it to fill."""

@@ -15,6 +15,8 @@ from scan3d_twin.run.settings import Settings, build_settings
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_way_is_the_same_however_often_it_is_read() -> None:
     with open_sim("three_boxes", 0, TwinConfig.ideal()) as (robot, _):

@@ -29,6 +29,8 @@ from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, RegistrationResult, read_only
 
+pytestmark = pytest.mark.slow
+
 CABINET = (
     synthetic.Box((-0.30, -0.40, 0.0), (0.30, 0.10, 0.6)),
     synthetic.Box((-0.10, 0.10, 0.0), (0.25, 0.45, 0.4)),

@@ -22,6 +22,8 @@ from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, rms
 
+pytestmark = pytest.mark.slow
+
 WALL = (Box((1.0, -5.0, 0.0), (1.2, 5.0, 1.5)),)
 PILASTERS = tuple(
     Box((1.0 + 0.08 * (k % 2), 1.0 - 0.2 * (k + 1), 0.0), (1.4, 1.0 - 0.2 * k, 1.0))

@@ -28,6 +28,8 @@ from scan3d_twin.core.model.fused_cloud import build_model, thin_by_voxel
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2
 
+pytestmark = pytest.mark.slow
+
 BOX = Box((0.6, -0.4, 0.0), (1.0, 0.4, 0.6))
 SPAWN = Pose2(-0.9, 0.0, 0.0)
 FIRST, SECOND = Pose2(-0.4, 0.3, -0.1), Pose2(-0.4, -0.3, 0.1)

@@ -19,6 +19,8 @@ from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 
+pytestmark = pytest.mark.slow
+
 BOXES = tuple(
     Box((box.low[0] + 0.3, *box.low[1:]), (box.high[0] + 0.3, *box.high[1:])) for box in THREE_BOXES
 )

@@ -19,6 +19,8 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 from scan3d_twin.core.viewpoints import MAX_FRONT_ANGLE
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("random", "frontier2d", "ig", "see", "roberts")
 
 

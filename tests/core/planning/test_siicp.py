@@ -19,6 +19,8 @@ from scan3d_twin.core.planning.planners.siicp import simulate_error
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Plan, Pose2
 
+pytestmark = pytest.mark.slow
+
 WALL = (Box((1.0, -5.0, 0.0), (1.2, 5.0, 1.5)),)
 STEPS = tuple(
     Box((1.0 + 0.08 * (k % 2), 1.0 - 0.2 * (k + 1), 0.0), (1.4, 1.0 - 0.2 * k, 1.0))

@@ -23,6 +23,8 @@ from scan3d_twin.core.registration.surfels import N
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Pose2
 
+pytestmark = pytest.mark.slow
+
 CONFIG = paper_config(
     registration=paper_registration(engine="grid", starts=4),
     planning=paper_planning(

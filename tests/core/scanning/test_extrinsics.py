@@ -31,6 +31,8 @@ from scan3d_twin.core.scanning.extrinsics import (
 )
 from scan3d_twin.core.types import Observation, Pose2, RangeImage, read_only
 
+pytestmark = pytest.mark.slow
+
 ROOM = (
     synthetic.Box((1.2, -0.6, 0.0), (1.6, 0.8, 0.9)),
     synthetic.Box((-1.6, -1.4, 0.0), (-1.0, -0.6, 0.5)),

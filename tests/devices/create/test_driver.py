@@ -18,6 +18,8 @@ from scan3d_twin.devices.create.link import HALF_DRIVE, watched_packets
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.links.line_model import NO_FAULTS, Faults, Line, Wire
 
+pytestmark = pytest.mark.slow
+
 SLICE = 0.005
 
 

@@ -17,6 +17,8 @@ from scan3d_twin.devices.links.serve import serve
 from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = """
 [global]
 rawlog_prefix = {folder}/log

@@ -17,6 +17,8 @@ from scan3d_twin.devices.links import guard_process
 from scan3d_twin.devices.links.guard import PortGuard, ProcessGuard
 from scan3d_twin.real.clock import RealClock
 
+pytestmark = pytest.mark.slow
+
 PROGRAM = Path(__file__).with_name("driving.py")
 
 

@@ -20,6 +20,8 @@ from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.model import LINKS
 
+pytestmark = pytest.mark.slow
+
 
 class Served:
     """Runs the simulation behind the port while the client reads, in one thread."""

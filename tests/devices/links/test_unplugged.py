@@ -23,6 +23,8 @@ from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import HazardFreeClock
 
+pytestmark = pytest.mark.slow
+
 
 class Accident(HazardFreeClock):
     """A clock that can unplug a device and cut its power."""

@@ -6,6 +6,8 @@ import pytest
 from scan3d_twin.core.errors import ProtocolError
 from scan3d_twin.devices.urg.clock_sync import LATENCIES, SensorClock
 
+pytestmark = pytest.mark.slow
+
 LATENCY = 0.101
 
 

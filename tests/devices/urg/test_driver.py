@@ -13,6 +13,8 @@ from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.model import LINKS, REVOLUTION, ScanMode
 
+pytestmark = pytest.mark.slow
+
 SERIAL = UrgProfile(usb=False, baud=115200)
 
 
