@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.plugins import PluginError, load_plugin
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from scan3d_twin.devices.device import BaseDevice, LidarDevice
 
+D = TypeVar("D", "BaseDevice", "LidarDevice")
 LIDARS, BASES = "scan3d_twin.lidars", "scan3d_twin.bases"
 """Entry point groups in which other packages offer devices."""
 DEFAULT_LIDAR, DEFAULT_BASE, DEFAULT_LINK = "urg04lx", "create2", "usb"
@@ -70,37 +71,38 @@ def lidar_device(name: str) -> LidarDevice:
         PluginError: The package that offers it cannot be loaded, or what it offers is no lidar of
             this name.
     """
-    if name in _OWN_LIDARS:
-        own: LidarDevice = resolve_name(f"{__package__}.{_OWN_LIDARS[name]}")
-        return own
     from scan3d_twin.devices.device import LidarDevice
 
-    place = _place("lidar", name, _OWN_LIDARS, LIDARS)
-    device = load_plugin("lidar", name, place)
-    if not isinstance(device, LidarDevice):
-        raise PluginError("lidar", name, place, f"it is no LidarDevice but {device!r}")
-    if device.name != name:
-        raise PluginError("lidar", name, place, f"its own name is {device.name!r}")
+    device = _load("lidar", name, _OWN_LIDARS, LIDARS, LidarDevice)
     if not device.links:
-        raise PluginError("lidar", name, place, "it has no links")
+        raise PluginError(
+            "lidar", name, _place("lidar", name, _OWN_LIDARS, LIDARS), "it has no links"
+        )
     return device
 
 
 def base_device(name: str) -> BaseDevice:
     """Return the base called ``name``; raises the errors of ``lidar_device``."""
-    if name in _OWN_BASES:
-        own: BaseDevice = resolve_name(f"{__package__}.{_OWN_BASES[name]}")
-        return own
     from scan3d_twin.devices.device import BaseDevice
 
-    place = _place("robot", name, _OWN_BASES, BASES)
-    device = load_plugin("robot", name, place)
-    if not isinstance(device, BaseDevice):
-        raise PluginError("robot", name, place, f"it is no BaseDevice but {device!r}")
-    if device.name != name:
-        raise PluginError("robot", name, place, f"its own name is {device.name!r}")
+    device = _load("robot", name, _OWN_BASES, BASES, BaseDevice)
     if device.spec.name != name:
+        place = _place("robot", name, _OWN_BASES, BASES)
         raise PluginError("robot", name, place, f"its spec's name is {device.spec.name!r}")
+    return device
+
+
+def _load(kind: str, name: str, own: dict[str, str], group: str, cls: type[D]) -> D:
+    """Return the device called ``name``, a ``cls``; that of another package is checked."""
+    if name in own:
+        device: D = resolve_name(f"{__package__}.{own[name]}")
+        return device
+    place = _place(kind, name, own, group)
+    device = load_plugin(kind, name, place)
+    if not isinstance(device, cls):
+        raise PluginError(kind, name, place, f"it is no {cls.__name__} but {device!r}")
+    if device.name != name:
+        raise PluginError(kind, name, place, f"its own name is {device.name!r}")
     return device
 
 
