@@ -37,7 +37,8 @@ def run_sim(
         scene: Name of a scene (``scene_names()``), ``random:SEED``, or an .xml or mesh file.
         seed: The run's one seed; the same seed gives the same files.
         preset: Named options: ``best`` or ``paper``.
-        world: Named errors of robot, lidar and floor: ``ideal``, ``typical`` or ``harsh``.
+        world: Named errors of robot, lidar and floor: ``ideal``, ``typical``, ``harsh`` or
+            ``unfiltered``, which is ``typical`` with the lidar noise of older figures.
         options: Nested options as in a configuration file, SI units and radians; they win over
             scene, preset and world: ``{"max_views": 3, "planning": {"epsilon": 0.005}}``.
         out: Folder for the results, new or empty; None makes one under ``runs``.

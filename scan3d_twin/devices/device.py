@@ -106,6 +106,7 @@ class ErrorCodes:
     amplitudes_differ: int = 0
     glitch: int = 0
     too_strong: int = 0
+    too_far: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +121,15 @@ class LidarSensor:
             sensor by time of flight or triangulation: such a beam reads the mean of its light, and
             there is no cyclic error.
         codes: Codes sent in place of a distance.
+        detected_range_mm: Distance beyond which a detected return has the code ``too_far`` [mm];
+            from ``max_range_mm`` up to it, ``no_return``.
     """
 
     min_range_mm: int
     max_range_mm: int
     modulations: tuple[float, float] | None = None
     codes: ErrorCodes = field(default_factory=ErrorCodes)
+    detected_range_mm: int = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)

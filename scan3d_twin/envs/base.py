@@ -66,7 +66,7 @@ class ViewPlanEnv(gymnasium.Env[Observation, Action], EzPickle, Generic[Action])
                 one of several is drawn for each episode.
             fidelity: physics, lite or kinematic.
             preset: Named options of the run: best or paper.
-            world: Named errors of robot and sensor: ideal, typical or harsh.
+            world: Named errors of robot and sensor: ideal, typical, harsh or unfiltered.
             options: Nested options as in a configuration file; they override the preset.
             rewards: Weights of the reward terms by name; see ``RewardWeights``.
             goal: Coverage at which an episode is a success, 0..1.

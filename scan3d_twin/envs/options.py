@@ -163,14 +163,15 @@ def _scale_noise(twin: TwinConfig, factor: float) -> TwinConfig:
     """Return ``twin`` with the lidar's errors scaled by ``factor``."""
     if factor == 1.0:
         return twin
-    names = ("sigma", "sigma_per_metre", "sigma_far", "sigma_weak", "bias", "surface_bias")
+    names = ("sigma", "sigma_per_metre", "sigma_far", "sigma_weak", "pointing", "bias",
+             "surface_bias")  # fmt: skip
     scaled = {name: factor * getattr(twin.lidar, name) for name in names}
     return replace(twin, lidar=replace(twin.lidar, **scaled))
 
 
 def _without_vibration(twin: TwinConfig) -> TwinConfig:
     """Return ``twin`` without wheel vibration, and with lidar beams of one ray."""
-    lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1)
+    lidar = twin.lidar.for_single_beams()
     return replace(twin, lidar=lidar, errors=replace(twin.errors, cogging=0.0))
 
 

@@ -41,7 +41,7 @@ class RunConfig:
     preset: str = DEFAULT_PRESET
     """Named set of options."""
     world: str = DEFAULT_WORLD
-    """Named set of the twin's errors: ideal, typical or harsh."""
+    """Named set of the twin's errors: ideal, typical, harsh or unfiltered."""
     target: str = ""
     """Name of a body of the scene, or x,y [m] in the odometry frame; empty: the most salient."""
     mesh_scale: float = number(1.0, most=1e6)

@@ -19,7 +19,12 @@ from scan3d_twin.devices.registry import (
     base_device,
     lidar_device,
 )
-from scan3d_twin.sim.lidar.config import HARSH_LIDAR, IDEAL_LIDAR, LidarModelConfig
+from scan3d_twin.sim.lidar.config import (
+    HARSH_LIDAR,
+    IDEAL_LIDAR,
+    UNFILTERED_LIDAR,
+    LidarModelConfig,
+)
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
 
@@ -148,7 +153,10 @@ class TwinConfig:
         lidar: str = DEFAULT_LIDAR,
         lidar_link: str = "",
     ) -> TwinConfig:
-        """Return the twin of these devices in the named ``world``: ideal, typical or harsh.
+        """Return the twin of these devices in the named ``world``.
+
+        Worlds are ideal, typical, harsh, and unfiltered: typical with the lidar noise that was
+        assumed up to commit e3444ed, to compare with older figures.
 
         What the devices say about their own errors holds where the world is typical.
 
@@ -188,5 +196,6 @@ WORLDS = {
     "ideal": (IDEAL_LIDAR, IDEAL_ROBOT),
     DEFAULT_WORLD: (LidarModelConfig(), RobotErrorConfig()),
     "harsh": (HARSH_LIDAR, HARSH_ROBOT),
+    "unfiltered": (UNFILTERED_LIDAR, RobotErrorConfig()),
 }
 """Lidar and robot errors by the name of the world."""

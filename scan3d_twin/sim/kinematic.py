@@ -144,9 +144,8 @@ class KinematicRobot:
         thinning: Thinning,
     ) -> None:
         """Open the robot that ``seed`` draws from ``twin``, as ``open_sim`` would."""
-        # Skipped beams leave no correlation and no repeats between the others; a beam of one ray
-        # has no mixed pixels.
-        lidar = replace(twin.lidar, neighbours=0.0, repeats=0.0, sub_rays=1, line_loss=0.0)
+        # Skipped beams leave the others without neighbours
+        lidar = replace(twin.lidar.for_single_beams(), line_loss=0.0)
         device = lidar_device(twin.lidar_model)
         spec = thin_spec(device.spec(twin.lidar_link), thinning)
         surfaces = stream(seed, Stream.SURFACE)

@@ -22,11 +22,11 @@ def turn(robot, truth, degrees_per_second=30.0, seconds=3.0):
 
 def test_typical_is_the_default():
     assert TwinConfig.of("typical") == TwinConfig()
-    assert set(WORLDS) == {"ideal", "typical", "harsh"}
+    assert set(WORLDS) == {"ideal", "typical", "harsh", "unfiltered"}
 
 
 def test_an_unknown_world_lists_the_known_ones():
-    with pytest.raises(UnknownNameError, match=r"'mars'; known: harsh, ideal, typical"):
+    with pytest.raises(UnknownNameError, match=r"'mars'; known: harsh, ideal, typical, unfiltered"):
         TwinConfig.of("mars")
 
 

@@ -47,15 +47,17 @@ URG04LX = LidarDevice(
     sensor=LidarSensor(
         min_range_mm=urg04lx.MIN_RANGE_MM,
         max_range_mm=urg04lx.MAX_RANGE_MM,
+        detected_range_mm=urg04lx.DETECTED_RANGE_MM,
         modulations=urg04lx.MODULATIONS,
         codes=ErrorCodes(
             no_return=urg04lx.NO_RETURN,
             weak_return=urg04lx.WEAK_RETURN,
-            other_error=urg04lx.OTHER_ERROR,
+            other_error=urg04lx.NO_RETURN,
             neighbours_invalid=urg04lx.NEIGHBOURS_INVALID,
             amplitudes_differ=urg04lx.AMPLITUDES_DIFFER,
             glitch=urg04lx.GLITCH,
             too_strong=urg04lx.TOO_STRONG,
+            too_far=urg04lx.TOO_FAR,
         ),
     ),
     open_driver=open_urg,

@@ -23,6 +23,8 @@ MIN_RANGE_MM = 20
 """Shortest distance [DMIN]; smaller values are error codes."""
 MAX_RANGE_MM = 4095
 """Longest distance, of the data sheet and of the two-character encoding."""
+DETECTED_RANGE_MM = 5600
+"""Distance beyond which a detected return is an error code [DMAX]; a log holds none beyond."""
 TRUSTED_RANGE_MM = 4000
 """Longest distance for which the data sheet states an accuracy (1 %)."""
 REVOLUTION = 0.1
@@ -37,11 +39,12 @@ COMMAND_TICK = 0.0998
 """Interval at which commands are answered, once per turn [s]; 9 replies in the same capture."""
 
 NO_RETURN = 0
-"""Error code "possibly 22 m": nothing came back."""
-WEAK_RETURN = 2
-"""Error code: low intensity (1 and 2)."""
-OTHER_ERROR = 6
-"""Error code: others."""
+"""Error code "possibly 22 m": nothing came back, or the phases of the two waves do not fit."""
+WEAK_RETURN = 1
+"""Error code: low intensity (1 and 2); a log holds 1 three times as often."""
+TOO_FAR = 6
+"""Error code: "others", in earlier documents "at 5.7 m". In a log of a standing sensor 90 % of them
+stay and the others become 0, never a distance, as of a wall beyond the longest distance."""
 NEIGHBOURS_INVALID = 7
 """Error code: the steps before and after are invalid."""
 AMPLITUDES_DIFFER = 8

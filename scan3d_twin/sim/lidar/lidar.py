@@ -57,7 +57,8 @@ class SimLidar:
         # Draw the mirror's phase and speed
         rng = np.random.default_rng(seed)
         self._start = float(rng.uniform(0.0, scanner.spec.line_period))
-        self._pace = 1 + scanner.config.revolution * float(rng.standard_normal())
+        mean, spread = scanner.config.period_error, scanner.config.revolution
+        self._pace = 1 + mean + spread * float(rng.standard_normal())
 
         # Start with no revolution
         self._jitter, self._drawn = np.empty(0), 0

@@ -32,11 +32,14 @@ class Draws:
         seen: Standard normal draws for the detection (m, n).
         noise: Standard normal draws, correlated between neighbours (m, n).
         chance: Uniform draws in 0..1 for repeats and glitches (m, n).
+        pointing: Standard normal draws for the beams' directions (m, n); None where these are
+            exact.
     """
 
     seen: npt.NDArray[np.floating[Any]]
     noise: FloatArray
     chance: FloatArray
+    pointing: npt.NDArray[np.floating[Any]] | None = None
 
     @staticmethod
     def of(rngs: list[np.random.Generator], beams: int, config: LidarModelConfig) -> Draws:
@@ -48,7 +51,13 @@ class Draws:
             rng.standard_normal(out=seen[k], dtype=np.float32)
             rng.standard_normal(out=noise[k])
             rng.random(out=chance[k])
-        return Draws(seen, _correlate(noise, config), chance)
+        noise = _correlate(noise, config)
+        if config.pointing == 0:
+            return Draws(seen, noise, chance)
+        pointing = np.empty((len(rngs), beams), np.float32)
+        for k, rng in enumerate(rngs):
+            rng.standard_normal(out=pointing[k], dtype=np.float32)
+        return Draws(seen, noise, chance, pointing)
 
 
 def _correlate(white: FloatArray, config: LidarModelConfig) -> FloatArray:

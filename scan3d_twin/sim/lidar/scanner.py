@@ -29,12 +29,17 @@ def beam_directions(elevations: FloatArray) -> FloatArray:
 
 
 @cache
-def own_housing(robot: str, elevations: tuple[float, ...]) -> Hits:
-    """Return what the beams see of the robot itself; it moves with the lidar, so it is constant."""
+def own_housing(robot: str | None, elevations: tuple[float, ...]) -> Hits:
+    """Return what the beams see of the robot itself; it moves with the lidar, so it is constant.
+
+    Without a ``robot`` they see nothing of it.
+    """
+    n = len(elevations)
+    if robot is None:
+        return Hits(np.full(n, np.inf), np.zeros((n, 3)), np.full(n, -1, np.int64))
     model = robot_spec(robot).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    n = len(elevations)
     geoms, distances, normals = np.zeros(n, np.int32), np.zeros(n), np.zeros(3 * n)
     rays = beam_directions(np.array(elevations)).ravel()
     origin, mast = data.site("lidar").xpos, model.body("mast").id
@@ -87,7 +92,7 @@ class Scanner:
     def __init__(
         self,
         scene_model: Any,
-        robot: str,
+        robot: str | None,
         spec: LidarSpec,
         config: LidarModelConfig,
         caster: RayCaster,
@@ -111,6 +116,8 @@ class Scanner:
         )
         self._free = _range(np.flatnonzero(np.isinf(own.distances)))
         self._fan = self._sub_beams()
+        free = self.spec.elevations[self._free]
+        self._sine, self._cosine = read_only(np.sin(free)), read_only(np.cos(free))
 
     def _sub_beams(self) -> FloatArray:
         """Return the sub-rays that pass the robot, in the lidar's frame (3, K, n_free)."""
@@ -145,7 +152,7 @@ class Scanner:
             drift: Error of each whole line (m,) [m].
             evidence: Keep what lay behind the readings, for evaluation.
         """
-        rays = self._directions(rotations[:, self._free])
+        rays = self._directions(rotations[:, self._free], self._steered(draws))
         light, hits, readings = self._read(qpos, positions[:, self._free], rays, draws, drift)
         if not evidence:
             return readings
@@ -164,7 +171,7 @@ class Scanner:
         Its ``heading`` at each beam's time is given by cosine and sine (m, n_beams).
         """
         c, s = (part[:, self._free] for part in heading)
-        x, y, z = self._fan[:, :, None]
+        x, y, z = self._steered(draws)
         rays = np.empty((len(x), *c.shape, 3))
         rays[..., 0], rays[..., 1], rays[..., 2] = x * c - y * s, x * s + y * c, z
         return self._read(qpos, positions[:, self._free], rays, draws, drift)[2]
@@ -193,13 +200,27 @@ class Scanner:
         behind = Hits(hits.distances[middle], hits.normals[middle], hits.geoms[middle])
         return light, behind, Readings(ranges, codes, ())
 
-    def _directions(self, rotations: FloatArray) -> FloatArray:
-        """Return the sub-rays in ``map`` (K, m, n_free, 3) for ``rotations`` (m, n_free, 3, 3).
+    def _steered(self, draws: Draws) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the sub-rays of lines in the lidar's frame, by component (K, m or 1, n_free) each.
+
+        All of a beam's light is moved by its pointing error; errors are small, so vectors keep
+        their length within 1e-5.
+        """
+        along, across, upwards = self._fan[:, :, None]
+        if draws.pointing is None:
+            return along, across, upwards
+        turn = self.config.pointing * draws.pointing[:, self._free]
+        return along - turn * self._sine, across, upwards + turn * self._cosine
+
+    def _directions(
+        self, rotations: FloatArray, fan: tuple[FloatArray, FloatArray, FloatArray]
+    ) -> FloatArray:
+        """Return the ``fan`` of sub-rays in ``map`` (K, m, n_free, 3), turned by ``rotations``.
 
         Components come first while they are worked out: loops over 3 numbers take thrice as long.
         """
         ahead, left, up = np.ascontiguousarray(rotations.transpose(3, 2, 0, 1))[:, :, None]
-        along, across, upwards = self._fan[:, :, None]
+        along, across, upwards = fan
         rays = along * ahead
         rays += upwards * up
         if len(along) > 1:
