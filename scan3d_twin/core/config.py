@@ -145,6 +145,12 @@ class RegistrationConfig:
     bias_sigma: float = number(0.003, 0.0, 0.1)
     """Standard deviation of the range error that neighbouring readings share, for the grid engine
     [m]; within the +-10 mm of the URG-04LX's data sheet."""
+    linearity_sigma: float = number(0.004, 0.0, 0.1)
+    """Standard deviation of the range error that depends on the range only, for the grid engine
+    [m]; with those beside it within the +-10 mm of the URG-04LX's data sheet."""
+    offset_sigma: float = number(0.004, 0.0, 0.1)
+    """Standard deviation of the range error that all readings share, for the grid engine [m]; a
+    cold sensor drifts by several millimetres (Kneip et al. 2009)."""
     starts: int = number(16, 1, 1000)
     """Number of starting poses of the grid engine, spread over the odometry's error."""
     yaw_scale_sigma: float = number(0.01, 0.0, 0.2)

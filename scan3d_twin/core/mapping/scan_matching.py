@@ -64,7 +64,9 @@ def _match_by_grid(view: View, views: Sequence[View], config: Config, workspace:
             starts=config.registration.starts,
         )
     except RegistrationError:
-        return replace(view, registration=_fall_back_to_odometry(prior))
+        result = _fall_back_to_odometry(prior)
+        result = replace(result, predicted_rmse=_predict_rmse(result, view))
+        return replace(view, registration=result)
     finally:
         workspace.results_of(previous.observation.image).pop(SurfelGrid, None)
 
@@ -133,6 +135,8 @@ def surfels_of(view: View, config: Config, workspace: Workspace | None = None) -
         grid.noise,
         yaw_scale_sigma=config.registration.yaw_scale_sigma,
         bias_sigma=config.registration.bias_sigma,
+        linearity_sigma=config.registration.linearity_sigma,
+        offset_sigma=config.registration.offset_sigma,
     )
     return replace(grid, noise=noise)
 

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.registration.clouds import Tree
 from scan3d_twin.core.registration.native import engine
-from scan3d_twin.core.registration.scan_noise import estimate_range_noise
+from scan3d_twin.core.registration.scan_noise import estimate_noise
 from scan3d_twin.core.scanning.mixed_pixels import MAX_INCIDENCE, RANGE_NOISE
 from scan3d_twin.core.scanning.smoothing import smooth
 from scan3d_twin.core.session import Session, View
@@ -141,12 +141,12 @@ def build_view_cloud(view: View, index: int = 0) -> ViewCloud:
 
     # Add up noise and beam spread
     valid = np.isfinite(image.ranges)
-    known = estimate_range_noise(image.ranges, valid)
+    noise = estimate_noise(image, valid)
     beam = float(np.median(np.diff(image.spec.elevations))) / math.sqrt(12.0)
     cosine = -np.sum(rays * np.nan_to_num(normals), axis=1) / np.maximum(r, 1e-9)
     cosine = np.clip(cosine, math.cos(MAX_SPREAD_INCIDENCE), 1.0)
     spread = r * beam * np.sqrt(1.0 - cosine**2) / cosine
-    sigma = np.hypot(known[0] + known[1] * r, spread)
+    sigma = np.hypot(noise.range_sigma + noise.range_sigma_per_metre * r, spread)
 
     # Place everything in the world
     model = Model(

@@ -241,7 +241,7 @@ class Surface:
         halves = np.clip(np.round(np.array(WINDOWS) / steps), 1, MAX_HALF_WINDOW)
         valid = self.grid.valid
         rows, _, index = fit_surfels(
-            make_native_sweep(image), valid, valid, noise.sigmas, halves.astype(np.int64)
+            make_native_sweep(image), valid, valid, noise.values, halves.astype(np.int64)
         )
         return rows, np.asarray(index >= 0)
 

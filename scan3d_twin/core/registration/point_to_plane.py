@@ -31,6 +31,7 @@ import numpy as np
 
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.native import STATE, engine
+from scan3d_twin.core.registration.pose_prior import SIGMA_TILT, SIGMA_Z
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.types import FloatArray
 
@@ -84,6 +85,14 @@ def combine_noise(target: SurfelGrid, source: SurfelGrid) -> native.PairNoise:
         density=target.line_spacing / source.line_spacing,
         share=2.0 / (source.inflation + target.inflation),
         tilt=(source.noise.tilt_variance + target.noise.tilt_variance) / 4,
+        patch=max(source.noise.bias_sigma, target.noise.bias_sigma),
+        linearity=max(source.noise.linearity_sigma, target.noise.linearity_sigma),
+        offset=max(source.noise.offset_sigma, target.noise.offset_sigma),
+        correlation=(source.noise.correlation + target.noise.correlation) / 2,
+        height=SIGMA_Z,
+        lean=SIGMA_TILT,
+        ahead=source.image.T_base_lidar[0, 3],
+        up=source.image.T_base_lidar[2, 3],
     )
 
 

@@ -1,16 +1,24 @@
-"""Noise model of a sweep: range noise and yaw jitter, estimated from its own readings.
+"""Noise model of a sweep: range noise, its correlation and yaw jitter, from its own readings.
 
-**Range noise.** Along a line, the inverse range of a plane is linear in the beam angle up to
-second-order terms, so its second difference is noise. The median of |d2 q| r^2 / sqrt(6) is taken
-over each quartile of the readings by range, and a straight line fitted through the four.
+Across five lines, at one beam, the inverse range q of a plane is linear in the yaw up to
+second-order terms. Its fourth difference D is noise of variance 70 s^2 / r^4, and far less of a
+curve than of noise: a wave of 9 lines leaves a seventh of what a second difference leaves. Lines
+are independent of each other, readings of a line are not.
 
-**Yaw jitter.** Let e be a reading's distance from its surfel along the normal n, l = n . (e_z x P)
-its derivative by the yaw of its line, and w the inverse variance by range noise. A single line then
-has the yaw error d = sum w l e / sum w l^2, of variance 1 / sum w l^2. The second difference
-d1 - 2 d2 + d3 of three neighbours exceeds the variance that follows from this by 6 sigma^2. Only
-surfels on surfaces flat across lines count: on curved ones the planes are biased.
+**Range noise.** The median of |D| r^2 / sqrt(70) is taken over each quartile of the readings by
+range, and a straight line fitted through the four.
 
-``native/noise.h`` computes both.
+**Correlation.** Neighbouring beams share light and a filter, so that a mean along a line is less
+precise than of independent readings by 1 + 2 sum rho_k. The rho_k are those of D along the line,
+less what beams ten apart have in common: the yaw error of their lines.
+
+**Yaw jitter.** The yaw error d of a line moves its readings by d times the slope of the range over
+the yaw. The regression of a line's D on its slope has the variance g sigma^2 + 70 c s^2 / sum
+slope^2, with g what the yaw errors of the five lines add up to. The excess over the second term,
+weighted over all lines, is sigma^2. Where it is not significant, the mean of what is positive of
+its normal distribution stands for it, not zero.
+
+``native/noise.h`` computes this.
 """
 
 from __future__ import annotations
@@ -21,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.native import engine
-from scan3d_twin.core.types import BoolArray, FloatArray, read_only
+from scan3d_twin.core.registration.surfels import make_native_sweep
+from scan3d_twin.core.types import BoolArray, FloatArray, RangeImage, read_only
 
 BIAS_PATCH = np.radians(10.0)
 """Side of a patch of readings that share a range error [rad]: about one face of an object."""
@@ -32,6 +40,10 @@ BIAS_LENGTH = 0.15
 measurement, less at edges and changes of material."""
 URG_RANGE_NOISE = 0.004, 0.0009
 """Range sigma of a URG-04LX at 0 m [m] and its growth per metre, used where it is not estimated."""
+
+
+NOISE_UNKNOWN = read_only([math.nan] * 4)
+"""Stands for noise that the engine estimates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +57,10 @@ class ScanNoise:
         yaw_scale_sigma: Relative error of all yaws, shared by all sweeps of a robot; a wheel base
             known to 1 % gives 0.01.
         bias_sigma: Range error that all readings within ``BIAS_PATCH`` share [m].
+        linearity_sigma: Range error that depends on the range only, the same in all sweeps [m].
+        offset_sigma: Range error that all readings share, the same in all sweeps [m].
+        correlation: Factor on the variance of a mean of many readings, as neighbours on a line have
+            correlated noise: 1 + 2 sum rho_k.
     """
 
     range_sigma: float = URG_RANGE_NOISE[0]
@@ -52,6 +68,9 @@ class ScanNoise:
     yaw_sigma: float = 0.0
     yaw_scale_sigma: float = 0.0
     bias_sigma: float = 0.0
+    linearity_sigma: float = 0.0
+    offset_sigma: float = 0.0
+    correlation: float = 1.0
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
@@ -61,10 +80,17 @@ class ScanNoise:
         if self.range_sigma + self.range_sigma_per_metre == 0:
             raise ConfigError("range_sigma must be > 0 m: readings without noise have no weight")
 
+    @staticmethod
+    def of(found: FloatArray) -> ScanNoise:
+        """Return the noise of which the engine has ``found`` what a sweep shows (4,)."""
+        range_sigma, growth, yaw_sigma, correlation = found.tolist()
+        return ScanNoise(range_sigma, growth, yaw_sigma, correlation=correlation)
+
     @property
-    def sigmas(self) -> FloatArray:
-        """Range sigma at 0 m [m], its growth per metre and the sigma of a line's yaw [rad] (3,)."""
-        return read_only([self.range_sigma, self.range_sigma_per_metre, self.yaw_sigma])
+    def values(self) -> FloatArray:
+        """Range sigma at 0 m [m], its growth per metre, yaw sigma [rad], correlation (4,)."""
+        sigmas = [self.range_sigma, self.range_sigma_per_metre, self.yaw_sigma]
+        return read_only([*sigmas, self.correlation])
 
     @property
     def tilt_variance(self) -> float:
@@ -74,25 +100,23 @@ class ScanNoise:
     def inflation(self, readings: float) -> float:
         """Return the inflation factor of variances when ``readings`` of a patch share a bias.
 
-        The mean of n readings has the variance s^2 / n + b^2 = (s^2 / n) (1 + n b^2 / s^2).
+        The mean of n readings has the variance c s^2 / n + b^2 = (s^2 / n) (c + n b^2 / s^2), with
+        c the factor for correlation.
         """
         sigma = self.range_sigma + self.range_sigma_per_metre
-        return 1.0 + readings * (self.bias_sigma / sigma) ** 2
+        return self.correlation + readings * (self.bias_sigma / sigma) ** 2
 
 
-def estimate_range_noise(ranges: FloatArray, valid: BoolArray) -> tuple[float, float]:
-    """Return ``range_sigma`` and ``range_sigma_per_metre`` estimated from a sweep.
+def estimate_noise(image: RangeImage, valid: BoolArray) -> ScanNoise:
+    """Return range noise, its correlation and yaw jitter estimated from a sweep.
 
-    A sweep with too few readings gives ``URG_RANGE_NOISE``.
+    A sweep with too few readings gives ``URG_RANGE_NOISE``, no correlation and no jitter.
 
     Args:
-        ranges: Ranges (n_lines, n_beams) [m].
+        image: The sweep.
         valid: Whether a reading is a distance (n_lines, n_beams).
     """
-    n_lines, n_beams = ranges.shape
-    sweep = native.Sweep(
-        n_lines=n_lines, n_beams=n_beams, stride=n_beams, ranges=np.ascontiguousarray(ranges)
-    )
-    noise = np.empty(2)
-    engine.estimate_range_noise(sweep, np.ascontiguousarray(valid), noise)
-    return float(noise[0]), float(noise[1])
+    noise = NOISE_UNKNOWN.copy()
+    if engine.estimate_noise(make_native_sweep(image), np.ascontiguousarray(valid), noise) < 0:
+        raise MemoryError
+    return ScanNoise.of(noise)

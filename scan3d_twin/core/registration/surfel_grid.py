@@ -13,7 +13,7 @@ from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.edges import Edges, find_edges
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.projection import Projection
-from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
+from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, NOISE_UNKNOWN, ScanNoise
 from scan3d_twin.core.registration.surfels import Beams, classify_rays, make_native_sweep
 from scan3d_twin.core.types import (
     VALID,
@@ -187,8 +187,8 @@ def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None)
     index, valid = np.empty(image.ranges.shape, np.int32), np.empty(image.ranges.shape, np.bool_)
 
     # Extract surfels and, if unknown, noise.
-    sigmas = NOISE_UNKNOWN if noise is None else noise.sigmas
-    found = native.ScanSurfels(rows=rows, yaws=yaws, index=index, valid=valid, noise=sigmas)
+    known = NOISE_UNKNOWN if noise is None else noise.values
+    found = native.ScanSurfels(rows=rows, yaws=yaws, index=index, valid=valid, noise=known)
     if (
         engine.extract_surfels(
             make_native_sweep(image), read_only(image.codes, np.int64), mask, found
@@ -198,13 +198,9 @@ def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None)
         raise MemoryError
 
     # Keep what was written.
-    noise = noise or ScanNoise(*found.noise)
+    noise = noise or ScanNoise.of(np.array(found.noise))
     n = found.count
     return SurfelGrid(image, noise, rows[:n], yaws[:n], index, valid, found.line_spacing)
-
-
-NOISE_UNKNOWN = read_only([math.nan] * 3)
-"""Stands for noise that the engine estimates."""
 
 
 def _check(image: RangeImage) -> None:

@@ -143,7 +143,7 @@ class ScanSurfels(Value):
 
     _fields_ = (
         ("rows", Doubles), ("yaws", Doubles), ("index", Ints), ("valid", Flags),
-        ("noise", c_double * 3), ("line_spacing", c_double), ("count", c_int64),
+        ("noise", c_double * 4), ("line_spacing", c_double), ("count", c_int64),
     )  # fmt: skip
 
 
@@ -188,8 +188,12 @@ class PairNoise(Value):
     """Errors of two sweeps beyond the noise of single readings."""
 
     _fields_ = tuple(
-        (name, c_double) for name in ("jitter", "target_jitter", "density", "share", "tilt")
-    )
+        (name, c_double)
+        for name in (
+            "jitter", "target_jitter", "density", "share", "tilt",
+            "patch", "linearity", "offset", "correlation", "height", "lean", "ahead", "up",
+        )
+    )  # fmt: skip
 
 
 class Prior(Value):
@@ -244,9 +248,7 @@ VALUES = (
 """The structures, in the order of ``engine.h``."""
 
 FUNCTIONS: dict[str, tuple[Any, ...]] = {
-    "estimate_range_noise": (None, Sweep, Flags, Doubles),
-    "sum_line_residuals": (None, Sweep, Doubles, Ints, Doubles),
-    "estimate_yaw_jitter": (c_double, Doubles, c_int64),
+    "estimate_noise": (c_int64, Sweep, Flags, Doubles),
     "fit_surfels": (c_int64, Sweep, Flags, Flags, Doubles, Longs, c_int64, Doubles, Doubles, Ints),
     "extract_surfels": (c_int64, Sweep, Longs, Flags, ScanSurfels),
     "sample_surfels": (None, Ints, c_int64, c_int64, Doubles, Doubles, Sample),

@@ -7,7 +7,11 @@
 #define MIN_SIGNAL_RATIO 2.0        /* least information of a determined direction, per spurious one */
 #define MIN_INFORMATION_SHARE 1e-9  /* of the largest information; a direction with less is unknown */
 
-enum { MAX_ROTATION_SWEEPS = 30 };  /* of the eigenvalue iteration; 5 to 8 are usual */
+enum {
+    MAX_ROTATION_SWEEPS = 30,   /* of the eigenvalue iteration; 5 to 8 are usual */
+    KNOTS = 24,                 /* of the range error's curve: up to 5.75 m, constant beyond */
+    WIDE = STATE + KNOTS,       /* pose, nuisances, knots */
+};
 
 /* Write the eigenvalues of a symmetric matrix, ascending, and its eigenvectors as columns of V, by cyclic
  * Jacobi rotations (Golub and Van Loan, Matrix Computations, 8.5). */
@@ -139,43 +143,62 @@ static void find_determined(const double *H, const double *spurious, const int64
     }
 }
 
-/* Normal equations with the nuisances eliminated; their rows remain for the back substitution. */
+/* Normal equations of the state, `size` entries in use, in rows of WIDE. */
 typedef struct {
-    double H[STATE * STATE], g[STATE];
-} Reduced;
+    int size;
+    double H[WIDE * WIDE], g[WIDE];
+} Wide;
 
-/* Eliminate the nuisances, last first, by their Schur complements; the row of each stays as it was when
- * it was eliminated. */
-static void eliminate_nuisances(const Equations *equations, const Prior *prior,
-                                const double *nuisances, Reduced *out) {
-    int size = (int)equations->size, pose = (int)prior->n_entries;
-    for (int i = 0; i < size; i++) {
-        double known = i < pose ? 0 : prior->nuisance_information[i - pose];
-        known = isinf(known) ? 0 : known;
-        out->g[i] = equations->gradient[i] + (i < pose ? 0 : known * nuisances[i - pose]);
-        for (int j = 0; j < size; j++)
-            out->H[STATE * i + j] = equations->information[STATE * i + j]
-                                  - equations->lost[STATE * i + j] + (i == j ? known : 0);
+/* Add the prior information `known` of an entry that is now `value`; infinite: leave the entry out. */
+static void add_prior(Wide *equations, int entry, double known, double value) {
+    double *row = equations->H + WIDE * entry;
+    if (!isinf(known)) {
+        row[entry] += known, equations->g[entry] += known * value;
+        return;
     }
-    for (int n = size - 1; n >= pose; n--) {
-        if (isinf(prior->nuisance_information[n - pose])) continue;
+    for (int i = 0; i < equations->size; i++) row[i] = equations->H[WIDE * i + entry] = i == entry;
+    equations->g[entry] = 0;
+}
+
+/* Take away all that the equations say along directions of the pose (n entries), as if the data could
+ * shift along them freely. */
+static void drop_directions(const Determined *determined, int n, Wide *equations) {
+    for (int m = 0; m < determined->n_dropped; m++) {
+        const double *v = determined->dropped[m];
+        double Hv[WIDE] = {0}, curvature = 0, slope = 0, scale = 0;
         for (int i = 0; i < n; i++) {
-            double share = out->H[STATE * i + n] / out->H[STATE * n + n];
-            out->g[i] -= share * out->g[n];
-            for (int j = 0; j < n; j++) out->H[STATE * i + j] -= share * out->H[STATE * n + j];
+            for (int j = 0; j < equations->size; j++) Hv[j] += equations->H[WIDE * i + j] * v[i];
+            slope += v[i] * equations->g[i];
+            scale += equations->H[WIDE * i + i] * v[i] * v[i];
+        }
+        for (int i = 0; i < n; i++) curvature += v[i] * Hv[i];
+        if (!(curvature > 1e-12 * scale)) continue;
+        for (int i = 0; i < equations->size; i++) {
+            equations->g[i] -= Hv[i] * slope / curvature;
+            for (int j = 0; j < equations->size; j++)
+                equations->H[WIDE * i + j] -= Hv[i] * Hv[j] / curvature;
         }
     }
 }
 
-/* Write the steps of the nuisances after those of the pose in `step`, by back substitution. */
-static void substitute_nuisances(const Reduced *reduced, const Prior *prior, double *step) {
-    int pose = (int)prior->n_entries, size = pose + (int)prior->n_nuisances;
-    for (int n = pose; n < size; n++) {
-        double right = reduced->g[n];
-        for (int j = 0; j < n; j++) right += reduced->H[STATE * n + j] * step[j];
-        int exact = isinf(prior->nuisance_information[n - pose]) != 0;
-        step[n] = exact ? 0 : -right / reduced->H[STATE * n + n];
+/* Eliminate the entries after the first `n`, last first, by their Schur complements; the row of each stays
+ * as it was when it was eliminated. */
+static void eliminate_last(Wide *equations, int n) {
+    for (int k = equations->size - 1; k >= n; k--) {
+        const double *row = equations->H + WIDE * k;
+        for (int i = 0; i < k; i++) {
+            double share = equations->H[WIDE * i + k] / row[k];
+            equations->g[i] -= share * equations->g[k];
+            for (int j = 0; j < k; j++) equations->H[WIDE * i + j] -= share * row[j];
+        }
     }
+}
+
+/* Return the step of entry `k` after those before it, by its row in eliminated equations. */
+static double substitute(const Wide *equations, int k, const double *step) {
+    double right = equations->g[k];
+    for (int j = 0; j < k; j++) right += equations->H[WIDE * k + j] * step[j];
+    return -right / equations->H[WIDE * k + k];
 }
 
 /* Write T (4, 4) after a motion x y z rx ry rz of the source about its own origin. */

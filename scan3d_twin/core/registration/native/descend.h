@@ -1,13 +1,14 @@
 /* The Gauss-Newton iteration: gauss_newton.py describes the method. */
 #pragma once
 
-#include "algebra.h"
+#include "shared_errors.h"
 
 #define GATE_FACTOR 0.7         /* of gate and kernel from one step to the next */
 #define FINAL_GATE 0.03         /* least gate [m]: a few times the range noise */
 #define FIRST_KERNEL 4.0        /* robust kernel c of the first step [sigma] */
 #define FINAL_KERNEL 1.5        /* least kernel [sigma] */
 #define SAME_BASIN 0.010        /* poses that displace the source by less are one basin [m] */
+#define MAX_SPREAD 1.1          /* of shared errors, in assumed ones, that is no larger than assumed */
 #define EDGE_KERNEL_FACTOR 2.0  /* kernel of edges per kernel of surfels: their errors are uniform */
 
 enum { MIN_PAIRS = 12 };        /* correspondences that a reliable step needs */
@@ -17,6 +18,7 @@ typedef struct {
     double step[POSE], nuisance_step[NUISANCES];
     double information[STATE * STATE];  /* left side of the equation, less the spurious share */
     double edges[STATE * STATE];        /* information of the edges */
+    double patch_spread, spread;        /* of errors that a patch and that all readings share, in assumed */
     Determined determined;
     Equations equations;
 } Solution;
@@ -66,19 +68,61 @@ static double least_share(const Prior *prior) {
     return prior->covariance[0] > 0 ? 0 : MIN_INFORMATION_SHARE;
 }
 
-/* Write the Gauss-Newton step at T by the equation of gauss_newton.py, with the prior information L0. */
-static void solve(const Target *target, const Source *source, const PairNoise *noise,
-                  const Prior *prior, const double *L0, const double *T, const double *nuisances,
-                  const Sample *sample, Gate gate, Chunk *scratch, Solution *out) {
+/* Write the normal equations of the sample at T with their nuisances: the errors that readings share by
+ * the model of shared_errors.py if `shared`, else by a factor. Write the information by which directions
+ * are tested, too. Return 0, or -1 if memory runs out. */
+static int sum_pairs(const Target *target, const Sample *sample, const double *T, const double *nuisances,
+                     Gate gate, const PairNoise *noise, const Prior *prior, int shared, Chunk *scratch,
+                     Equations *equations, Wide *state, double *tested, Sums *sums) {
+    if (shared) {
+        if (sum_shared_errors(target, sample, T, nuisances, gate, noise, prior, scratch, equations,
+                              state, sums) < 0) return -1;
+        for (int i = 0; i < prior->n_entries; i++)
+            for (int j = 0; j < prior->n_entries; j++) tested[STATE * i + j] = state->H[WIDE * i + j];
+        return 0;
+    }
+    build_equations(target, sample, T, nuisances, gate, noise, prior, scratch, equations);
+    memcpy(tested, equations->information, sizeof equations->information);
+    state->size = (int)equations->size;
+    for (int i = 0; i < state->size; i++) {
+        state->g[i] = equations->gradient[i];
+        for (int j = 0; j < state->size; j++)
+            state->H[WIDE * i + j] = equations->information[STATE * i + j]
+                                   - equations->lost[STATE * i + j];
+    }
+    return 0;
+}
+
+/* Add what is known of the nuisances beforehand. */
+static void add_nuisance_priors(const Prior *prior, const PairNoise *noise, const double *nuisances,
+                                int shared, Wide *state) {
+    for (int k = 0; k < prior->n_nuisances; k++)
+        add_prior(state, (int)prior->n_entries + k, prior->nuisance_information[k], nuisances[k]);
+    if (shared) add_shared_prior(noise, prior, state);
+}
+
+/* Write the Gauss-Newton step at T by the equation of gauss_newton.py, with the prior information L0.
+ * Return 0, or -1 if memory runs out. */
+static int solve(const Target *target, const Source *source, const PairNoise *noise,
+                 const Prior *prior, const double *L0, const double *T, const double *nuisances,
+                 const Sample *sample, Gate gate, int shared, Chunk *scratch, Solution *out) {
     int n = (int)prior->n_entries;
     const int64_t *entries = prior->entries;
 
-    /* surfels, without nuisances and degenerate directions */
-    Reduced reduced;
-    build_equations(target, sample, T, nuisances, gate, noise, prior, scratch, &out->equations);
-    eliminate_nuisances(&out->equations, prior, nuisances, &reduced);
-    find_determined(out->equations.information, out->equations.spurious, entries, n,
-                    find_reach(source), &out->determined);
+    /* surfels, without degenerate directions and nuisances */
+    Wide state;
+    Sums sums = {0};
+    double tested[STATE * STATE];
+    if (sum_pairs(target, sample, T, nuisances, gate, noise, prior, shared, scratch, &out->equations,
+                  &state, tested, &sums) < 0) return -1;
+    find_determined(tested, out->equations.spurious, entries, n, find_reach(source), &out->determined);
+    drop_directions(&out->determined, n, &state);
+    Wide known = {.size = state.size};
+    add_nuisance_priors(prior, noise, nuisances, shared, &state);
+    eliminate_last(&state, n);
+    double reduced[STATE * STATE];
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) reduced[STATE * i + j] = state.H[WIDE * i + j];
 
     /* edges and prior */
     double H[POSE * POSE] = {0}, g[POSE] = {0}, off[POSE];
@@ -87,9 +131,9 @@ static void solve(const Target *target, const Source *source, const PairNoise *n
     find_deviation(T, prior->mean, off);
 
     /* the equation */
-    double left[STATE * STATE], right[STATE] = {0}, inverse[STATE * STATE], step[STATE] = {0};
-    project(out->determined.kept, reduced.H, n, left);
-    project(out->determined.honest, reduced.H, n, out->information);
+    double left[STATE * STATE], right[STATE] = {0}, inverse[STATE * STATE], step[WIDE] = {0};
+    project(out->determined.kept, reduced, n, left);
+    project(out->determined.honest, reduced, n, out->information);
     for (int i = 0; i < n; i++) {
         right[i] = g[entries[i]];
         for (int j = 0; j < n; j++) {
@@ -97,7 +141,7 @@ static void solve(const Target *target, const Source *source, const PairNoise *n
             out->edges[at] = H[POSE * entries[i] + entries[j]];
             left[at] += out->edges[at] + L0[at];
             out->information[at] += out->edges[at] + L0[at];
-            right[i] += out->determined.kept[at] * reduced.g[j] + L0[at] * off[entries[j]];
+            right[i] += out->determined.kept[at] * state.g[j] + L0[at] * off[entries[j]];
         }
     }
 
@@ -108,8 +152,35 @@ static void solve(const Target *target, const Source *source, const PairNoise *n
         for (int j = 0; j < n; j++) step[i] -= inverse[STATE * i + j] * right[j];
         out->step[entries[i]] = step[i];
     }
-    substitute_nuisances(&reduced, prior, step);
-    for (int k = 0; k < prior->n_nuisances; k++) out->nuisance_step[k] = step[n + k];
+    for (int k = n; k < state.size; k++) step[k] = substitute(&state, k, step);
+    memcpy(out->nuisance_step, step + n, sizeof *step * (size_t)prior->n_nuisances);
+
+    /* are the errors that readings share as large as assumed? */
+    out->patch_spread = out->spread = 1;
+    if (shared) {
+        out->patch_spread = measure_patch_spread(&sums, step);
+        add_nuisance_priors(prior, noise, nuisances, 1, &known);
+        for (int k = 0; k < prior->n_nuisances; k++) step[n + k] += nuisances[k];
+        out->spread = measure_state_spread(&known, &state, step, n);
+    }
+    free_sums(&sums);
+    return 0;
+}
+
+/* Solve as `solve` does; in the last step with the errors that readings share, once more where they turn
+ * out larger than assumed. */
+static int solve_step(const Target *target, const Source *source, const PairNoise *noise,
+                      const Prior *prior, const double *L0, const double *T, const double *nuisances,
+                      const Sample *sample, Gate gate, int64_t last, Chunk *scratch, Solution *out) {
+    int shared = last && noise->patch > 0;
+    if (solve(target, source, noise, prior, L0, T, nuisances, sample, gate, shared, scratch, out) < 0)
+        return -1;
+    double patch = out->patch_spread > 1 ? out->patch_spread : 1, spread = out->spread > 1 ? out->spread : 1;
+    if (patch <= MAX_SPREAD && spread <= MAX_SPREAD) return 0;
+    PairNoise larger = *noise;
+    larger.patch *= patch, larger.linearity *= spread, larger.offset *= spread;
+    larger.height *= spread, larger.lean *= spread;
+    return solve(target, source, &larger, prior, L0, T, nuisances, sample, gate, shared, scratch, out);
 }
 
 /* Write covariance, information and degenerate directions of the result, from the last step's solution. */
@@ -193,8 +264,11 @@ static int64_t follow_starts(const Target *target, const Source *source, const P
             Gate gate = choose_gate(iteration, criteria->max_correspondence_distance);
             int final = gate.distance <= FINAL_GATE && gate.robust <= FINAL_KERNEL;
             sample = last->settled ? &source->every : final ? &source->fine : &source->coarse;
-            solve(target, source, noise, prior, L0, last->T, last->nuisances, sample, gate, scratch,
-                  &solution);
+            if (solve_step(target, source, noise, prior, L0, last->T, last->nuisances, sample, gate,
+                           last->settled, scratch, &solution) < 0) {
+                free(scratch);
+                return -1;
+            }
 
             /* move by the step */
             displace(last->T, solution.step, last->T);

@@ -11,17 +11,8 @@
 
 /* scan_noise.py */
 
-void EXPORT(estimate_range_noise)(const Sweep *sweep, const uint8_t *valid, double *noise) {
-    estimate_range_noise(sweep->ranges, valid, sweep->n_lines, sweep->n_beams, sweep->stride, noise);
-}
-
-void EXPORT(sum_line_residuals)(const Sweep *sweep, const double *rows, const int32_t *index,
-                                double *sums) {
-    sum_line_residuals(sweep, rows, index, sums);
-}
-
-double EXPORT(estimate_yaw_jitter)(const double *sums, int64_t n_lines) {
-    return estimate_yaw_jitter(sums, n_lines);
+int64_t EXPORT(estimate_noise)(const Sweep *sweep, const uint8_t *valid, double *noise) {
+    return estimate_noise(sweep, valid, noise);
 }
 
 /* surfels.py and surfel_grid.py */
@@ -138,14 +129,13 @@ void EXPORT(invert_information)(const double *information, int64_t n, double lea
  * information is `known`: the Schur complement. */
 void EXPORT(marginalise)(const double *information, int64_t size, int64_t pose, const double *known,
                          double *out) {
-    Equations equations = {.size = size};
-    Prior prior = {.n_entries = pose, .n_nuisances = size - pose};
-    const double nothing[NUISANCES] = {0};
-    Reduced reduced;
-    spread_rows(information, (int)size, equations.information);
-    memcpy(prior.nuisance_information, known, sizeof *known * (size_t)(size - pose));
-    eliminate_nuisances(&equations, &prior, nothing, &reduced);
-    pack_rows(reduced.H, (int)pose, out);
+    Wide equations = {.size = (int)size};
+    for (int i = 0; i < size; i++) 
+        memcpy(equations.H + WIDE * i, information + size * i, sizeof *out * (size_t)size);
+    for (int i = (int)pose; i < size; i++) add_prior(&equations, i, known[i - pose], 0);
+    eliminate_last(&equations, (int)pose);
+    for (int i = 0; i < pose; i++) 
+        memcpy(out + pose * i, equations.H + WIDE * i, sizeof *out * (size_t)pose);
 }
 
 void EXPORT(displace)(const double *T, const double *steps, int64_t n, double *out) {

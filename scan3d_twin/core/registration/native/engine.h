@@ -20,6 +20,10 @@ enum { PLACE_X, PLACE_Y, ACROSS_X, ACROSS_Y, EDGE_VARIANCE, SIDE, LOW, HIGH, EDG
 enum { UNKNOWN_RAY, EMPTY_RAY, SURFACE_RAY };
 /* What a reading says about its ray: nothing, that it is empty, or that it ends on a surface. */
 
+enum { RANGE_SIGMA, RANGE_GROWTH, YAW_SIGMA, CORRELATION, NOISES };
+/* Noise of a sweep: range sigma at 0 m [m], its growth per metre, the sigma of a line's yaw [rad], and the
+ * factor on the variance of a mean along a line, as neighbouring beams have correlated noise. */
+
 enum { POSE = 6, NUISANCES = 2, STATE = POSE + NUISANCES };
 /* The state has at most these entries: x y z rx ry rz of the pose, then nuisance parameters that all
  * readings share. One is in use, the relative error of the yaws (the yaw scale). */
@@ -44,7 +48,7 @@ typedef struct {
     double *yaws;           /* yaw of each surfel's reading, relative to the middle of the sweep */
     int32_t *index;         /* per reading: row of its surfel, or -1 */
     uint8_t *valid;         /* per reading: 1 where it is a distance */
-    double noise[3];        /* range sigma at 0 m, its growth per metre, sigma of a line's yaw */
+    double noise[NOISES];
     double line_spacing;    /* typical angle between two lines */
     int64_t count;          /* number of surfels */
 } ScanSurfels;
@@ -91,9 +95,13 @@ typedef struct {
     double second[9];       /* mean of p p^T */
 } Source;
 
-/* Errors of two sweeps beyond the noise of single readings: see point_to_plane.py. */
+/* Errors of two sweeps beyond the noise of single readings: see point_to_plane.py and shared_errors.py. */
 typedef struct {
     double jitter, target_jitter, density, share, tilt;
+    double patch, linearity, offset;    /* standard deviations of errors that readings share [m] */
+    double correlation;                 /* factor on variances of means for correlation along beams */
+    double height, lean;                /* of an uneven floor: z [m], roll and pitch [rad] */
+    double ahead, up;                   /* place of the source's lidar in `base` [m] */
 } PairNoise;
 
 /* Prior distribution of the pose and the nuisance parameters. */

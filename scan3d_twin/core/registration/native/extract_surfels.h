@@ -69,18 +69,18 @@ static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8
                            ScanSurfels *out) {
     size_t readings = (size_t)(sweep->n_lines * sweep->stride);
     uint8_t *wanted = malloc(readings);
-    double *sums = malloc(sizeof *sums * 2 * (size_t)sweep->n_lines);
-    out->count = wanted && sums ? 0 : -1;
+    double *spacings = malloc(sizeof *spacings * (size_t)sweep->n_lines);
+    out->count = wanted && spacings ? 0 : -1;
     memset(out->index, 0xff, sizeof *out->index * readings);
     if (out->count < 0) goto done;
 
     /* valid readings and their extent */
     Extent extent = mark_valid(sweep, codes, out->valid);
-    out->line_spacing = typical_line_spacing(sweep, sums);
+    out->line_spacing = typical_line_spacing(sweep, spacings);
     if (extent.end_line == 0) {
-        out->noise[0] = isnan(out->noise[0]) ? DEFAULT_SIGMA : out->noise[0];
-        out->noise[1] = isnan(out->noise[1]) ? DEFAULT_GROWTH : out->noise[1];
-        out->noise[2] = isnan(out->noise[2]) ? 0 : out->noise[2];
+        const double usual[NOISES] = {DEFAULT_SIGMA, DEFAULT_GROWTH, 0, 1};
+        for (int k = 0; k < NOISES; k++)
+            out->noise[k] = isnan(out->noise[k]) ? usual[k] : out->noise[k];
         goto done;
     }
     for (size_t at = 0; keep && at < readings; at++) wanted[at] = out->valid[at] & keep[at];
@@ -89,11 +89,11 @@ static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8
     const uint8_t *valid = out->valid + offset, *wanted_part = (keep ? wanted : out->valid) + offset;
     int32_t *index = out->index + offset;
 
-    /* range noise and windows */
-    int jittery = isnan(out->noise[2]);
-    if (isnan(out->noise[0]))
-        estimate_range_noise(part.ranges, valid, part.n_lines, part.n_beams, part.stride, out->noise);
-    if (jittery) out->noise[2] = 0;
+    /* noise and windows */
+    if (estimate_noise(&part, valid, out->noise) < 0) {
+        out->count = -1;
+        goto done;
+    }
     const double angles[WINDOWS] = HALF_WINDOWS;
     int64_t half[WINDOWS][2];
     for (int k = 0; k < WINDOWS; k++) {
@@ -102,17 +102,7 @@ static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8
     }
     Windows windows = {WINDOWS, (const int64_t (*)[2])half};
 
-    /* surfels, jitter from their residuals, and both once more: with a known jitter larger windows fit */
     out->count = fit_surfels(&part, valid, wanted_part, out->noise, windows, out->rows, out->yaws, index);
-    for (int round = 0; round < 2 && jittery && out->count >= 0; round++) {
-        sum_line_residuals(&part, out->rows, index, sums);
-        double jitter = estimate_yaw_jitter(sums, part.n_lines);
-        out->noise[2] = jitter > out->noise[2] ? jitter : out->noise[2];
-        if (round > 0 || out->noise[2] == 0) break;
-        memset(out->index, 0xff, sizeof *out->index * readings);
-        out->count = fit_surfels(&part, valid, wanted_part, out->noise, windows, out->rows, out->yaws,
-                                 index);
-    }
 
     /* yaws relative to the middle of the sweep */
     double mean = 0;
@@ -122,6 +112,6 @@ static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8
     for (int64_t k = 0; k < out->count; k++) out->yaws[k] -= mean;
 done:
     free(wanted);
-    free(sums);
+    free(spacings);
     return out->count < 0 ? -1 : 0;
 }

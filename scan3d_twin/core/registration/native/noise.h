@@ -8,21 +8,28 @@
 #define MIN_SIGMA 0.0005        /* lower bound of range sigma [m]: half a millimetre's step */
 #define MIN_RANGE_VARIANCE 2.5e-4   /* of the quartiles' mean ranges, to fit a growth with range [m2] */
 #define MAD 1.4826              /* standard deviation per median absolute deviation */
+#define SQUARES 924.0           /* sum of the squares of the SIXTH: variance of a difference of unit noise */
+#define MAX_DEVIATION 3.0       /* of a difference, in standard deviations: beyond is an edge */
+#define MAX_CORRELATION 8.0     /* of the correlation's factor */
+#define TRUNCATED 2.5465        /* 8 / pi: the mean of a normal distribution cut off at 0, nearly */
+#define MIN_SLOPE 0.1           /* of the range over the yaw, for the jitter [m/rad] */
 #define EXPECTED_JITTER (0.1 * TAU / 360)   /* yaw jitter at which the estimate starts [rad] */
 #define MAX_SQUARE_RATIO 4.0    /* cap of a squared difference, in expected ones: beyond is a corner */
 #define CAPPED_SHARE 0.92       /* share of the mean square of normal errors that this cap leaves */
-#define MIN_FLAT_COSINE 0.97    /* between normals FLAT_LINES apart on a flat surface (14 deg) */
-#define MIN_SIGNIFICANCE 3.0    /* jitter counts if its square is this many times the square's error */
 
 enum {
-    BEAM_LAG = 2,               /* beams between readings of a difference: adjacent ones share light */
-    MIN_READINGS = 200,         /* second differences that an estimate needs */
+    REACH = 3,                  /* lines to each side that a sixth difference takes */
+    SLOPE_REACH = 2,            /* lines to each side that a slope takes */
+    MIN_READINGS = 200,         /* differences that an estimate needs */
     MAX_READINGS = 1200,        /* more are thinned out: this many give the estimate to 4 % */
     BINS = 256,                 /* of the histogram that finds the quartiles of the ranges */
-    FLAT_LINES = 3,             /* a surface is flat if its normals this many lines apart agree */
-    MIN_LINES = 10,             /* triples of lines that an estimate of the jitter needs */
+    LAGS = 6,                   /* beams within which the noise may be correlated */
+    FAR_LAG = 10,               /* beams apart, what is common to both is no range noise */
+    MIN_LINES = 10,             /* lines that an estimate of the jitter needs */
     REWEIGHTINGS = 3,           /* iterations of the jitter's estimate */
 };
+
+static const double SIXTH[2 * REACH + 1] = {-1, 6, -15, 20, -15, 6, -1};
 
 /* Return the k-th smallest of `n` values; reorders them. */
 static double select_smallest(double *values, int64_t n, int64_t k) {
@@ -66,34 +73,68 @@ static void assign_quartiles(const double *values, int64_t n, uint8_t *quartiles
         quartiles[k] = (uint8_t)((up_to[(int)((values[k] - low) * scale)] - 1) * 4 / n);
 }
 
-/* Write the range sigma at 0 m and its growth per metre. */
-static void estimate_range_noise(const double *ranges, const uint8_t *valid, int64_t n_lines,
-                                 int64_t n_beams, int64_t stride, double noise[2]) {
-    noise[0] = DEFAULT_SIGMA, noise[1] = DEFAULT_GROWTH;
-    int64_t whole = 0;
-    for (int64_t i = 0; i < n_lines; i++) {
-        const uint8_t *v = valid + i * stride;
-        int32_t in_line = 0;
-        for (int64_t j = BEAM_LAG; j < n_beams - BEAM_LAG; j++)
-            in_line += v[j - BEAM_LAG] & v[j] & v[j + BEAM_LAG];
-        whole += in_line;
+/* Sixth differences of the inverse range across seven lines, times the square of the range, and its
+ * slope over the yaw, likewise. Both are NaN where a line has no reading. */
+typedef struct {
+    double *difference, *slope;
+} Across;
+
+/* Return the difference of line i at beam j, given the sixth difference of the yaws; a plane gives 0. */
+static double difference_across(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j, double bend,
+                                double turn, double *slope) {
+    double sum = 0, inverse[2 * REACH + 1];
+    for (int k = -REACH; k <= REACH; k++) {
+        int64_t at = (i + k) * sweep->stride + j;
+        if (!valid[at]) return NAN;
+        inverse[REACH + k] = 1 / sweep->ranges[at];
+        sum += SIXTH[REACH + k] * inverse[REACH + k];
     }
+    double r = sweep->ranges[i * sweep->stride + j];
+    double per_yaw = (inverse[REACH + SLOPE_REACH] - inverse[REACH - SLOPE_REACH]) / turn;
+    *slope = r * r * per_yaw;
+    return r * r * (sum - per_yaw * bend);
+}
+
+/* Write differences and slopes of line i. */
+static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i, Across out) {
+    const double *middle = sweep->yaws + sweep->n_beams / 2;
+    double bend = 0, turn = middle[(i + SLOPE_REACH) * sweep->stride]
+                - middle[(i - SLOPE_REACH) * sweep->stride];
+    for (int k = -REACH; k <= REACH; k++) bend += SIXTH[REACH + k] * middle[(i + k) * sweep->stride];
+    for (int64_t j = 0; j < sweep->n_beams; j++) {
+        out.slope[j] = NAN;
+        out.difference[j] = turn == 0 ? NAN
+            : difference_across(sweep, valid, i, j, bend, turn, out.slope + j);
+    }
+}
+
+/* Write the range sigma at 0 m and its growth per metre. */
+static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, double noise[2]) {
+    noise[0] = DEFAULT_SIGMA, noise[1] = DEFAULT_GROWTH;
+    int64_t n_lines = sweep->n_lines, n_beams = sweep->n_beams, whole = 0;
+    for (int64_t i = REACH; i < n_lines - REACH; i++)
+        for (int64_t j = 0; j < n_beams; j++) whole += valid[i * sweep->stride + j];
     if (whole < MIN_READINGS) return;
 
-    /* second differences of inverse range */
+    /* sixth differences of inverse range */
+    const double *middle = sweep->yaws + n_beams / 2;
     int64_t step = whole / MAX_READINGS > 1 ? whole / MAX_READINGS : 1, next = 1, n = 0;
     double r[2 * MAX_READINGS], deviation[2 * MAX_READINGS], part[2 * MAX_READINGS];
     uint8_t quartiles[2 * MAX_READINGS];
-    for (int64_t i = 0; i < n_lines; i++)
-        for (int64_t j = BEAM_LAG; j < n_beams - BEAM_LAG; j++) {
-            const uint8_t *v = valid + i * stride + j;
-            if (!(v[-BEAM_LAG] & v[0] & v[BEAM_LAG]) || --next > 0) continue;
+    for (int64_t i = REACH; i < n_lines - REACH; i++) {
+        double bend = 0, slope, turn = middle[(i + SLOPE_REACH) * sweep->stride]
+                                     - middle[(i - SLOPE_REACH) * sweep->stride];
+        for (int k = -REACH; k <= REACH; k++) bend += SIXTH[REACH + k] * middle[(i + k) * sweep->stride];
+        for (int64_t j = 0; j < n_beams && turn != 0; j++) {
+            if (!valid[i * sweep->stride + j] || --next > 0) continue;
             next = step;
-            const double *at = ranges + i * stride + j;
-            r[n] = at[0];
-            double second = 1 / at[-BEAM_LAG] - 2 / at[0] + 1 / at[BEAM_LAG];
-            deviation[n++] = fabs(second) * at[0] * at[0] * (MAD / sqrt(6.0));
+            double found = difference_across(sweep, valid, i, j, bend, turn, &slope);
+            if (isnan(found)) continue;
+            r[n] = sweep->ranges[i * sweep->stride + j];
+            deviation[n++] = fabs(found) * (MAD / sqrt(SQUARES));
         }
+    }
+    if (n < MIN_READINGS / 2) return;
 
     /* median of each quartile by range */
     double share[4] = {0}, x[4] = {0}, y[4] = {0}, x_mean = 0, y_mean = 0, spread = 0, slope = 0;
@@ -119,56 +160,72 @@ static void estimate_range_noise(const double *ranges, const uint8_t *valid, int
     noise[0] = at_zero > MIN_SIGMA ? at_zero : MIN_SIGMA, noise[1] = slope;
 }
 
-/* Return whether two surfels have nearly the same normal. */
-static int is_flat(const double *a, const double *b) {
-    return a[NX] * b[NX] + a[NY] * b[NY] + a[NZ] * b[NZ] > MIN_FLAT_COSINE;
-}
-
-/* Write sum w l e and sum w l^2 of each line over its flat surfels (n_lines, 2): see scan_noise.py. */
-static void sum_line_residuals(const Sweep *sweep, const double *rows, const int32_t *index,
-                               double *sums) {
-    double *turns = malloc(sizeof *turns * (size_t)(2 * sweep->n_beams));
-    memset(sums, 0, sizeof *sums * 2 * (size_t)sweep->n_lines);
-    for (int64_t i = FLAT_LINES; turns && i < sweep->n_lines - FLAT_LINES; i++) {
-        const int32_t *here = index + i * sweep->stride;
-        int turned = 0;
-        for (int64_t j = 0; j < sweep->n_beams; j++) {
-            int32_t before = here[j - FLAT_LINES * sweep->stride];
-            int32_t after = here[j + FLAT_LINES * sweep->stride];
-            if (here[j] < 0 || before < 0 || after < 0) continue;
-            if (!turned) turn_line(sweep->yaws + i * sweep->stride, sweep->n_beams, turns);
-            turned = 1;
-            const double *row = rows + SURFEL * here[j];
-            if (!is_flat(row, rows + SURFEL * before) || !is_flat(row, rows + SURFEL * after)) continue;
-
-            /* residual, and its derivative by yaw */
-            double c = turns[j], s = turns[sweep->n_beams + j];
-            double x = row[X] - (c * sweep->lever[0] - s * sweep->lever[1]);
-            double y = row[Y] - (s * sweep->lever[0] + c * sweep->lever[1]);
-            double z = row[Z] - sweep->lever[2];
-            double share = sweep->ranges[i * sweep->stride + j] / sqrt(x * x + y * y + z * z) - 1;
-            double e = share * (x * row[NX] + y * row[NY] + z * row[NZ]);
-            double swing = row[NY] * row[X] - row[NX] * row[Y];
-            sums[2 * i] += swing / row[VARIANCE] * e;
-            sums[2 * i + 1] += swing / row[VARIANCE] * swing;
+/* Return the factor on the variance of a mean along a line for the noise's correlation between beams:
+ * 1 + 2 sum rho_k. What beams FAR_LAG apart have in common is the yaw error of their lines. */
+static double estimate_correlation(const Sweep *sweep, const uint8_t *valid, const double noise[2],
+                                   Across line) {
+    double sums[FAR_LAG + 1] = {0};
+    int64_t counts[FAR_LAG + 1] = {0}, n_beams = sweep->n_beams;
+    int64_t step = sweep->n_lines * n_beams / (16 * MAX_READINGS);
+    for (int64_t i = REACH; i < sweep->n_lines - REACH; i += step > 1 ? step : 1) {
+        difference_line(sweep, valid, i, line);
+        for (int64_t j = 0; j < n_beams; j++) {
+            double r = sweep->ranges[i * sweep->stride + j];
+            double z = line.difference[j] / (sqrt(SQUARES) * (noise[0] + noise[1] * r));
+            line.difference[j] = fabs(z) <= MAX_DEVIATION ? z : NAN;
         }
+        for (int64_t j = 0; j < n_beams; j++)
+            for (int lag = 0; lag <= FAR_LAG && j + lag < n_beams; lag++) {
+                double product = line.difference[j] * line.difference[j + lag];
+                if (isnan(product)) continue;
+                sums[lag] += product, counts[lag]++;
+            }
     }
-    free(turns);
+    if (counts[FAR_LAG] < MIN_READINGS) return 1;
+    double common = sums[FAR_LAG] / (double)counts[FAR_LAG], factor = 1;
+    double own = sums[0] / (double)counts[0] - common;
+    for (int lag = 1; lag < LAGS; lag++)
+        factor += 2 * (sums[lag] / (double)counts[lag] - common) / own;
+    return factor > 1 ? factor < MAX_CORRELATION ? factor : MAX_CORRELATION : 1;
 }
 
-/* Return the yaw jitter of the lines, a standard deviation, from the sums of `sum_line_residuals`; 0 if it
- * is not significant. */
-static double estimate_yaw_jitter(const double *sums, int64_t n_lines) {
-    double *square = malloc(sizeof *square * 2 * (size_t)n_lines), *expected = square + n_lines;
+/* Return the yaw jitter of the lines, a standard deviation: see scan_noise.py. `lines` has room for the
+ * differences and slopes of 2 REACH + 1 lines. */
+static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, const double noise[3],
+                                  Across *lines) {
+    enum { N = 2 * REACH + 1 };
+    double *square = malloc(sizeof *square * 2 * (size_t)sweep->n_lines);
+    double *expected = square + sweep->n_lines;
     int64_t n = 0;
+    for (int64_t i = REACH; square && i < sweep->n_lines - REACH; i++) {
+        difference_line(sweep, valid, i, lines[i % N]);
+        int64_t at = i - REACH;     /* the line in work: its neighbours' slopes are known */
+        if (at < 2 * REACH) continue;
 
-    /* second differences of the lines' yaw errors */
-    for (int64_t i = 0; square && i + 2 < n_lines; i++) {
-        const double *s = sums + 2 * i;
-        if (!(s[1] > 0 && s[3] > 0 && s[5] > 0)) continue;
-        double second = s[0] / s[1] - 2 * s[2] / s[3] + s[4] / s[5];
-        square[n] = second * second / 6;
-        expected[n++] = (1 / s[1] + 4 / s[3] + 1 / s[5]) / 6;
+        /* regression of the line's differences on the slope, and what each line's error adds to it */
+        double onto = 0, own = 0, shared[N] = {0};
+        const double *difference = lines[at % N].difference, *slope = lines[at % N].slope;
+        for (int64_t j = 0; j < sweep->n_beams; j++) {
+            double sigma = noise[0] + noise[1] * sweep->ranges[at * sweep->stride + j];
+            double limit = sqrt(SQUARES) * (MAX_DEVIATION * sigma
+                         + 3 * EXPECTED_JITTER * fabs(slope[j]));
+            if (!(fabs(difference[j]) < limit) || !(fabs(slope[j]) > MIN_SLOPE)) continue;
+            double w = 1 / (sigma * sigma), products[N];
+            int whole = 1;
+            for (int k = 0; k < N; k++) {
+                products[k] = w * slope[j] * lines[(at + k - REACH) % N].slope[j];
+                whole &= !isnan(products[k]);
+            }
+            if (!whole) continue;
+            onto += w * slope[j] * difference[j], own += w * slope[j] * slope[j];
+            for (int k = 0; k < N; k++) shared[k] += products[k];
+        }
+        if (!(own > 0)) continue;
+        double gain = 0;
+        for (int k = 0; k < N; k++)
+            gain += SIXTH[k] * SIXTH[k] * (shared[k] / own) * (shared[k] / own);
+        square[n] = onto / own * (onto / own) / gain;
+        expected[n++] = SQUARES * noise[2] / own / gain;
     }
 
     /* excess over range noise, reweighted */
@@ -180,13 +237,30 @@ static double estimate_yaw_jitter(const double *sums, int64_t n_lines) {
             double likely = expected[k] + jitter, weight = 1 / (likely * likely);
             double capped = square[k] < MAX_SQUARE_RATIO * likely ? square[k] : MAX_SQUARE_RATIO * likely;
             excess += weight * (capped / CAPPED_SHARE - expected[k]);
-            variance += weight * expected[k] * weight * expected[k];
+            variance += 2 * weight * likely * weight * likely;
             weights += weight;
         }
         excess /= weights;
-        jitter = excess > 0 ? excess : 0;
-        error = sqrt(4 * variance) / weights;
+        error = sqrt(SQUARES / 400 * variance) / weights;
+        jitter = (excess + sqrt(excess * excess + TRUNCATED * error * error)) / 2;
     }
     free(square);
-    return excess > MIN_SIGNIFICANCE * error ? sqrt(excess) : 0;
+    return n < MIN_LINES ? 0 : sqrt(jitter);
+}
+
+/* Write the noise of a sweep where it is NaN: range sigma at 0 m, its growth per metre, the factor for
+ * correlated beams and the sigma of a line's yaw. Return 0, or -1 if memory runs out. */
+static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise[NOISES]) {
+    enum { N = 2 * REACH + 1 };
+    size_t beams = (size_t)sweep->n_beams;
+    double *room = malloc(sizeof *room * 2 * N * beams);
+    if (!room) return -1;
+    Across lines[N];
+    for (size_t k = 0; k < N; k++) lines[k] = (Across){room + 2 * k * beams, room + (2 * k + 1) * beams};
+    if (isnan(noise[RANGE_SIGMA])) estimate_range_noise(sweep, valid, noise);
+    if (isnan(noise[CORRELATION])) noise[CORRELATION] = estimate_correlation(sweep, valid, noise, lines[0]);
+    const double known[3] = {noise[RANGE_SIGMA], noise[RANGE_GROWTH], noise[CORRELATION]};
+    if (isnan(noise[YAW_SIGMA])) noise[YAW_SIGMA] = estimate_yaw_jitter(sweep, valid, known, lines);
+    free(room);
+    return 0;
 }

@@ -138,6 +138,14 @@ static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, cons
     }
 }
 
+/* Set what lies behind `n` pairs, up to the next whole lane, to 0. */
+static void clear_rest(int64_t n, Chunk *w) {
+    for (int64_t k = n; k < whole_lanes(n); k++) {
+        for (int i = 0; i < STATE; i++) w->J[i][k] = 0;
+        w->a[0][k] = w->a[1][k] = w->a[2][k] = w->e[k] = w->weight[k] = w->normal_weight[k] = 0;
+    }
+}
+
 /* Sums over the pairs of a source line for the marginalisation of its yaw error: see point_to_plane.py. */
 typedef struct {
     int32_t line;
@@ -262,10 +270,7 @@ static void build_equations(const Target *target, const Sample *sample, const do
         associate(target, points, points + sample->room, points + 2 * sample->room, n, T, w);
         gather(target, n, w);
         linearise_pairs(sample, first, n, T, nuisances, gate, noise, w, sums);
-        for (int64_t k = n; k < whole_lanes(n); k++) {
-            for (int i = 0; i < STATE; i++) w->J[i][k] = 0;
-            w->a[0][k] = w->a[1][k] = w->a[2][k] = w->e[k] = w->weight[k] = w->normal_weight[k] = 0;
-        }
+        clear_rest(n, w);
 
         /* sums */
         if (jittery) add_line_errors(n, sample->lines + first, columns, stride, w, &line, sums);

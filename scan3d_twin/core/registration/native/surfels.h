@@ -132,8 +132,8 @@ typedef struct {
 /* Fit planes to windows of `half` beams to either side and keep those that fit for open readings; return
  * how many stay open. */
 static int64_t fit_planes(const Strip *strip, int64_t half, double height, double yaw_variance,
-                          Block *restrict w) {
-    const double per_line = 1 + MAX_RSS_SIGMAS * sqrt(2.0 / (double)strip->lines);
+                          double correlation, Block *restrict w) {
+    const double lines = (double)strip->lines, per_line = 1 + MAX_RSS_SIGMAS * sqrt(2.0 / lines);
     double moments[MOMENTS][BLOCK], area[BLOCK], made[SURFEL][BLOCK], taken[BLOCK];
     const int64_t left = strip->margin + w->first - half, right = left + 2 * half + 1;
 
@@ -173,9 +173,9 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
 
         /* does the plane fit? */
         double rss = qq - mx * bx - my * by - mz * bz, swing = my * x - mx * y;
-        double by_yaw = readings * q * q * swing * swing * yaw_variance * per_line;
+        double by_yaw = readings * q * q * swing * swing * yaw_variance;
         double free = readings - 3 > 1 ? readings - 3 : 1;
-        double most = scatter * (free + MAX_RSS_SIGMAS * sqrt(2 * free)) + by_yaw;
+        double most = scatter * (free + MAX_RSS_SIGMAS * sqrt(2 * free)) + by_yaw * per_line;
         int fits = (w->open[k] > 0) & (readings >= MIN_FILLED_SHARE * area[k]) & (readings > 5)
                  & (r > 0) & (rss <= most) & (det > 1e-12 * trace * trace * trace)
                  & (along * along > MIN_COSINE * MIN_COSINE * square);
@@ -188,7 +188,7 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
         made[X][k] = x, made[Y][k] = y, made[Z][k] = z;
         made[NX][k] = towards * mx, made[NY][k] = towards * my, made[NZ][k] = towards * mz;
         made[VARIANCE][k] = by_range / square;
-        made[NORMAL_VARIANCE][k] = tangents * scatter / (2 * square);
+        made[NORMAL_VARIANCE][k] = tangents * (scatter * correlation + by_yaw / lines) / (2 * square);
         taken[k] = fits ? 1 : 0;
     }
 
@@ -239,7 +239,7 @@ static Sweep crop_to_windows(const Sweep *sweep, const uint8_t *keep, int64_t ta
 /* Write the surfels of the readings to `keep`; return their number, or -1 if memory runs out. `index` is
  * written only where there is a surfel. */
 static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8_t *keep,
-                           const double noise[3], Windows windows, double *rows, double *of_rows,
+                           const double noise[NOISES], Windows windows, double *rows, double *of_rows,
                            int32_t *index) {
     int64_t tallest = 0, margin = 0, count = 0, summed = 0;
 
@@ -282,8 +282,8 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
             int64_t open = read_block(&needed, i, wanted, turned, noise, first, &w);
             if (open == 0) continue;
             for (int64_t k = 0; k < windows.count && open > 0; k++)
-                open = fit_planes(&strips[k], windows.half[k][1], sweep->lever[2], noise[2] * noise[2],
-                                  &w);
+                open = fit_planes(&strips[k], windows.half[k][1], sweep->lever[2],
+                                  noise[YAW_SIGMA] * noise[YAW_SIGMA], noise[CORRELATION], &w);
             count = append_surfels(&w, wanted, sweep->yaws + i * stride, n_beams, count, rows, of_rows,
                                    index + i * stride);
         }
