@@ -33,10 +33,11 @@ from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
-from scan3d_twin.core.registration.clouds import Tree, is_near, prepare_cloud
+from scan3d_twin.core.registration.clouds import prepare_cloud
 from scan3d_twin.core.registration.edges import Edges, linearise_edges
 from scan3d_twin.core.registration.free_space import _sum_violations
 from scan3d_twin.core.registration.gauss_newton import Criteria, Problem, align, follow_starts
+from scan3d_twin.core.registration.kd_tree import Tree, is_near
 from scan3d_twin.core.registration.multistart import spread_starts
 from scan3d_twin.core.registration.native import Engine, engine
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
