@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import open3d as o3d
 import small_gicp
+from genz_icp.config import GenZConfig
+from genz_icp.mapping import get_voxel_hash_map
+from genz_icp.registration import get_registration
 
 Peer = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 REACH = 0.10
 """Correspondence distance [m]."""
+KERNEL = 0.03
+"""Scale of the robust kernels that take one [m]."""
 
 
 def _small(kind: str, downsample: float, threads: int = 1, neighbours: int = 20) -> Peer:
@@ -79,12 +87,46 @@ def _open3d(kind: str, neighbours: int = 30) -> Peer:
             "plane": registration.TransformationEstimationPointToPlane,
             "symmetric": registration.TransformationEstimationPointToPlane,
             "tukey": lambda: registration.TransformationEstimationPointToPlane(
-                registration.TukeyLoss(k=0.03)
+                registration.TukeyLoss(k=KERNEL)
             ),
         }[kind]()
         return registration.registration_icp(b, a, REACH, init, estimation, criteria).transformation
 
     return run
+
+
+def _genz(voxel: float, per_voxel: int) -> Peer:
+    """GenZ-ICP (Lee et al., RA-L 2024): point to plane and to point, weighed by planarity.
+
+    Its odometry registers a scan to a map of voxels; here the map is the target.
+    """
+    config = GenZConfig()
+    config.mapping.voxel_size, config.mapping.max_points_per_voxel = voxel, per_voxel
+    config.registration.max_num_threads = 1
+
+    def run(target: np.ndarray, source: np.ndarray, init: np.ndarray) -> np.ndarray:
+        with _silence():
+            voxels = get_voxel_hash_map(config)
+            voxels.update(target)
+            registration = get_registration(config)
+            found = registration.align_points_to_map(source, voxels, init, REACH, KERNEL)
+        return np.asarray(found)
+
+    return run
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep what GenZ-ICP prints about each registration off standard output."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
 
 
 PEERS: dict[str, Peer] = {
@@ -96,4 +138,6 @@ PEERS: dict[str, Peer] = {
     "open3d point to plane k30": _open3d("plane"),
     "open3d point to plane k100, Tukey": _open3d("tukey", 100),
     "open3d GICP": _open3d("gicp"),
+    "genz-icp 3 cm": _genz(0.03, 20),
+    "genz-icp 2 cm": _genz(0.02, 20),
 }

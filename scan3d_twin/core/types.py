@@ -413,7 +413,8 @@ class RegistrationResult:
 
     Attributes:
         T_target_source: The pose (4, 4).
-        covariance: Covariance of x, y, z [m] and rx, ry, rz [rad] about the target's origin (6, 6).
+        covariance: Covariance of x, y, z [m] and rx, ry, rz [rad] about the target's origin (6, 6);
+            of clouds without a prior infinite where an undetermined direction points.
         information: Information matrix (6, 6): the inverse of the covariance on the estimated
             directions, 0 on the others.
         fitness: Share of source points with a correspondence, 0..1.

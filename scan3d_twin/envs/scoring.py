@@ -15,7 +15,7 @@ from scan3d_twin.core.model.evaluation import (
     measure_displacement,
 )
 from scan3d_twin.core.model.fused_cloud import find_supported, thin_by_voxel
-from scan3d_twin.core.registration.clouds import is_near
+from scan3d_twin.core.registration.kd_tree import is_near
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.envs.prepared_scenes import PreparedScene, find_coverable

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.neighbours import find_nearest
-from scan3d_twin.core.registration.clouds import Tree
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.scan_noise import estimate_noise
 from scan3d_twin.core.scanning.mixed_pixels import MAX_INCIDENCE, RANGE_NOISE

@@ -1,182 +1,112 @@
 """Registration of unorganised point clouds, for scans without lines and beams.
 
-Point-to-plane: source points p against planes through the k nearest neighbours of target points
-(centroid c, unit normal n), maximum a posteriori as in ``gauss_newton``:
+Both clouds are reduced to flat patches at several resolutions (``cloud_patches``), whose pairs give
+symmetric point-to-plane residuals (``cloud_pairs``); Gauss-Newton with a robust kernel moves the
+source, coarse to fine.
 
-    e = n . (R p + t - c),   J = (n, a x n),  a = R p,
-    w = (c^2 / (c^2 + e^2 / s^2))^2 / (2 s^2),
+**Coarse to fine.** From the coarsest level that still shows objects down to the finest, with a gate
+that shrinks to three sides of a cell. The scale of the kernel is the spread of the residuals, which
+still hold the misalignment. No direction is dropped: damping holds those without information.
 
-with s the robust spread of the residuals (1.4826 MAD), since the noise of a cloud is not known in
-advance. The variance is 2 s^2 because each target point is as noisy, and takes part in as many
-pairs as it has neighbours. The normal of a plane fit has the variance s^2 / (k l), with l the
-variance along the tangents; the spurious information that it adds is removed as in
-``gauss_newton``. The bias of such normals towards the ray is not modelled, so the covariance is a
-lower bound; sweeps do better on their grid.
+**Last level.** Each patch takes part at the finest level at which it is flat. The scale of the
+kernel is the standard deviation of the residual by the patches' own noise, times the spread of the
+standardised residuals, at least 1. Windows overlap, so that a pair carries only the information of
+the points of its cell: its weight is 1 / (v_s / f_s + v_t / f_t), with v the variances by source
+and target and f the points of a cell per point of a window.
 
-``native/clouds.h`` finds the neighbours and fits the planes.
+**Degeneracy.** J_s and J_t, by the normal of the source and of the target, have independent errors,
+so that J_s J_t^T has no spurious part where J J^T has one. The sum of w D D^T with
+D = (J_s - J_t) / 2 is their difference: what noise, curvature and lateral offsets fake. A direction
+v counts as determined if v^T H v >= 2 v^T H_spurious v, as for sweeps (``gauss_newton``), and this
+is asked only once the iteration has come to rest. What both clouds share is not seen by it, such as
+a bias of normals towards rays that come the same way.
+
+**Undetermined directions** follow the prior. Without one they stay as guessed, and their variance
+is infinite (``undetermined``), as is ``predicted_rmse``.
+
+**Doubt.** Where less than ``SURE_INLIERS`` of the source lies on the target, more starts are tried.
+Basins are judged by what does not fit and by the free space of either cloud (``panorama``). A
+result has converged if the steps are small, something is determined, neither cloud has more than
+``MAX_CONTRADICTION`` of its patches in the other's free space, and no other basin is as good.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.algebra import find_determined, invert_information
-from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Criteria, Dof
-from scan3d_twin.core.registration.native import MAX_NEIGHBOURS, ByteArray, engine
-from scan3d_twin.core.registration.point_to_plane import (
-    MIN_NORMAL_COSINE,
-    compute_jacobian,
-    spurious_information,
+from scan3d_twin.core.registration.cloud_pairs import (
+    DIFFERENCE,
+    JACOBIAN,
+    MIN_SPREAD,
+    PAIR,
+    RESIDUAL,
+    SOURCE_VARIANCE,
+    TARGET_VARIANCE,
+    pair_patches,
+    robust_spread,
+    standardise,
+    weigh,
 )
+from scan3d_twin.core.registration.cloud_patches import POINT, Cloud, Level, prepare_cloud
+from scan3d_twin.core.registration.gauss_newton import (
+    MIN_PAIRS,
+    SAME_BASIN,
+    Criteria,
+    Dof,
+    distance_between,
+)
+from scan3d_twin.core.registration.multistart import spread_normal
 from scan3d_twin.core.registration.pose_prior import (
     PLANAR,
     PosePrior,
+    deviation,
     displace,
     predict_rmse,
     shift_to_target,
 )
-from scan3d_twin.core.types import (
-    BoolArray,
-    FloatArray,
-    RegistrationResult,
-    SmallIntArray,
-    read_only,
-)
+from scan3d_twin.core.registration.undetermined import with_infinite_variance
+from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
-NEIGHBOURS = 20
-"""Number of points a plane is fitted to; the default of small_gicp and of PCL's tutorials."""
-MIN_POINTS = 50
-"""Least number of finite points in a cloud."""
-ROBUST_SCALE = 3.0
-"""Scale c of the robust kernel, in s; wider than for sweeps, as s includes the outliers."""
-MIN_SPREAD = 1e-4
-"""Least s [m], so that noise-free clouds keep finite weights."""
+WIDEST_GATE = 2.0
+"""Widest first gate [m]; smaller for small clouds."""
+WIDEST_SHARE = 0.5
+"""Widest first gate, in the RMS radius of the target: a guess off by more is no guess."""
+PRIOR_GATE = 3.0
+"""First gate, in the RMS displacement of the source that the prior expects."""
 GATE_FACTOR = 0.7
-"""Factor on the gate from one step to the next."""
-FINAL_GATE = 6.0
-"""Least gate, in s."""
-
-
-@dataclass(frozen=True)
-class Tree:
-    """A k-d tree of points.
-
-    Attributes:
-        points: In the order of the tree (n, 3) [m].
-        order: Index of each point before sorting (n,).
-        axes: Axis along which each point splits its part of the tree (n,); leaves have none.
-    """
-
-    points: FloatArray
-    order: SmallIntArray
-    axes: ByteArray
-
-    @staticmethod
-    def of(points: FloatArray) -> Tree:
-        """Return the tree of ``points`` (n, 3), all finite."""
-        n = len(points)
-        tree = Tree(np.empty((n, 3)), np.empty(n, np.int32), np.zeros(n, np.uint8))
-        engine.build_tree(points, n, tree.points, tree.order, tree.axes)
-        return tree
-
-    def nearest(self, points: FloatArray, k: int) -> tuple[FloatArray, SmallIntArray]:
-        """Return squared distances [m2] and indices (m, k) of the k nearest neighbours of points.
-
-        Nearest first; infinity and -1 where the tree has fewer points.
-
-        Raises:
-            ConfigError: k is not 1 to 64.
-        """
-        _check_neighbours(k)
-        squares, indices = np.empty((len(points), k)), np.empty((len(points), k), np.int32)
-        engine.find_nearest(
-            self.points, self.order, self.axes, len(self.points), np.ascontiguousarray(points),
-            len(points), k, squares, indices,
-        )  # fmt: skip
-        return squares, indices
-
-    def fit_planes(self, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Fit a plane to the k nearest neighbours of each point of the tree, itself included.
-
-        Returns:
-            Centroids (n, 3) [m]; unit normals (n, 3) of either sign, the directions of least
-            variance (Hoppe et al., SIGGRAPH 1992); and the two smaller variances (n, 2) [m2].
-
-        Raises:
-            ConfigError: k is not 1 to 64.
-        """
-        _check_neighbours(k)
-        n = len(self.points)
-        centroids, normals, variances = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 2))
-        engine.fit_neighbourhoods(
-            self.points, self.order, self.axes, n, k, centroids, normals, variances
-        )
-        return centroids, normals, variances
-
-
-def _check_neighbours(k: int) -> None:
-    """Refuse a number of neighbours that the engine has no room for."""
-    if not 1 <= k <= MAX_NEIGHBOURS:
-        raise ConfigError(f"the number of neighbours must be 1 to {MAX_NEIGHBOURS}, got {k}")
-
-
-def is_near(places: FloatArray, points: FloatArray, within: float) -> BoolArray:
-    """Return whether each of ``places`` (m, 3) has one of ``points`` (n, 3) within a radius [m].
-
-    ``native/near.h`` sorts the points into cubes, which is faster than a k-d tree for this.
-    """
-    near = np.empty(len(places), dtype=bool)
-    places, points = np.ascontiguousarray(places), np.ascontiguousarray(points)
-    if engine.find_near(points, len(points), places, len(places), within, near) < 0:
-        raise MemoryError
-    return near
-
-
-@dataclass(frozen=True)
-class Cloud:
-    """Points with the planes through their neighbours.
-
-    Attributes:
-        points: Points (n, 3) [m].
-        centroids: Centroids of each point's neighbours (n, 3) [m].
-        normals: Unit normals towards the origin, which is the viewpoint (n, 3).
-        tilt: Variance of each normal per variance of the range noise (n,) [rad2/m2].
-        tree: k-d tree of ``points``.
-    """
-
-    points: FloatArray
-    centroids: FloatArray
-    normals: FloatArray
-    tilt: FloatArray
-    tree: Tree
-
-
-def prepare_cloud(points: FloatArray) -> Cloud:
-    """Fit planes to a cloud (n, 3) [m] seen from its origin; NaN rows are left out.
-
-    Raises:
-        ConfigError: The array has another shape.
-        RegistrationError: The cloud has too few finite points.
-    """
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ConfigError(f"a cloud has shape (n, 3), got {points.shape}")
-    points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
-    if len(points) < MIN_POINTS:
-        raise RegistrationError(
-            f"the cloud has {len(points)} finite points, {MIN_POINTS} are needed"
-        )
-
-    # Fit planes, facing the viewpoint.
-    tree = Tree.of(points)
-    centroids, normals, variances = tree.fit_planes(NEIGHBOURS)
-    normals *= np.where(np.sum(normals * points, axis=1) > 0, -1.0, 1.0)[:, None]
-    tilt = 1.0 / (NEIGHBOURS * np.maximum(variances[:, 1] - variances[:, 0], 1e-9))
-    return Cloud(points, centroids, normals, tilt, tree)
+"""Factor on the gate from one coarse step to the next."""
+COARSE_GATE, LAST_GATE = 3.0, 2.0
+"""Least gate of the coarse steps and gate of the last ones, in sides of a cell."""
+COARSE_STEPS = 15
+"""Most steps on a coarse level."""
+COARSEST = 0.5
+"""Largest gate of the coarsest level in use, in the first gate: larger cells show no objects."""
+COARSE_MOTION = 0.1
+"""Motion below which a coarse level has converged, in sides of a cell."""
+EXTRA_STARTS = 8
+"""Starts besides the guess, where a single one leaves doubt."""
+START_SIGMA, START_TURN = 0.35, math.radians(5.0)
+"""Spread of the starts without a prior, in first gates and in rad."""
+SURE_INLIERS = 0.85
+"""Share of the source on the target above which one start is enough."""
+MAX_CONTRADICTION = 0.01
+"""Largest contradiction of a right pose: in simulated scenes right ones have up to 0.003, wrong
+ones 0.017 to 0.13."""
+MIN_INLIERS = 0.3
+"""Least share of the source on the target of a right pose."""
+INLIER = 3.0
+"""Largest residual of an inlier, in spreads."""
+MIN_GAP = 0.02
+"""Least significant gap in misfit between two basins."""
+DAMPING = 1e-3
+"""Damping of the coarse steps, as a share of the largest information."""
 
 
 def register_clouds(
@@ -187,6 +117,7 @@ def register_clouds(
     prior: PosePrior | None = None,
     dof: Dof = "planar",
     criteria: Criteria | None = None,
+    starts: int = 1,
 ) -> RegistrationResult:
     """Register the cloud ``source`` to the cloud ``target``.
 
@@ -196,27 +127,43 @@ def register_clouds(
         init_T_target_source: Initial guess (4, 4); by default the prior's mean, else identity.
         prior: Prior distribution of the pose; it decides in directions the clouds leave free.
         dof: ``planar`` estimates x, y and theta, ``se3`` all six.
-        criteria: Convergence criteria and the first gate.
+        criteria: Convergence criteria and the first gate; by default the gate is as wide as the
+            prior expects, else half the target's radius, at most 2 m.
+        starts: Number of starts, spread over the prior, or without one about the guess. A single
+            one is followed by others where its result leaves doubt.
 
     Raises:
         ConfigError: A pose or a shape is wrong.
         RegistrationError: A cloud is too small, or the two do not overlap.
     """
-    criteria = criteria or Criteria()
     if dof not in ("planar", "se3"):
         raise ConfigError(f"dof must be planar or se3, got {dof!r}")
+    if starts < 1:
+        raise ConfigError(f"starts must be >= 1, got {starts}")
+    init = _first_guess(init_T_target_source, prior)
+    pair = _Pair(_as_cloud(target), _as_cloud(source), prior, dof, criteria)
+    if pair.finest > pair.coarsest:
+        raise RegistrationError(
+            "the clouds are too unlike in size and density: they have no resolution in common"
+        )
 
-    # Iterate, tightening the gate.
-    pair = _Pair(_as_cloud(target), _as_cloud(source), prior, dof)
-    T, gate = _first_guess(init_T_target_source, prior), criteria.max_correspondence_distance
-    iterations, settled = 0, False
-    while not settled and iterations < criteria.max_iterations:
-        step = pair.step(T, gate)
-        T = displace(T, step.motion)
-        last = FINAL_GATE * step.spread
-        settled = gate <= last and _is_small(step.motion, criteria)
-        gate, iterations = min(gate, max(last, GATE_FACTOR * gate)), iterations + 1
-    return pair.result(T, step, iterations, settled)
+    # One start, if nearly all patches fit.
+    basins = pair.refine(pair.align_coarsely(init), init)
+    if starts == 1 and basins and basins[0].plausible and basins[0].inliers >= SURE_INLIERS:
+        return basins[0].result
+
+    # Others, aligned finely where they lead elsewhere.
+    count = max(starts, EXTRA_STARTS)
+    for start in pair.spread_starts(init, count):
+        T = pair.align_coarsely(start)
+        if all(pair.is_apart(T, basin.result.T_target_source) for basin in basins):
+            basins += pair.refine(T, init)
+    if not basins:
+        raise RegistrationError(
+            f"no overlap: none of {count + 1} starts found {MIN_PAIRS} pairs of patches; "
+            "give a better init_T_target_source"
+        )
+    return pair.choose(basins, init)
 
 
 def _as_cloud(cloud: Cloud | FloatArray) -> Cloud:
@@ -231,112 +178,358 @@ def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray
     return init
 
 
-def _is_small(motion: FloatArray, criteria: Criteria) -> bool:
-    return (
-        float(np.linalg.norm(motion[:3])) < criteria.translation_epsilon
-        and float(np.linalg.norm(motion[3:])) < criteria.rotation_epsilon
-    )
+@dataclass(frozen=True)
+class _Basin:
+    """Where the steps from a start ended.
+
+    Attributes:
+        result: The result there.
+        inliers: Share of the source's patches that lie on the target's, 0..1.
+        contradiction: Share of the patches of either cloud in the other's free space, 0..1.
+    """
+
+    result: RegistrationResult
+    inliers: float
+    contradiction: float
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the clouds may lie like this."""
+        free = self.contradiction <= MAX_CONTRADICTION and self.inliers >= MIN_INLIERS
+        return free and self.result.converged
+
+    @property
+    def misfit(self) -> float:
+        """Score to choose by: what does not fit, and what cannot be."""
+        return 1.0 - self.inliers + min(1.0, self.contradiction / MAX_CONTRADICTION)
 
 
 @dataclass(frozen=True)
-class _Step:
-    """A Gauss-Newton step and its normal equations.
+class _Share:
+    """The patches of one level of the source that take part in the last steps.
 
     Attributes:
-        motion: Step in x y z rx ry rz about the viewpoint (6,).
-        information: Information matrix, less the spurious share (6, 6).
-        degenerate: Directions that the clouds do not determine (k, 6).
-        pairs: Number of correspondences.
-        spread: Robust spread of their residuals [m].
-        rmse: RMS of their residuals [m].
+        level: Level of the target to pair with.
+        patches: Patches of the source (k, PATCH).
+        fractions: Share of the points of each cell that counts, 0..1 (k,).
+        own_share: Points of a cell per point of a window, of the source.
     """
 
-    motion: FloatArray
-    information: FloatArray
-    degenerate: FloatArray
-    pairs: int
+    level: Level
+    patches: FloatArray
+    fractions: FloatArray
+    own_share: float
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Pairs of the last level, weighted.
+
+    Attributes:
+        pairs: Pairs (m, PAIR).
+        weights: Robust information of each pair (m,) [1/m2].
+        spread: Spread of the residuals, in the standard deviations expected of them; at least 1.
+    """
+
+    pairs: FloatArray
+    weights: FloatArray
     spread: float
-    rmse: float
+
+    @property
+    def residuals(self) -> FloatArray:
+        """Distances along the mean normals (m,) [m]."""
+        return self.pairs[:, RESIDUAL]
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """Two clouds to register, the prior, and the estimated entries."""
+    """Two clouds to register, the prior, and the options."""
 
     target: Cloud
     source: Cloud
     prior: PosePrior | None
     dof: Dof
+    criteria: Criteria | None
 
-    def step(self, T: FloatArray, gate: float) -> _Step:
-        """Return the Gauss-Newton step at ``T`` (4, 4) from pairs within ``gate`` [m]."""
-        # Residuals and robust weights.
-        a, n, e, tilt = self._pairs(T, gate)
-        scale = max(MIN_SPREAD, 1.4826 * float(np.median(np.abs(e - np.median(e)))))
-        w = (ROBUST_SCALE**2 / (ROBUST_SCALE**2 + (e / scale) ** 2)) ** 2 / (2 * scale**2)
-        J = compute_jacobian(a.T, n.T)
+    @property
+    def dims(self) -> tuple[int, ...]:
+        """The estimated entries of x y z rx ry rz."""
+        return PLANAR if self.dof == "planar" else (0, 1, 2, 3, 4, 5)
 
-        # Normal equations and their degeneracy.
-        dims = PLANAR if self.dof == "planar" else tuple(range(6))
-        rows, block = list(dims), np.ix_(dims, dims)
-        H, g = ((J * w) @ J.T)[block], (J @ (w * e))[rows]
-        spurious = spurious_information(w * tilt * scale**2, a.T, J)[block]
-        reach = math.sqrt(float(np.mean(np.sum(a * a, axis=1))))
-        kept, honest, dropped = find_determined(H, spurious, reach)
+    @cached_property
+    def finest(self) -> int:
+        """Exponent of the finest level that both clouds have."""
+        return max(self.target.finest, self.source.finest)
 
-        # Solve with the prior.
-        prior, pull = self._prior(T, dims)
-        motion, information = np.zeros(6), np.zeros((6, 6))
-        motion[rows] = -invert_information(kept @ H @ kept.T + prior) @ (kept @ g + pull)
-        information[block] = honest @ H @ honest.T + prior
-        degenerate = np.zeros((len(dropped), 6))
-        degenerate[:, rows] = dropped
-        return _Step(motion, information, degenerate, len(e), scale, math.sqrt(np.mean(e * e)))
+    @property
+    def coarsest(self) -> int:
+        """Exponent of the coarsest level that both clouds have."""
+        return min(self.target.coarsest, self.source.coarsest)
 
-    def _prior(self, T: FloatArray, dims: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-        """Return the prior's information (k, k) and gradient at ``T`` (k,); 0 without one."""
+    @cached_property
+    def reach(self) -> float:
+        """RMS distance of the source's points from its origin [m]."""
+        return math.sqrt(float(np.mean(np.sum(self.source.points**2, axis=1))))
+
+    @property
+    def first_gate(self) -> float:
+        """Gate of the first step [m]."""
+        if self.criteria is not None:
+            return self.criteria.max_correspondence_distance
+        widest = min(WIDEST_GATE, WIDEST_SHARE * self.target.radius)
         if self.prior is None:
-            return np.zeros((len(dims), len(dims))), np.zeros(len(dims))
-        information = self.prior.information(dims)
-        return information, information @ self.prior.deviation(T)[list(dims)]
+            return widest
+        points = self.source.points @ self.prior.T[:3, :3].T
+        return min(widest, PRIOR_GATE * predict_rmse(points, self.prior.covariance))
 
-    def _pairs(self, T: FloatArray, gate: float) -> tuple[FloatArray, ...]:
-        """Return lever arms, normals, residuals and normal variances of the correspondences."""
-        # Pair with the nearest target point.
-        a = self.source.points @ T[:3, :3].T
-        moved = a + T[:3, 3]
-        square, index = (column[:, 0] for column in self.target.tree.nearest(moved, 1))
-        n = self.target.normals[index]
-        alike = np.sum(n * (self.source.normals @ T[:3, :3].T), axis=1) > MIN_NORMAL_COSINE
-        paired = alike & (square < gate * gate)
-        if np.count_nonzero(paired) < MIN_PAIRS:
+    # --- starts ---
+
+    def spread_starts(self, init: FloatArray, n: int) -> FloatArray:
+        """Return n poses (n, 4, 4) spread over the prior, or without one about ``init``."""
+        dims = list(self.dims)
+        offsets = np.zeros((n, 6))
+        if self.prior is None:
+            sigmas = np.where(np.array(dims) < 3, START_SIGMA * self.first_gate, START_TURN)
+            offsets[:, dims] = spread_normal(n, len(dims)) * sigmas
+            return displace(init, offsets)
+        half = np.linalg.cholesky(self.prior.covariance[np.ix_(dims, dims)])
+        offsets[:, dims] = spread_normal(n, len(dims)) @ half.T
+        return displace(self.prior.T, offsets)
+
+    def refine(self, T: FloatArray, init: FloatArray) -> list[_Basin]:
+        """Return the basin about ``T`` (4, 4); none without overlap."""
+        with suppress(RegistrationError):
+            return [self.align_finely(T, init)]
+        return []
+
+    def is_apart(self, T: FloatArray, other: FloatArray) -> bool:
+        """Return whether two poses (4, 4) belong to different basins."""
+        least = max(SAME_BASIN, COARSE_GATE * self.target.level(self.finest).side)
+        return distance_between(T, other, self.reach) > least
+
+    def choose(self, basins: list[_Basin], init: FloatArray) -> RegistrationResult:
+        """Return the result of the best basin, among equals the nearest to ``init`` (4, 4)."""
+        basins = sorted(basins, key=lambda basin: basin.misfit)
+        equal = [b for b in basins if b.misfit - basins[0].misfit < MIN_GAP]
+        best = min(
+            equal, key=lambda b: distance_between(b.result.T_target_source, init, self.reach)
+        )
+        gaps = [
+            basin.misfit - best.misfit
+            for basin in basins
+            if self.is_apart(basin.result.T_target_source, best.result.T_target_source)
+        ]
+        gap = max(0.0, min([1.0, *gaps]))
+        return replace(best.result, converged=best.plausible and gap >= MIN_GAP, ambiguity_gap=gap)
+
+    # --- coarse to fine ---
+
+    def align_coarsely(self, T: FloatArray) -> FloatArray:
+        """Return the pose (4, 4) to which the levels lead from ``T``, coarsest first."""
+        gate = self.first_gate
+        for exponent in range(self.coarsest, self.finest - 1, -1):
+            target, source = self.target.level(exponent), self.source.level(exponent)
+            last = COARSE_GATE * target.side
+            too_coarse = last > COARSEST * gate and exponent > self.finest
+            if min(len(target.flat_patches), len(source.flat_patches)) < MIN_PAIRS or too_coarse:
+                continue
+            gate = max(last, gate)
+            for _ in range(COARSE_STEPS):
+                step = self._coarse_step(target, source, T, gate)
+                if step is None:
+                    break
+                T = displace(T, step)
+                if gate <= last and self._size(step) < COARSE_MOTION * target.side:
+                    break
+                gate = max(last, GATE_FACTOR * gate)
+        return T
+
+    def _coarse_step(
+        self, target: Level, source: Level, T: FloatArray, gate: float
+    ) -> FloatArray | None:
+        """Return a damped step (6,) at ``T`` on one level; None without overlap."""
+        pairs, _ = pair_patches(target, source.sample, T, gate)
+        if len(pairs) < MIN_PAIRS:
+            return None
+
+        # Weigh by the spread of the residuals.
+        J, e = pairs[:, JACOBIAN], pairs[:, RESIDUAL]
+        scale = max(MIN_SPREAD, robust_spread(e))
+        w = weigh(e / scale) / scale**2
+
+        # Solve with the prior, damped.
+        H, g = self._reduce(J, w, e)
+        prior, pull = self._prior_equations(T)
+        unit = self._units()
+        scaled = (H + prior) * np.outer(unit, unit)
+        damping = max(DAMPING * float(np.trace(scaled)), 1.0) * np.eye(len(unit))
+        return self._spread_out(-unit * np.linalg.solve(scaled + damping, unit * (g + pull)))
+
+    # --- the last level ---
+
+    @cached_property
+    def shares(self) -> list[_Share]:
+        """The source's patches at the levels at which they are flat."""
+        return [
+            _Share(
+                self.target.level(level.exponent),
+                np.ascontiguousarray(level.patches[at]),
+                fractions,
+                level.own_share,
+            )
+            for level, at, fractions in self.source.choose_cells(self.finest)
+            if len(at) and level.exponent <= self.target.coarsest
+        ]
+
+    def align_finely(self, T: FloatArray, init: FloatArray) -> _Basin:
+        """Return the basin of the steps from ``T`` (4, 4) at the finest level."""
+        # Iterate; once at rest, leave undetermined directions to prior or guess.
+        criteria = self.criteria or Criteria()
+        iterations, settled, choosy = 0, False, False
+        while not settled and iterations < criteria.max_iterations:
+            equations = self._pair_finely(T)
+            step, dropped = self._fine_step(equations, T, init, choosy)
+            T, iterations = displace(T, step), iterations + 1
+            small = (
+                float(np.linalg.norm(step[:3])) < criteria.translation_epsilon
+                and float(np.linalg.norm(step[3:])) < criteria.rotation_epsilon
+            )
+            settled = small and (choosy or dropped == 0)
+            choosy = choosy or small or iterations >= criteria.max_iterations // 2
+
+        # Judge what fits.
+        z = standardise(equations.pairs) / equations.spread
+        inliers = np.count_nonzero(np.abs(z) < INLIER) / sum(len(s.patches) for s in self.shares)
+        result = self._result(T, equations, iterations, settled)
+        return _Basin(result, inliers, self._contradiction(T))
+
+    def _contradiction(self, T: FloatArray) -> float:
+        """Return the share of either cloud's patches in the other's free space, 0..1."""
+        margin = COARSE_GATE * self.target.level(self.finest).side
+        clouds, poses = (self.target, self.source), (T, np.linalg.inv(T))
+        patches = [cloud.level(self.finest).flat_patches[:, POINT] for cloud in clouds]
+        shares = [0.0]
+        for cloud, own, other, pose in zip(clouds, patches, patches[::-1], poses, strict=True):
+            moved = other @ pose[:3, :3].T + pose[:3, 3]
+            usual = cloud.panorama.contradiction(own, margin)
+            shares.append(cloud.panorama.contradiction(moved, margin) - usual)
+        return max(shares)
+
+    def _pair_finely(self, T: FloatArray) -> _Equations:
+        """Return the weighted pairs at ``T``.
+
+        Raises:
+            RegistrationError: There are too few.
+        """
+        # Pair level by level.
+        parts, weights = [], []
+        for share in self.shares:
+            gate = LAST_GATE * share.level.side
+            pairs, indices = pair_patches(share.level, share.patches, T, gate)
+            variance = pairs[:, SOURCE_VARIANCE] / share.own_share
+            variance += pairs[:, TARGET_VARIANCE] / share.level.own_share
+            parts.append(pairs)
+            weights.append(share.fractions[indices[:, 0]] / np.maximum(variance, MIN_SPREAD**2))
+        pairs = np.concatenate(parts) if parts else np.empty((0, PAIR))
+        if len(pairs) < MIN_PAIRS:
             raise RegistrationError(
-                f"no overlap: only {np.count_nonzero(paired)} pairs of points within {gate:.3g} m, "
-                f"{MIN_PAIRS} are needed; give a better init_T_target_source"
+                f"no overlap: only {len(pairs)} pairs of patches, {MIN_PAIRS} are needed; "
+                "give a better init_T_target_source"
             )
 
-        # Residuals along the target's normals.
-        index = index[paired]
-        e = np.sum(n[paired] * (moved[paired] - self.target.centroids[index]), axis=1)
-        return a[paired], n[paired], e, self.target.tilt[index]
+        # Weigh by the standardised residuals.
+        z = standardise(pairs)
+        spread = max(1.0, robust_spread(z))
+        return _Equations(pairs, np.concatenate(weights) * weigh(z / spread), spread)
 
-    def result(
-        self, T: FloatArray, step: _Step, iterations: int, settled: bool
+    def _fine_step(
+        self, equations: _Equations, T: FloatArray, init: FloatArray, choosy: bool
+    ) -> tuple[FloatArray, int]:
+        """Return the Gauss-Newton step (6,) at ``T`` and the number of undetermined directions.
+
+        A choosy step leaves these to the prior, or to ``init`` where there is none.
+        """
+        H, g = self._reduce(equations.pairs[:, JACOBIAN], equations.weights, equations.residuals)
+        prior, pull = self._prior_equations(T)
+        kept, _, dropped = find_determined(H, self._spurious(equations), self.reach)
+        if not choosy or len(dropped) == 0:
+            kept = np.eye(len(g))
+        elif self.prior is None:
+            prior = np.diag(self._units() ** -2)
+            pull = prior @ deviation(T, init)[list(self.dims)]
+        information = kept @ H @ kept.T + prior
+        step = -invert_information(information) @ (kept @ g + pull)
+        return self._spread_out(step), len(dropped)
+
+    def _spurious(self, equations: _Equations) -> FloatArray:
+        """Return the information (k, k) that the difference of the normals fakes."""
+        D = equations.pairs[:, DIFFERENCE]
+        return self._reduce(D, equations.weights, equations.residuals)[0]
+
+    def _result(
+        self, T: FloatArray, equations: _Equations, iterations: int, settled: bool
     ) -> RegistrationResult:
         """Return the result at ``T``, with covariances about the target's origin."""
+        # Information on the estimated entries.
+        e = equations.residuals
+        H, _ = self._reduce(equations.pairs[:, JACOBIAN], equations.weights, e)
+        prior, _ = self._prior_equations(T)
+        _, honest, dropped = find_determined(H, self._spurious(equations), self.reach)
+        rows = list(self.dims)
+        information, degenerate = np.zeros((6, 6)), np.zeros((len(dropped), 6))
+        information[np.ix_(rows, rows)] = honest @ H @ honest.T + prior
+        degenerate[:, rows] = dropped
+
+        # About the target's origin.
         shift = shift_to_target(T)
         back = np.linalg.inv(shift)
-        covariance = invert_information(step.information)
+        covariance = invert_information(information)
+        undetermined = degenerate if self.prior is None else degenerate[:0]
+        predicted = predict_rmse(self.source.points @ T[:3, :3].T, covariance)
         return RegistrationResult(
             T_target_source=read_only(T),
-            covariance=read_only(shift @ covariance @ shift.T),
-            information=read_only(back.T @ step.information @ back),
-            fitness=step.pairs / len(self.source.points),
-            inlier_rmse=step.rmse,
-            predicted_rmse=predict_rmse(self.source.points @ T[:3, :3].T, covariance),
-            num_inliers=step.pairs,
+            covariance=read_only(
+                with_infinite_variance(
+                    shift @ covariance @ shift.T, undetermined @ shift.T, self.reach
+                )
+            ),
+            information=read_only(back.T @ information @ back),
+            fitness=len(equations.pairs) / sum(len(share.patches) for share in self.shares),
+            inlier_rmse=math.sqrt(float(np.mean(e * e))),
+            predicted_rmse=math.inf if len(undetermined) else predicted,
+            num_inliers=len(equations.pairs),
             iterations=iterations,
-            converged=settled,
-            degenerate_directions=read_only(step.degenerate @ shift.T),
+            converged=settled and len(undetermined) < len(rows),
+            degenerate_directions=read_only(degenerate @ shift.T),
             ambiguity_gap=1.0,
         )
+
+    # --- equations ---
+
+    def _reduce(self, J: FloatArray, w: FloatArray, e: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return J^T W J (k, k) and J^T W e (k,) of the estimated entries."""
+        weighted = J * w[:, None]
+        rows = list(self.dims)
+        return (weighted.T @ J)[np.ix_(rows, rows)], (weighted.T @ e)[rows]
+
+    def _prior_equations(self, T: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the prior's information (k, k) and gradient at ``T`` (k,); 0 without one."""
+        k = len(self.dims)
+        if self.prior is None:
+            return np.zeros((k, k)), np.zeros(k)
+        information = self.prior.information(self.dims)
+        return information, information @ self.prior.deviation(T)[list(self.dims)]
+
+    def _units(self) -> FloatArray:
+        """Return the factors (k,) that make rotations comparable with translations."""
+        return np.where(np.array(self.dims) < 3, 1.0, 1.0 / self.reach)
+
+    def _spread_out(self, step: FloatArray) -> FloatArray:
+        """Return a step of the estimated entries (k,) as x y z rx ry rz (6,)."""
+        motion = np.zeros(6)
+        motion[list(self.dims)] = step
+        return motion
+
+    def _size(self, step: FloatArray) -> float:
+        """Return the largest motion [m] of points at the distance ``reach`` by a step (6,)."""
+        return float(np.linalg.norm(step[:3]) + self.reach * np.linalg.norm(step[3:]))

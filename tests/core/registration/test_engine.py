@@ -33,10 +33,12 @@ from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
-from scan3d_twin.core.registration.clouds import Tree, is_near, prepare_cloud
+from scan3d_twin.core.registration.cloud_pairs import PAIR
+from scan3d_twin.core.registration.cloud_patches import WINDOW_RADII, prepare_cloud
 from scan3d_twin.core.registration.edges import Edges, linearise_edges
 from scan3d_twin.core.registration.free_space import _sum_violations
 from scan3d_twin.core.registration.gauss_newton import Criteria, Problem, align, follow_starts
+from scan3d_twin.core.registration.kd_tree import Tree, is_near
 from scan3d_twin.core.registration.multistart import spread_starts
 from scan3d_twin.core.registration.native import Engine, engine
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
@@ -335,15 +337,76 @@ def test_more_neighbours_than_there_is_room_for_are_refused(k: int) -> None:
         tree.fit_planes(k)
 
 
-def test_planes_of_a_cloud_are_those_of_its_neighbours() -> None:
+def test_planes_of_a_tree_are_those_of_its_neighbours() -> None:
     points = np.random.default_rng(0).normal(size=(300, 3))
-    cloud = prepare_cloud(points)
+    centroids, normals, variances = Tree.of(points).fit_planes(20)
     nearest = np.argsort(np.sum((points[:, None] - points) ** 2, axis=2), axis=1)[:, :20]
     around = points[nearest] - points[nearest].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / 20)
-    assert cloud.centroids == pytest.approx(points[nearest].mean(axis=1), abs=1e-12)
-    assert np.abs(np.sum(cloud.normals * vectors[..., 0], axis=1)) == pytest.approx(1.0, abs=1e-6)
-    assert cloud.tilt == pytest.approx(1 / (20 * np.maximum(values[:, 1] - values[:, 0], 1e-9)))
+    assert centroids == pytest.approx(points[nearest].mean(axis=1), abs=1e-12)
+    assert np.abs(np.sum(normals * vectors[..., 0], axis=1)) == pytest.approx(1.0, abs=1e-6)
+    assert variances == pytest.approx(values[:, :2])
+
+
+def test_patches_are_planes_through_the_cells_within_their_window() -> None:
+    points = np.random.default_rng(0).normal(size=(3000, 3)) * (1.0, 1.0, 0.05) + (0.0, 0.0, 3.0)
+    cloud = prepare_cloud(points)
+    level = cloud.levels[2]
+    cells = np.floor(points / level.side).astype(int)
+    _, numbers = np.unique(cells, axis=0, return_inverse=True)
+    count = np.bincount(numbers.ravel())
+    assert np.sort(count) == pytest.approx(np.sort(level.counts))
+    centres = np.stack([np.bincount(numbers.ravel(), x) / count for x in points.T], axis=1)
+    found = {tuple(np.round(p[:3], 6)): p for p in level.patches}
+    matched = 0
+    for centre in centres:
+        inside = np.linalg.norm(centres - centre, axis=1) < WINDOW_RADII[0] * level.side
+        window = points[inside[numbers.ravel()]]
+        patch = found.get(tuple(np.round(window.mean(axis=0), 6)))
+        if patch is None or patch[9] != len(window):
+            continue  # its window had to grow
+        values, vectors = np.linalg.eigh(np.cov(window.T, bias=True))
+        wanted = values * (len(window) / max(len(window) - 3, 1), 1.0, 1.0)
+        if len(window) >= 10 and level.flat[np.all(level.patches == patch, axis=1)].all():
+            assert patch[6:9] == pytest.approx(wanted, rel=1e-6, abs=1e-12)
+            assert abs(patch[3:6] @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-6)
+            matched += 1
+    assert matched > 20
+
+
+def test_pairs_are_the_nearest_patches_with_a_like_normal() -> None:
+    rng = np.random.default_rng(1)
+    patches = rng.uniform(0.5, 1.0, size=(200, 10))
+    patches[:, 3:6] = rng.normal(size=(200, 3))
+    patches[:, 3:6] /= np.linalg.norm(patches[:, 3:6], axis=1, keepdims=True)
+    targets, sources = np.ascontiguousarray(patches[:150]), np.ascontiguousarray(patches[150:])
+    tree = Tree.of(np.ascontiguousarray(targets[:, :3]))
+    pairs, indices = np.empty((50, PAIR)), np.empty((50, 2), np.int32)
+    T = MOVE.matrix()
+    k = engine.pair_patches(
+        tree.points, tree.order, tree.axes, 150, targets, sources, 50, T, 0.4, 0.7, pairs, indices
+    )
+    a, n = sources[:, :3] @ T[:3, :3].T, sources[:, 3:6] @ T[:3, :3].T
+    moved = a + T[:3, 3]
+    apart = np.linalg.norm(moved[:, None] - targets[:, :3], axis=2)
+    apart[n @ targets[:, 3:6].T < 0.7] = np.inf
+    best = np.argmin(apart, axis=1)
+    near = np.flatnonzero(apart[np.arange(50), best] < 0.4)
+    assert 10 < k == len(near)
+    assert np.array_equal(indices[:k], np.stack([near, best[near]], axis=1))
+
+    # Residual, Jacobians and variances.
+    q, m = targets[best[near], :3], targets[best[near], 3:6]
+    mean, half = n[near] + m, (n[near] - m) / 2
+    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    e = np.sum(mean * (moved[near] - q), axis=1)
+    square = apart[near, best[near]] ** 2
+    assert pairs[:k, 12] == pytest.approx(e)
+    assert pairs[:k, :6] == pytest.approx(np.hstack([mean, np.cross(a[near], mean)]))
+    assert pairs[:k, 6:12] == pytest.approx(np.hstack([half, np.cross(a[near], half)]))
+    for column, rows in ((13, sources[near]), (14, targets[best[near]])):
+        variance = rows[:, 6] / rows[:, 9] * (1 + square / (4 * rows[:, 7]))
+        assert pairs[:k, column] == pytest.approx(variance)
 
 
 @pytest.mark.parametrize("within", [0.01, 0.2, 10.0])
@@ -500,10 +563,10 @@ def fingerprint() -> tuple[bytes, ...]:
     target, source = (extract_surfels(image(seed, 0.001)) for seed in (1, 2))
     prior = PosePrior.planar(MOVE, 0.02, 0.035)
     result = align(Problem(target, source, prior, "se3"), prior.T)
-    cloud = prepare_cloud(target.rows[:2000, :3])
+    cloud = prepare_cloud(target.rows[:2000, :3]).levels[0]
     parts = (
         target.rows, target.index, target.edge_rows, target.ray_states, target.projection.lines,
-        result.T, result.covariance, result.information, cloud.normals, cloud.tilt,
+        result.T, result.covariance, result.information, cloud.patches, cloud.flat,
     )  # fmt: skip
     return tuple(np.ascontiguousarray(part).tobytes() for part in parts)
 

@@ -278,6 +278,17 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "build_tree": (None, Doubles, c_int64, Doubles, Ints, Bytes),
     "find_nearest": (None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_int64, Doubles, Ints),
     "fit_neighbourhoods": (None, Doubles, Ints, Bytes, c_int64, c_int64, Doubles, Doubles, Doubles),
+    "number_cells": (c_int64, Ints, c_int64, Ints, Ints),
+    "start_moments": (None, Doubles, c_int64, Doubles),
+    "add_moments": (None, Doubles, Ints, c_int64, Doubles),
+    "fit_patches": (
+        c_int64, Doubles, Ints, Bytes, c_int64, Doubles, Doubles, c_int64, c_double, c_double,
+        c_double, Doubles, Flags,
+    ),
+    "pair_patches": (
+        c_int64, Doubles, Ints, Bytes, c_int64, Doubles, Doubles, c_int64, Doubles, c_double,
+        c_double, Doubles, Ints,
+    ),
     "find_near": (c_int64, Doubles, c_int64, Doubles, c_int64, c_double, Flags),
     "mark_mixed_pixels": (
         None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double, Flags,

@@ -174,6 +174,33 @@ void EXPORT(fit_neighbourhoods)(double *sorted, int32_t *order, uint8_t *axes, i
     fit_neighbourhoods(&tree, k, centroids, normals, variances);
 }
 
+int64_t EXPORT(number_cells)(const int32_t *cells, int64_t n, int32_t *distinct, int32_t *numbers) {
+    return number_cells(cells, n, distinct, numbers);
+}
+
+void EXPORT(start_moments)(const double *points, int64_t n, double *moments) {
+    start_moments(points, n, moments);
+}
+
+void EXPORT(add_moments)(const double *moments, const int32_t *numbers, int64_t n, double *sums) {
+    add_moments(moments, numbers, n, sums);
+}
+
+int64_t EXPORT(fit_patches)(double *sorted, int32_t *order, uint8_t *axes, int64_t n, const double *moments,
+                            const double *radii, int64_t n_radii, double points, double flatness,
+                            double width, double *patches, uint8_t *are_flat) {
+    Tree tree = {n, sorted, order, axes};
+    Flat flat = {points, flatness, width};
+    return fit_patches(&tree, moments, radii, n_radii, &flat, patches, are_flat);
+}
+
+int64_t EXPORT(pair_patches)(double *sorted, int32_t *order, uint8_t *axes, int64_t n, const double *targets,
+                            const double *sources, int64_t m, const double *T, double gate, double cosine,
+                            double *pairs, int32_t *indices) {
+    Tree tree = {n, sorted, order, axes};
+    return pair_patches(&tree, targets, sources, m, T, gate, cosine, pairs, indices);
+}
+
 int64_t EXPORT(find_near)(const double *points, int64_t n, const double *places, int64_t m, double within,
                           uint8_t *near) {
     return find_near(points, n, places, m, within, near);

@@ -2,7 +2,7 @@
  * fused_cloud.py. Arrays are dense, lines by beams; NaN is no reading. */
 #pragma once
 
-#include "near.h"
+#include "cells.h"
 
 /* Return 1 if the range steps up from `a` to `b`, beams `angle` apart, by more than the steepest measurable
  * surface allows, -1 if it steps down, else 0. */
