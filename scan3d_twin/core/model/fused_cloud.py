@@ -13,6 +13,7 @@ from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.registration.clouds import Tree
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.scan_noise import estimate_range_noise
+from scan3d_twin.core.registration.surfels import Beams
 from scan3d_twin.core.scanning.mixed_pixels import MAX_INCIDENCE, RANGE_NOISE
 from scan3d_twin.core.scanning.smoothing import smooth
 from scan3d_twin.core.session import Session, View
@@ -117,8 +118,9 @@ def find_supported(view: View) -> BoolArray:
     """
     image, target = view.image, view.target
     ranges, counts = read_only(image.ranges), np.empty(len(target), dtype=np.int64)
+    elevations = read_only(image.elevation_rows)
     engine.count_neighbours(
-        ranges, read_only(image.yaws), read_only(image.spec.elevations), *ranges.shape,
+        ranges, read_only(image.yaws), elevations, len(elevations) > 1, *ranges.shape,
         np.ascontiguousarray(target.lines), np.ascontiguousarray(target.beams), len(target),
         RANGE_NOISE, math.tan(MAX_INCIDENCE), counts,
     )  # fmt: skip
@@ -141,7 +143,8 @@ def build_view_cloud(view: View, index: int = 0) -> ViewCloud:
 
     # Add up noise and beam spread
     valid = np.isfinite(image.ranges)
-    known = estimate_range_noise(image.ranges, valid)
+    own = None if image.elevations is None else Beams.of(image).directions
+    known = estimate_range_noise(image.ranges, valid, own)
     beam = float(np.median(np.diff(image.spec.elevations))) / math.sqrt(12.0)
     cosine = -np.sum(rays * np.nan_to_num(normals), axis=1) / np.maximum(r, 1e-9)
     cosine = np.clip(cosine, math.cos(MAX_SPREAD_INCIDENCE), 1.0)

@@ -2,7 +2,8 @@
 
 **Range noise.** Along a line, the inverse range of a plane is linear in the beam angle up to
 second-order terms, so its second difference is noise. The median of |d2 q| r^2 / sqrt(6) is taken
-over each quartile of the readings by range, and a straight line fitted through the four.
+over each quartile of the readings by range, and a straight line fitted through the four. Where the
+lines have elevations of their own, the difference allows for uneven spacing.
 
 **Yaw jitter.** Let e be a reading's distance from its surfel along the normal n, l = n . (e_z x P)
 its derivative by the yaw of its line, and w the inverse variance by range noise. A single line then
@@ -80,7 +81,9 @@ class ScanNoise:
         return 1.0 + readings * (self.bias_sigma / sigma) ** 2
 
 
-def estimate_range_noise(ranges: FloatArray, valid: BoolArray) -> tuple[float, float]:
+def estimate_range_noise(
+    ranges: FloatArray, valid: BoolArray, rays: FloatArray | None = None
+) -> tuple[float, float]:
     """Return ``range_sigma`` and ``range_sigma_per_metre`` estimated from a sweep.
 
     A sweep with too few readings gives ``URG_RANGE_NOISE``.
@@ -88,11 +91,14 @@ def estimate_range_noise(ranges: FloatArray, valid: BoolArray) -> tuple[float, f
     Args:
         ranges: Ranges (n_lines, n_beams) [m].
         valid: Whether a reading is a distance (n_lines, n_beams).
+        rays: Directions of the beams in ``base`` where the lines have elevations of their own
+            (n_lines, n_beams, 3); None where beams are evenly spaced.
     """
     n_lines, n_beams = ranges.shape
     sweep = native.Sweep(
-        n_lines=n_lines, n_beams=n_beams, stride=n_beams, ranges=np.ascontiguousarray(ranges)
-    )
+        n_lines=n_lines, n_beams=n_beams, stride=n_beams, ranges=np.ascontiguousarray(ranges),
+        rays=rays, ray_stride=0 if rays is None else 3 * n_beams,
+    )  # fmt: skip
     noise = np.empty(2)
     engine.estimate_range_noise(sweep, np.ascontiguousarray(valid), noise)
     return float(noise[0]), float(noise[1])

@@ -92,7 +92,7 @@ static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8
     /* range noise and windows */
     int jittery = isnan(out->noise[2]);
     if (isnan(out->noise[0]))
-        estimate_range_noise(part.ranges, valid, part.n_lines, part.n_beams, part.stride, out->noise);
+        estimate_range_noise(&part, valid, out->noise);
     if (jittery) out->noise[2] = 0;
     const double angles[WINDOWS] = HALF_WINDOWS;
     int64_t half[WINDOWS][2];

@@ -66,9 +66,23 @@ static void assign_quartiles(const double *values, int64_t n, uint8_t *quartiles
         quartiles[k] = (uint8_t)((up_to[(int)((values[k] - low) * scale)] - 1) * 4 / n);
 }
 
+/* Return the second difference of the inverse ranges of three beams that are unevenly spaced, with the noise
+ * of one of evenly spaced beams. */
+static double uneven_second_difference(const double *range, const double *ray) {
+    double before = 0, after = 0;
+    for (int i = 0; i < 3; i++) {
+        double a = ray[i] - ray[i - 3 * BEAM_LAG], b = ray[i + 3 * BEAM_LAG] - ray[i];
+        before += a * a, after += b * b;
+    }
+    before = sqrt(before), after = sqrt(after);
+    double both = before + after, norm = sqrt((before * before + after * after + both * both) / 6);
+    return (after / range[-BEAM_LAG] - both / range[0] + before / range[BEAM_LAG]) / norm;
+}
+
 /* Write the range sigma at 0 m and its growth per metre. */
-static void estimate_range_noise(const double *ranges, const uint8_t *valid, int64_t n_lines,
-                                 int64_t n_beams, int64_t stride, double noise[2]) {
+static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, double noise[2]) {
+    const double *ranges = sweep->ranges;
+    int64_t n_lines = sweep->n_lines, n_beams = sweep->n_beams, stride = sweep->stride;
     noise[0] = DEFAULT_SIGMA, noise[1] = DEFAULT_GROWTH;
     int64_t whole = 0;
     for (int64_t i = 0; i < n_lines; i++) {
@@ -92,6 +106,8 @@ static void estimate_range_noise(const double *ranges, const uint8_t *valid, int
             const double *at = ranges + i * stride + j;
             r[n] = at[0];
             double second = 1 / at[-BEAM_LAG] - 2 / at[0] + 1 / at[BEAM_LAG];
+            if (sweep->ray_stride > 0)
+                second = uneven_second_difference(at, sweep->rays + i * sweep->ray_stride + 3 * j);
             deviation[n++] = fabs(second) * at[0] * at[0] * (MAD / sqrt(6.0));
         }
 
