@@ -141,6 +141,9 @@ def test_range_noise() -> None:
     ranges, valid = image(1).ranges, np.isfinite(image(1).ranges)
     plain = reference.scan_noise.estimate_range_noise(ranges, valid)
     assert estimate_range_noise(ranges, valid) == pytest.approx(plain, rel=1e-9)
+    rays = Beams.of(uneven(image(1))).directions
+    plain = reference.scan_noise.estimate_range_noise(ranges, valid, rays)
+    assert estimate_range_noise(ranges, valid, rays) == pytest.approx(plain, rel=1e-9)
     few = valid & (np.arange(valid.size).reshape(valid.shape) < 150)
     usual = reference.scan_noise.estimate_range_noise(ranges, few)
     assert estimate_range_noise(ranges, few) == usual
@@ -175,14 +178,15 @@ def test_known_rays() -> None:
 
 
 def test_edges() -> None:
-    grid = grids()[0]
-    beams = Beams.of(grid.image)
-    plain = reference.edges.edge_rows(
-        grid.image.ranges, grid.image.yaws, beams.directions, beams.lever, grid.rows, grid.index,
-        grid.valid, grid.noise.yaw_sigma,
-    )  # fmt: skip
-    assert len(plain) > 4
-    assert near(grid.edge_rows, plain, 1e-9)
+    for grid in (grids()[0], extract_surfels(uneven(image(1)))):
+        beams = Beams.of(grid.image)
+        plain = reference.edges.edge_rows(
+            grid.image.ranges, grid.image.yaws, beams.directions, beams.lever, grid.rows,
+            grid.index, grid.valid, grid.noise.yaw_sigma,
+        )  # fmt: skip
+        assert len(plain) >= 4
+        assert near(grid.edge_rows, plain, 1e-9)
+    assert len(np.unique(np.round(plain[:, 4] / np.sum(plain[:, :2] ** 2, axis=1), 12))) > 1
 
 
 def test_edge_equations() -> None:
@@ -403,6 +407,20 @@ def test_neighbours_on_a_surface(own: bool) -> None:
     wanted = reference.readings.neighbours(ranges, elevations, yaws, 0.04, 0.3)
     assert len(np.unique(counts)) > 5
     assert np.array_equal(counts, wanted[lines, beams])
+
+
+def uneven(sweep: RangeImage) -> RangeImage:
+    """Every other line half a beam higher, each beam off by up to a quarter, lines repeated."""
+    rng = np.random.default_rng(9)
+    off = (
+        rng.uniform(-0.25, 0.25, sweep.ranges.shape) + 0.5 * (np.arange(sweep.n_lines) % 2)[:, None]
+    )
+    lines = np.sort(rng.choice(sweep.n_lines, sweep.n_lines))
+    yaws, ranges, codes = (each[lines] for each in (sweep.yaws, sweep.ranges, sweep.codes))
+    return replace(
+        sweep, yaws=read_only(yaws), ranges=read_only(ranges), codes=read_only(codes, np.int64),
+        elevations=read_only(sweep.spec.elevations + math.tau / 1024 * off),
+    )  # fmt: skip
 
 
 def shift_lines(sweep: RangeImage) -> RangeImage:
