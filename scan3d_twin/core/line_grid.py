@@ -28,6 +28,10 @@ from scan3d_twin.core.types import (
 
 MAX_COLUMNS_PER_BEAM = 4
 """Most columns of a grid for one beam that are recognised (assumption)."""
+MAX_ADJACENT_SHARE = 0.25
+"""Share of readings with one beside them from which on a grid is dense, whatever is missing."""
+MIN_REGULAR_SHARE = 0.5
+"""Least share of readings with one in the next beam's column in a grid of several for each."""
 PROBED_LINES = 8
 """Lines of a sweep in which they are looked for: about a thousand readings."""
 
@@ -131,18 +135,19 @@ def _assign_places(positions: FloatArray, n: int) -> IntArray:
 def count_columns_per_beam(codes: IntArray) -> int:
     """Return how many columns of the grid there are for one beam of a line; 1 for a dense grid.
 
-    In a grid with k columns for one beam, readings have a neighbour k columns on, but rarely one
-    nearer by.
+    In a grid with k columns for one beam most readings have a neighbour k columns on, but few have
+    one beside them: readings that are missing by chance leave as many neighbours at any distance.
 
     Args:
         codes: Error codes of a sweep (n_lines, n_beams).
     """
     valid = codes[:: max(1, len(codes) // PROBED_LINES)] == VALID
-    dense = 2 * _count_neighbours(valid, 1) >= np.count_nonzero(valid)
-    if dense or valid.shape[1] <= MAX_COLUMNS_PER_BEAM:
+    n = np.count_nonzero(valid)
+    if _count_neighbours(valid, 1) >= MAX_ADJACENT_SHARE * n:
         return 1
-    counts = [_count_neighbours(valid, k) for k in range(1, MAX_COLUMNS_PER_BEAM + 1)]
-    return 1 + next(k for k, count in enumerate(counts) if 2 * count >= max(counts))
+    counts = [_count_neighbours(valid, k) for k in range(2, MAX_COLUMNS_PER_BEAM + 1)]
+    regular = [count >= MIN_REGULAR_SHARE * n for count in counts]
+    return 2 + regular.index(True) if any(regular) else 1
 
 
 def _count_neighbours(valid: BoolArray, columns: int) -> int:

@@ -125,6 +125,18 @@ def spread(image: RangeImage, columns: int) -> RangeImage:
     )
 
 
+def test_unevenly_spaced_beams_on_a_doubled_grid_are_packed() -> None:
+    rng = np.random.default_rng(2)
+    fine = synthetic.spec(400)
+    steps = (np.arange(180) - 90) * 2.0
+    lines = [arrange((steps + rng.uniform(-0.7, 0.7, 180)) * STEP, fine) for _ in range(40)]
+    codes = np.array([np.where(line.codes == UNMEASURED, UNMEASURED, VALID) for line in lines])
+    columns = find_packed_columns(codes)
+    assert columns is not None
+    taken = np.take_along_axis(codes, columns, axis=1)
+    assert np.count_nonzero(taken == VALID) > 0.9 * np.count_nonzero(codes == VALID)
+
+
 @pytest.mark.parametrize("columns", [2, 3, 4])
 def test_a_grid_of_several_columns_for_each_beam_is_packed(columns: int) -> None:
     image = synthetic.observe(Pose2()).image
@@ -146,4 +158,7 @@ def test_a_dense_grid_is_left_alone() -> None:
     codes[np.random.default_rng(0).random(codes.shape) < 0.4] = 0
     assert find_packed_columns(codes) is None
     assert find_packed_columns(np.zeros((50, 100), np.int64)) is None
+    for share in (0.02, 0.1, 0.2, 0.3, 0.5):  # by chance, however few there are
+        few = np.random.default_rng(1).random((60, 200)) < share
+        assert find_packed_columns(np.where(few, VALID, 0)) is None
     assert find_packed_columns(np.full((50, 4), VALID)) is None
