@@ -145,9 +145,10 @@ def count_columns_per_beam(codes: IntArray) -> int:
     n = np.count_nonzero(valid)
     if _count_neighbours(valid, 1) >= MAX_ADJACENT_SHARE * n:
         return 1
-    counts = [_count_neighbours(valid, k) for k in range(2, MAX_COLUMNS_PER_BEAM + 1)]
-    regular = [count >= MIN_REGULAR_SHARE * n for count in counts]
-    return 2 + regular.index(True) if any(regular) else 1
+    for k in range(2, MAX_COLUMNS_PER_BEAM + 1):
+        if _count_neighbours(valid, k) >= MIN_REGULAR_SHARE * n:
+            return k
+    return 1
 
 
 def _count_neighbours(valid: BoolArray, columns: int) -> int:

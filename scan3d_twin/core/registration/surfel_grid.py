@@ -160,7 +160,7 @@ def extract_surfels(
 ) -> SurfelGrid:
     """Return the surfels of ``image``, for any number of registrations.
 
-    A grid with several columns for each beam of a line is packed first (``core/line_grid.py``).
+    A grid with several columns for each beam of a line is packed (``core/line_grid.py``).
 
     Args:
         image: A sweep; filled gaps are not used.
@@ -173,11 +173,14 @@ def extract_surfels(
     """
     _check(image)
     mask = _as_mask(keep, image.codes.shape)
-    columns = find_packed_columns(image.codes)
-    if columns is not None:
-        image = pack_columns(image, columns)
-        mask = None if mask is None else read_only(np.take_along_axis(mask, columns, 1), np.bool_)
     grid = _extract(image, mask, noise)
+
+    # Pack a grid whose windows are half empty
+    if 2 * grid.count < np.count_nonzero(grid.valid):
+        columns = find_packed_columns(image.codes)
+        if columns is not None:
+            kept = None if mask is None else np.take_along_axis(mask, columns, axis=1)
+            return extract_surfels(pack_columns(image, columns), keep=kept, noise=noise)
     if grid.count < MIN_SURFELS:
         wanted = grid.valid if mask is None else grid.valid & mask
         raise RegistrationError(
