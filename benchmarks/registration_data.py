@@ -2,18 +2,20 @@
 
 A vertical lidar with 213 beams of 0.3516 deg (75 deg) and a line every 0.5 deg of yaw, 5 cm ahead
 of the yaw axis and 0.30 m up, ranges in whole millimetres. Scenes are polygons in the top view,
-extruded to a height each, with rays cast in closed form, without a simulator.
+extruded to a height each, with rays cast in closed form, without a simulator. Lines and beams lie
+on one grid, or as ``LINES`` says.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d_twin.core.types import VALID, LidarSpec, Pose2, RangeImage, read_only
+from scan3d_twin.core.line_grid import arrange_line
+from scan3d_twin.core.types import UNMEASURED, VALID, LidarSpec, Pose2, RangeImage, read_only
 
 FloatArray = NDArray[np.float64]
 BEAMS, BEAM_STEP, LINE_STEP = 213, math.tau / 1024, math.radians(0.5)
@@ -89,23 +91,105 @@ class Noise:
     jitter: float = 0.0
 
 
+@dataclass(frozen=True)
+class Lines:
+    """Where the lines and beams of a lidar lie.
+
+    Attributes:
+        interleaved: Every other line is half a beam higher.
+        phase, wander, jitter: Each line begins up to half of this many beams off, with steps that
+            are off by a factor of this standard deviation, and each beam by this many beams.
+        uneven, lost: Standard deviation of the spacing of lines, and share of lines that are lost
+            and replaced by repeated ones.
+        columns: Columns of the grid for each beam of a line.
+    """
+
+    interleaved: bool = False
+    phase: float = 0.0
+    wander: float = 0.0
+    jitter: float = 0.0
+    uneven: float = 0.0
+    lost: float = 0.0
+    columns: int = 1
+
+    def elevations(self, n_lines: int, rng: np.random.Generator) -> FloatArray:
+        """Return the elevations of the beams (n_lines, BEAMS) [rad], ascending."""
+        steps = np.arange(BEAMS) - BEAMS // 2
+        shift = 0.5 * (np.arange(n_lines) % 2) if self.interleaved else np.zeros(n_lines)
+        shift = shift + self.phase * rng.uniform(-0.5, 0.5, n_lines)
+        scale = 1.0 + self.wander * rng.standard_normal(n_lines)
+        off = self.jitter * rng.standard_normal((n_lines, BEAMS))
+        return np.sort(BEAM_STEP * (scale[:, None] * steps + shift[:, None] + off), axis=1)
+
+    def yaws(self, yaws: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return the yaws of the lines (n,) [rad], falling, for evenly spaced ``yaws`` (n,)."""
+        n = len(yaws)
+        steps = LINE_STEP * np.maximum(0.1, 1.0 + self.uneven * rng.standard_normal(n))
+        spread = yaws[0] - np.cumsum(steps) * (yaws[0] - yaws[-1]) / steps.sum()
+        kept = rng.permutation(n)[round(self.lost * n) :]
+        return -np.sort(-np.concatenate([spread[kept], rng.choice(spread[kept], n - len(kept))]))
+
+
+LINES = {
+    "regular": Lines(),
+    "interleaved": Lines(interleaved=True),
+    "doubled grid": Lines(interleaved=True, columns=2),
+    "irregular": Lines(phase=1.0, wander=0.01, jitter=0.15),
+    "uneven lines": Lines(uneven=0.15, lost=0.05),
+    "all of it": Lines(phase=1.0, wander=0.01, jitter=0.15, uneven=0.15, lost=0.05),
+}
+
+
+def place_lines(image: RangeImage, own: FloatArray, columns: int) -> RangeImage:
+    """Return ``image`` (n_lines, BEAMS), measured at elevations ``own``, on a grid."""
+    steps = np.arange(columns * BEAMS) - columns * (BEAMS // 2)
+    times = read_only(np.zeros(len(steps)))
+    spec = replace(image.spec, elevations=read_only(steps * BEAM_STEP / columns), beam_times=times)
+    rows = zip(image.stamps, own, image.ranges, image.codes, strict=True)
+    lines = [
+        arrange_line(spec, stamp, e, np.zeros(BEAMS), ranges, codes)
+        for stamp, e, ranges, codes in rows
+    ]
+    codes = np.array([line.codes for line in lines])
+    if columns > 1:  # as a grid that knows of no places without a beam
+        codes = np.where(codes == UNMEASURED, 0, codes)
+    return replace(
+        image,
+        yaws=read_only(np.repeat(image.yaws[:, :1], len(steps), axis=1)),
+        ranges=read_only([line.ranges for line in lines]),
+        codes=read_only(codes, np.int64),
+        spec=spec,
+        elevations=read_only([line.elevations for line in lines]),
+    )
+
+
 def scan(
-    scene: Scene, pose: Pose2, half: float, noise: Noise, rng: np.random.Generator
+    scene: Scene,
+    pose: Pose2,
+    half: float,
+    noise: Noise,
+    rng: np.random.Generator,
+    lines: Lines = LINES["regular"],
 ) -> RangeImage:
     """Return the sweep of ``half`` degrees to either side seen from ``pose``; no floor."""
     elevations = (np.arange(BEAMS) - BEAMS // 2) * BEAM_STEP
     yaws = np.arange(math.radians(half), -math.radians(half) - 1e-9, -LINE_STEP)
     yaws = yaws + rng.uniform(-0.5, 0.5) * LINE_STEP
+    if lines != LINES["regular"]:
+        placing = np.random.default_rng([len(yaws), int(1e9 * abs(yaws[0]))])
+        elevations = lines.elevations(len(yaws), placing)
+        yaws = lines.yaws(yaws, placing) if lines.uneven else yaws
     true = yaws + noise.jitter * rng.standard_normal(len(yaws))
     ranges = cast(scene, pose, true, elevations)
     ranges[ranges > 4.0] = np.nan
     sigma = noise.sigma * np.maximum(1.0, ranges)
     ranges = np.round(ranges + sigma * rng.standard_normal(ranges.shape), 3)
     ranges[ranges > 4.0] = np.nan
+    nominal = (np.arange(BEAMS) - BEAMS // 2) * BEAM_STEP
     spec = LidarSpec(
-        read_only(elevations), read_only(np.zeros(BEAMS)), 0.1, min_range=0.02, max_range=4.0
+        read_only(nominal), read_only(np.zeros(BEAMS)), 0.1, min_range=0.02, max_range=4.0
     )
-    return RangeImage(
+    image = RangeImage(
         read_only(0.1 * np.arange(len(yaws))),
         read_only(np.repeat(yaws[:, None], BEAMS, axis=1)),
         read_only(ranges),
@@ -113,10 +197,14 @@ def scan(
         spec,
         read_only(MOUNT),
     )
+    return image if elevations.ndim == 1 else place_lines(image, elevations, lines.columns)
 
 
 def cast(scene: Scene, pose: Pose2, yaws: FloatArray, elevations: FloatArray) -> FloatArray:
-    """Return ranges (n_lines, n_beams) [m]; inf where nothing is hit. The lever is radial."""
+    """Return ranges (n_lines, n_beams) [m]; inf where nothing is hit. The lever is radial.
+
+    Elevations are (n_beams,), or (n_lines, n_beams).
+    """
     headings = pose.yaw + yaws
     d = np.stack([np.cos(headings), np.sin(headings)], axis=1)
     origin = np.array([pose.x, pose.y]) + MOUNT[0, 3] * d
@@ -128,7 +216,7 @@ def cast(scene: Scene, pose: Pose2, yaws: FloatArray, elevations: FloatArray) ->
         rho = (to_a[..., 0] * edge[None, :, 1] - to_a[..., 1] * edge[None, :, 0]) / det
         along = (to_a[..., 0] * d[:, None, 1] - to_a[..., 1] * d[:, None, 0]) / det
     rho = np.where((along >= 0) & (along <= 1) & (rho > 0), rho, np.inf)
-    result = np.full((len(yaws), len(elevations)), np.inf)
+    result = np.full((len(yaws), elevations.shape[-1]), np.inf)
     rise = np.tan(elevations)
     for k in np.argsort(np.min(rho, axis=0))[::-1]:
         hit = rho[:, k]
@@ -151,16 +239,21 @@ class Pair:
 
 
 def pair(
-    name: str, noise: Noise, seed: int, sigma_xy: float = 0.02, sigma_yaw: float = math.radians(2)
+    name: str,
+    noise: Noise,
+    seed: int,
+    sigma_xy: float = 0.02,
+    sigma_yaw: float = math.radians(2),
+    lines: Lines = LINES["regular"],
 ) -> Pair:
     """Return a pair of scene ``name`` with a random initial error."""
     rng = np.random.default_rng([seed, len(name)])
     scene, half = SCENES[name](), HALF_WIDTH[name]
     move = Pose2(0.0, -BASELINE[name], math.radians(TURN[name]))
     first = Pose2(0.0, BASELINE[name] / 2, math.radians(-TURN[name] / 2))
-    target = scan(scene, first, half, noise, rng)
+    target = scan(scene, first, half, noise, rng, lines)
     second = first @ move
-    source = scan(scene, second, half, noise, rng)
+    source = scan(scene, second, half, noise, rng, lines)
     x, y, yaw = rng.standard_normal(3) * [sigma_xy, sigma_xy, sigma_yaw]
     init = Pose2(move.x + x, move.y + y, move.yaw + yaw)
     return Pair(target, source, move, init)

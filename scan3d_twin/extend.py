@@ -11,6 +11,7 @@ from scan3d_twin.core.errors import (
     LinkTimeoutError,
 )
 from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar
+from scan3d_twin.core.line_grid import arrange_line
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.navigation.odometry import DeadReckoning
 from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
@@ -68,6 +69,7 @@ __all__ = [
     "ScanLine",
     "Transport",
     "Wiring",
+    "arrange_line",
     "number",
     "open_wired",
     "plan_with_overlap",

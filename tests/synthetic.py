@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from scan3d_twin.core.hal import default_mount
 from scan3d_twin.core.types import (
     VALID,
     FloatArray,
+    IntArray,
     LidarSpec,
     Observation,
     Pose2,
@@ -48,6 +50,10 @@ def spec(n_beams: int = 682) -> LidarSpec:
     )
 
 
+SPEC = spec()
+Shift = Callable[[IntArray, IntArray], FloatArray]
+
+
 def observe(
     pose: Pose2,
     boxes: tuple[Box, ...] = THREE_BOXES,
@@ -57,9 +63,13 @@ def observe(
     room: bool = True,
     sigma: float = 0.0,
     rng: np.random.Generator | None = None,
+    lidar: LidarSpec = SPEC,
+    shift: Shift | None = None,
 ) -> Observation:
-    """Return what a sweep around ``pose`` sees; ``T_odom_scan`` is the pose itself."""
-    lidar = spec()
+    """Return what a sweep around ``pose`` sees; ``T_odom_scan`` is the pose itself.
+
+    ``shift`` of line and beam is how many beams higher than that of ``lidar`` an elevation is.
+    """
     yaws = np.arange(width / 2, -width / 2 - 1e-9, -step)
     image = RangeImage(
         stamps=read_only(np.arange(len(yaws)) * 0.1),
@@ -68,6 +78,7 @@ def observe(
         codes=read_only(np.full((len(yaws), lidar.n_beams), VALID), np.int64),
         spec=lidar,
         T_base_lidar=default_mount(),
+        elevations=None if shift is None else _elevations(lidar, len(yaws), shift),
     )
     directions = pose.rotate(image.directions)
     origins = pose.apply(image.points - image.directions)
@@ -84,8 +95,29 @@ def observe(
         read_only(codes, np.int64),
         lidar,
         image.T_base_lidar,
+        image.elevations,
     )
     return Observation(seen, pose)
+
+
+def _elevations(lidar: LidarSpec, n_lines: int, shift: Shift) -> FloatArray:
+    line, beam = np.arange(n_lines)[:, None], np.arange(lidar.n_beams)
+    step = float(np.median(np.diff(lidar.elevations)))
+    return read_only(lidar.elevations + step * shift(line, beam))
+
+
+def interleaved(line: IntArray, beam: IntArray) -> FloatArray:
+    """Every other line half a beam higher."""
+    return np.asarray(0.5 * (line % 2) + 0.0 * beam)
+
+
+def irregular(line: IntArray, beam: IntArray) -> FloatArray:
+    """Each line at a phase and with steps of its own, each beam off by up to a quarter."""
+    rng = np.random.default_rng(8)
+    n_lines, n_beams = len(line), len(beam)
+    phase = rng.uniform(-0.4, 0.4, (n_lines, 1))
+    drift = rng.uniform(-0.5, 0.5, (n_lines, 1)) * (beam / n_beams - 0.5)
+    return np.asarray(phase + drift + rng.uniform(-0.25, 0.25, (n_lines, n_beams)))
 
 
 def cast(

@@ -117,16 +117,19 @@ class Compressed(Protocol):
 
 
 class CompressibleField:
-    """Descriptor of a field whose array may be compressed; reading it returns the array."""
+    """Descriptor of a field whose array may be compressed; reading it returns the array.
+
+    A field that is optional may hold None, which stays as it is.
+    """
 
     def __init__(self, name: str) -> None:
         self._place = f"_{name}"
 
-    def __get__(self, instance: object, owner: type) -> AnyArray:
-        held: AnyArray | Compressed = instance.__dict__[self._place]
-        return held if isinstance(held, np.ndarray) else held.decompress()
+    def __get__(self, instance: object, owner: type) -> AnyArray | None:
+        held: AnyArray | Compressed | None = instance.__dict__[self._place]
+        return held if held is None or isinstance(held, np.ndarray) else held.decompress()
 
-    def __set__(self, instance: object, value: AnyArray | Compressed) -> None:
+    def __set__(self, instance: object, value: AnyArray | Compressed | None) -> None:
         instance.__dict__[self._place] = value
 
 
@@ -142,7 +145,7 @@ def compressible(*names: str) -> Callable[[type[T]], type[T]]:
 
 
 def is_compressed(instance: object, name: str) -> bool:
-    """Return whether the ``CompressibleField`` ``name`` of ``instance`` is compressed."""
+    """Return whether the ``CompressibleField`` ``name`` of ``instance`` is compressed, or None."""
     return not isinstance(instance.__dict__[f"_{name}"], np.ndarray)
 
 

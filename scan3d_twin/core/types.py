@@ -33,6 +33,8 @@ VALID = -1
 """Entry of a ``codes`` array where the reading is a distance, not an error code."""
 MIXED = -2
 """Entry of a ``codes`` array where the reading was removed as a mixed pixel."""
+UNMEASURED = -3
+"""Entry of a ``codes`` array where the line had no beam."""
 
 
 def wrap(angle: float) -> float:
@@ -128,10 +130,12 @@ class Pose2:
 class LidarSpec:
     """Geometry and timing of a scan line.
 
+    A line may have elevations and times of its own, beam j near those stated here.
+
     Attributes:
         elevations: Beam angle in the vertical scan plane (n_beams,) [rad]; 0 ahead, positive up.
         beam_times: Time of each beam after the line's stamp (n_beams,) [s].
-        line_period: Time between two lines [s].
+        line_period: Time between two lines, nominally [s].
         min_range: Shortest distance that the lidar reports [m].
         max_range: Longest distance that is trusted [m].
     """
@@ -156,11 +160,16 @@ class ScanLine:
         stamp: Time of step 0 of the revolution on ``Clock.now()`` [s].
         ranges: Distances (n_beams,) [m]; NaN where there is no valid return.
         codes: The sensor's error codes (n_beams,); ``VALID`` where ``ranges`` is a distance.
+        elevations: Beam angles of this line (n_beams,) [rad]; None if they are those of the
+            ``LidarSpec``. ``arrange_line`` makes lines of beams at any angles.
+        beam_times: Times of its beams after the stamp (n_beams,) [s]; None as for ``elevations``.
     """
 
     stamp: float
     ranges: FloatArray
     codes: IntArray
+    elevations: FloatArray | None = None
+    beam_times: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +213,7 @@ class Hazards:
         return tuple(name.replace("_", " ") for name in flags if getattr(self, name))
 
 
-@compressible("yaws", "ranges", "codes")
+@compressible("yaws", "ranges", "codes", "elevations")
 @dataclass(frozen=True, eq=False)
 class RangeImage:
     """One sweep, the paper's P = {l_1 .. l_n}: ranges by line and beam, in frame ``scan``.
@@ -220,6 +229,8 @@ class RangeImage:
             n_beams).
         spec: The lidar's geometry.
         T_base_lidar: Extrinsics of the lidar (4, 4).
+        elevations: Elevation of each reading (n_lines, n_beams) [rad], beam j near that of
+            ``spec``; None where all lines have those of ``spec``.
 
     >>> image = session.views[0].observation.image
     >>> image.ranges.shape == image.yaws.shape == image.points.shape[:2]
@@ -232,6 +243,13 @@ class RangeImage:
     codes: IntArray
     spec: LidarSpec
     T_base_lidar: FloatArray
+    elevations: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.elevations is not None and np.array_equal(
+            self.elevations, np.broadcast_to(self.spec.elevations, self.yaws.shape)
+        ):
+            object.__setattr__(self, "elevations", None)
 
     @property
     def n_lines(self) -> int:
@@ -240,7 +258,18 @@ class RangeImage:
 
     def compress(self, *others: RangeImage) -> None:
         """Compress the large arrays of this image and ``others``, which are seldom read."""
-        compress_fields(("yaws", "ranges", "codes"), self, *others)
+        compress_fields(("yaws", "ranges", "codes", "elevations"), self, *others)
+
+    @property
+    def elevation_rows(self) -> FloatArray:
+        """Elevations of the readings [rad]: (n_lines, n_beams), or (1, n_beams) if lines agree."""
+        own = self.elevations
+        return self.spec.elevations[None] if own is None else own
+
+    def elevations_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
+        """Return the elevations of some readings (n,) [rad], by lines (n,) and beams (n,)."""
+        own = self.elevations
+        return self.spec.elevations[beams] if own is None else own[lines, beams]
 
     @property
     def directions(self) -> FloatArray:
@@ -259,17 +288,18 @@ class RangeImage:
     @property
     def heights(self) -> FloatArray:
         """Heights of the ``points`` (n_lines, n_beams) [m]; the turns do not change them."""
-        return np.asarray(self.T_base_lidar[2, 3] + self.ranges * self.beams[:, 2])
+        return np.asarray(self.T_base_lidar[2, 3] + self.ranges * self.beams[..., 2])
 
     def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``points`` of some readings (n, 3) [m], by their lines (n,) and beams (n,)."""
         yaws, ranges = self.yaws[lines, beams], self.ranges[lines, beams]
-        return self._placed(ranges, self.beams[beams], yaws)
+        return self._placed(ranges, self._beams_at(lines, beams), yaws)
 
     def directions_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``directions`` of some readings (n, 3), by their lines (n,) and beams (n,)."""
         yaws = self.yaws[lines, beams]
-        return self._turned(beams, np.cos(yaws), np.sin(yaws))
+        turned = _rotated(self._beams_at(lines, beams), np.cos(yaws), np.sin(yaws))
+        return np.stack(turned, axis=-1)
 
     def _placed(self, ranges: FloatArray, beams: FloatArray, yaws: FloatArray) -> FloatArray:
         """Return points (..., 3) at ``ranges`` along ``beams`` (..., 3), the base at ``yaws``."""
@@ -280,14 +310,20 @@ class RangeImage:
             np.add(lever, ranges * beam, out=result[..., i])
         return result
 
-    def _turned(self, beams: IntArray, c: FloatArray, s: FloatArray) -> FloatArray:
-        """Return directions (n, 3) of ``beams`` (n,), the base turned by angles of c and s (n,)."""
-        return np.stack(_rotated(self.beams[beams], c, s), axis=-1)
-
     @property
     def beams(self) -> FloatArray:
-        """Beam directions in ``base`` (n_beams, 3)."""
-        e = self.spec.elevations
+        """Beam directions in ``base``: (n_lines, n_beams, 3), or (n_beams, 3) if lines agree."""
+        own = self.elevations
+        return self._directions_in_base(self.spec.elevations if own is None else own)
+
+    def _beams_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
+        """Return the ``beams`` of some readings (n, 3), by their lines (n,) and beams (n,)."""
+        if self.elevations is None:
+            return np.asarray(self.beams[beams])
+        return self._directions_in_base(self.elevations_at(lines, beams))
+
+    def _directions_in_base(self, e: FloatArray) -> FloatArray:
+        """Return the directions (..., 3) in ``base`` of beams at the elevations ``e`` (...)."""
         beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=-1)
         return np.asarray(beams @ self.T_base_lidar[:3, :3].T)
 

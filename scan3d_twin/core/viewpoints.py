@@ -160,7 +160,7 @@ def is_end_in_view(image: RangeImage, sweep: Scan3D, target: Scan3D, config: Tar
 
     # Require that nothing beyond is nearer
     beyond = (sweep.lines > last) & (yaws[sweep.lines] > clear_until)
-    beyond &= np.abs(image.spec.elevations[sweep.beams]) <= config.window / 2
+    beyond &= np.abs(image.elevations_at(sweep.lines, sweep.beams)) <= config.window / 2
     nearest = np.hypot(sweep.points[beyond, 0], sweep.points[beyond, 1])
     return bool(np.all(nearest > distance))
 

@@ -21,7 +21,8 @@ def image_bytes(observation: Observation) -> bytes:
     Its arrays, by the names and with the units of ``RangeImage`` and ``LidarSpec``: ``stamps, yaws,
     ranges, codes, elevations, beam_times, T_base_lidar``, ``range_limits`` (the shortest and the
     longest distance of the lidar [m]), and ``points`` (n_lines, n_beams, 3) in frame ``scan`` with
-    NaN where there is no return.
+    NaN where there is no return. ``line_elevations`` (n_lines, n_beams) is there only if the lines
+    have elevations of their own.
     """
     image = observation.image
     return npz_bytes(**image_arrays(image), points=image.points)
@@ -39,6 +40,7 @@ def npz_bytes(level: int = COMPRESSION_LEVEL, /, **arrays: npt.NDArray[Any]) -> 
 
 def image_arrays(image: RangeImage) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of a range image that a file stores, by the names of its fields."""
+    own = {} if image.elevations is None else {"line_elevations": image.elevations}
     return {
         "stamps": image.stamps,
         "yaws": image.yaws,
@@ -48,4 +50,5 @@ def image_arrays(image: RangeImage) -> dict[str, npt.NDArray[Any]]:
         "beam_times": image.spec.beam_times,
         "range_limits": np.array([image.spec.min_range, image.spec.max_range]),
         "T_base_lidar": image.T_base_lidar,
+        **own,
     }

@@ -22,7 +22,15 @@ from scan3d_twin.recording.mcap.recovering_reader import (
     read_contents,
 )
 from scan3d_twin.recording.mcap.rewrite import read_to_last_mark
-from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
+from scan3d_twin.recording.names import (
+    ANGLES,
+    COMMANDS,
+    ODOMETRY,
+    PART,
+    RECORDS,
+    SCANS,
+    SESSION_FILE,
+)
 from scan3d_twin.recording.session_log import Mark, SessionState
 from scan3d_twin.run.settings import Settings, build_settings
 
@@ -146,11 +154,19 @@ def read_lines(path: Path) -> Iterator[ScanLine]:
     With the precision of the ROS messages: nanoseconds, distances to 7 digits. The sweeps of
     views are stored exactly elsewhere in the file.
     """
-    for each in read_contents(path, SCANS):
-        if isinstance(each, RawMessage):
-            scan = _decoded(each)
-            stamp = scan.header.stamp.sec + scan.header.stamp.nanosec / 1e9
-            yield ScanLine(stamp, scan.ranges.astype("float64"), scan.intensities.astype("int64"))
+    angles = None
+    for each in read_contents(path, SCANS, ANGLES):
+        if not isinstance(each, RawMessage):
+            continue
+        scan = _decoded(each)
+        if each.topic == ANGLES:  # of the line that follows
+            angles = scan
+            continue
+        stamp = scan.header.stamp.sec + scan.header.stamp.nanosec / 1e9
+        ranges, codes = scan.ranges.astype("float64"), scan.intensities.astype("int64")
+        own = (None, None) if angles is None else (angles.elevations, angles.times)
+        yield ScanLine(stamp, ranges, codes, *own)
+        angles = None
 
 
 def _decoded(each: RawMessage) -> Any:

@@ -19,7 +19,15 @@ from scan3d_twin.recording.mcap import cdr, ros_records
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
 from scan3d_twin.recording.mcap.rewrite import reopen
-from scan3d_twin.recording.names import COMMANDS, ODOMETRY, PART, RECORDS, SCANS, SESSION_FILE
+from scan3d_twin.recording.names import (
+    ANGLES,
+    COMMANDS,
+    ODOMETRY,
+    PART,
+    RECORDS,
+    SCANS,
+    SESSION_FILE,
+)
 from scan3d_twin.recording.session_log import Mark, SessionLog
 from scan3d_twin.run.settings import Settings, settings_toml
 
@@ -152,7 +160,10 @@ class Recorder:
         """See ``Observer``; stamped when the line was complete, as several may come at once."""
         self._follow()
         spec = self._attached().lidar.spec
-        self._file.write(SCANS, line.stamp + spec.line_period, cdr.encode_scan(line, spec))
+        complete = line.stamp + spec.line_period
+        if line.elevations is not None or line.beam_times is not None:
+            self._file.write(ANGLES, complete, ros_records.encode_angles(line, spec))
+        self._file.write(SCANS, complete, cdr.encode_scan(line, spec))
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""

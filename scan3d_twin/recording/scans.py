@@ -38,6 +38,9 @@ def read_image(path: Path) -> RangeImage:
                     max_range=high,
                 ),
                 T_base_lidar=read_only(arrays["T_base_lidar"]),
+                elevations=read_only(arrays["line_elevations"])
+                if "line_elevations" in arrays
+                else None,
             )
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error

@@ -22,7 +22,7 @@ def view_bytes(view: View, level: int = COMPRESSION_LEVEL) -> bytes:
     Its arrays, by the names and with the units of ``RangeImage``, ``LidarSpec`` and ``View``:
     ``stamps, yaws, ranges, codes, elevations, beam_times, range_limits, T_base_lidar, T_odom_scan,
     T_world_scan`` (poses as x, y, yaw) and ``target_points`` (n, 3) in frame ``scan`` with their
-    ``target_lines`` and ``target_beams``.
+    ``target_lines`` and ``target_beams``; ``line_elevations`` as in ``image_bytes``.
     """
     return npz_bytes(
         level,

@@ -9,6 +9,7 @@ import numpy as np
 
 from scan3d_twin.core.model.evaluation import Evaluation
 from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.types import UNMEASURED
 
 MIN_RETURN_SHARE = 0.3
 """Share of readings with a return below which surfaces are dark, shiny or far (assumption)."""
@@ -41,8 +42,8 @@ def _check_returns(session: Session) -> Iterator[str]:
 def _returned_share(view: View, window: float) -> float:
     """Return the share of the readings in the vertical ``window`` [rad] that are distances."""
     image = view.observation.image
-    inside = np.abs(image.spec.elevations) <= window / 2
-    return float(np.mean(np.isfinite(image.ranges[:, inside])))
+    inside = (np.abs(image.elevation_rows) <= window / 2) & (image.codes != UNMEASURED)
+    return float(np.mean(np.isfinite(image.ranges[inside])))
 
 
 def _check_fallbacks(session: Session) -> Iterator[str]:

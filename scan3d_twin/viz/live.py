@@ -128,7 +128,8 @@ class LiveView:
             return
 
         # Convert the line to points
-        elevations = robot.lidar.spec.elevations
+        spec, own = robot.lidar.spec, line.elevations
+        elevations = spec.elevations if own is None else own
         rays = np.stack([np.cos(elevations), np.zeros_like(elevations), np.sin(elevations)], axis=1)
         seen = np.isfinite(line.ranges)
         points = line.ranges[seen, None] * rays[seen]

@@ -30,6 +30,7 @@ MIN_FLAT = 0.9
 """Least length of a normal in the top view: a surface leaning more (26 deg) has no upright end."""
 MOST_SPREAD = 0.01
 """A run whose points scatter more about its mean in the top view is no vertical edge [m]."""
+UNEVEN = 0.25
 OFF_PLANE = 0.03
 """The last reading must lie on the plane that ends [m]: 3 sigma. A face that turns away behind it
 and is seen so flat that its own readings jump is not where the plane ends."""
@@ -54,7 +55,7 @@ def edge_rows(
     Args:
         ranges: (n_lines, n_beams) [m].
         yaws: Of the base at each beam (n_lines, n_beams) [rad].
-        beams: Directions in ``base`` (n_beams, 3).
+        beams: Directions in ``base`` (n_beams, 3), or (n_lines, n_beams, 3).
         lever: Place of the lidar in ``base`` (3,) [m].
         rows: Surfels (m, 8).
         index: Row of each reading (n_lines, n_beams), or -1.
@@ -66,7 +67,8 @@ def edge_rows(
         for line, first, end in _runs(_jumps(ranges, index >= 0, valid, side)):
             near = line if side > 0 else line + 1
             part = (near, slice(first, end))
-            x, y, z = (lever + ranges[part][:, None] * beams[first:end]).T
+            rays = beams if beams.ndim == 2 else beams[near]
+            x, y, z = (lever + ranges[part][:, None] * rays[first:end]).T
             c, s = np.cos(yaws[part]), np.sin(yaws[part])
             last = np.stack([c * x - s * y, s * x + c * y, z], axis=1)
             carrier = index[line - INWARDS if side > 0 else line + 1 + INWARDS, first:end]
@@ -108,6 +110,18 @@ def _runs(jumps: BoolArray) -> list[tuple[int, int, int]]:
     )
 
 
+def _spacing(yaws: FloatArray, line: int, beam: int) -> float:
+    """Return the angle between two lines, that of the first two where lines are evenly spaced.
+
+    Two that see the same place count as half the mean spacing apart.
+    """
+    usual = float(np.mean(np.abs(yaws[1] - yaws[0])))
+    step = float(abs(yaws[line + 1, beam] - yaws[line, beam]))
+    if abs(step - usual) <= UNEVEN * usual:
+        return usual
+    return max(step, float(abs(yaws[-1, beam] - yaws[0, beam])) / (2 * (len(yaws) - 1)))
+
+
 def _run(
     yaws: FloatArray,
     last: FloatArray,
@@ -141,7 +155,7 @@ def _run(
     place = places.mean(axis=0)
     if np.sqrt(np.mean(np.sum((places - place) ** 2, axis=1))) > MOST_SPREAD:
         return None
-    spacing = float(np.mean(np.abs(yaws[1] - yaws[0])))
+    spacing = _spacing(yaws, line, (first + end) // 2)
     distance = float(np.hypot(*place))
     variance = distance**2 * (spacing**2 / 12 + yaw_sigma**2)
     across = np.array([-place[1], place[0]]) / distance

@@ -44,7 +44,9 @@ USUAL = 0.004, 0.0009
 """Range sigma at 0 [m] and its growth per metre of a URG-04LX, where nothing else is known."""
 
 
-def estimate_range_noise(ranges: FloatArray, valid: BoolArray) -> tuple[float, float]:
+def estimate_range_noise(
+    ranges: FloatArray, valid: BoolArray, rays: FloatArray | None = None
+) -> tuple[float, float]:
     """Return ``range_sigma`` and ``range_sigma_per_metre`` of a sweep; as usual if it is too small.
 
     Along a line the inverse range of a plane is linear but for terms of second order in the beam
@@ -54,6 +56,7 @@ def estimate_range_noise(ranges: FloatArray, valid: BoolArray) -> tuple[float, f
     Args:
         ranges: (n_lines, n_beams) [m].
         valid: Readings that are distances (n_lines, n_beams).
+        rays: Directions of unevenly spaced beams (n_lines, n_beams, 3).
     """
     n_beams = ranges.shape[1] - 2 * LAG
     whole = valid[:, LAG:-LAG] & valid[:, 2 * LAG :] & valid[:, : -2 * LAG]
@@ -64,7 +67,13 @@ def estimate_range_noise(ranges: FloatArray, valid: BoolArray) -> tuple[float, f
     line = some // n_beams
     beam = some - line * n_beams
     before, r, after = ranges[line, beam], ranges[line, beam + LAG], ranges[line, beam + 2 * LAG]
-    deviation = np.abs(1 / before - 2 / r + 1 / after) * r * r * (MAD / math.sqrt(6.0))
+    a, b = np.ones((2, len(r)))
+    if rays is not None:
+        middle = rays[line, beam + LAG]
+        a = np.linalg.norm(middle - rays[line, beam], axis=1)
+        b = np.linalg.norm(rays[line, beam + 2 * LAG] - middle, axis=1)
+    second = (b / before - (a + b) / r + a / after) / np.sqrt(a**2 + b**2 + (a + b) ** 2)
+    deviation = np.abs(second) * r * r * MAD
     quarter, share = quarters(r), np.zeros(4)
     x, y = np.zeros(4), np.zeros(4)
     for k in range(4):

@@ -117,8 +117,9 @@ def find_supported(view: View) -> BoolArray:
     """
     image, target = view.image, view.target
     ranges, counts = read_only(image.ranges), np.empty(len(target), dtype=np.int64)
+    elevations = read_only(image.elevation_rows)
     engine.count_neighbours(
-        ranges, read_only(image.yaws), read_only(image.spec.elevations), *ranges.shape,
+        ranges, read_only(image.yaws), elevations, len(elevations) > 1, *ranges.shape,
         np.ascontiguousarray(target.lines), np.ascontiguousarray(target.beams), len(target),
         RANGE_NOISE, math.tan(MAX_INCIDENCE), counts,
     )  # fmt: skip

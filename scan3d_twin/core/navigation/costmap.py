@@ -318,7 +318,7 @@ def _find_floor(image: RangeImage, config: Config) -> Floor:
     # Separate things from floor
     outside = distance > config.motion.self_radius
     solid = outside & (points[:, 2] > config.target.floor_height)
-    ahead = outside & (np.abs(image.spec.elevations) < np.pi / 2)[beams]
+    ahead = outside & (np.abs(image.elevations_at(lines, beams)) < np.pi / 2)
     kinds = np.where(ahead, np.where(solid, SOLID, FLOOR), 0).astype(np.uint8)
 
     # Measure the free reach

@@ -166,13 +166,13 @@ class Planes:
 
 def _cast_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return origins and directions (k, 3) of the rays ``where`` (n_lines, n_beams) is True."""
-    yaws, beam = image.yaws[where], np.nonzero(where)[1]
+    yaws, rays = image.yaws[where], Beams.of(image).at(*np.nonzero(where))
     c, s = np.cos(yaws), np.sin(yaws)
 
     def turned(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         return np.stack([c * x - s * y, s * x + c * y, np.broadcast_to(z, c.shape)], axis=1)
 
-    return turned(*image.T_base_lidar[:3, 3]), turned(*Beams.of(image).directions[beam].T)
+    return turned(*image.T_base_lidar[:3, 3]), turned(*rays.T)
 
 
 @dataclass(frozen=True)

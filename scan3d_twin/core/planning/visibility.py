@@ -58,6 +58,7 @@ class NextSweep:
             yaws=read_only(np.repeat(yaws[:, None], shape[1], axis=1)),
             ranges=np.broadcast_to(np.nan, shape),
             codes=np.broadcast_to(np.int64(0), shape),
+            elevations=None,
         )
         return NextSweep(empty, Projection.of(empty, spacing))
 

@@ -19,7 +19,14 @@ from scipy import ndimage
 
 from scan3d_twin.core.planning.surface_patches import Eye
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage
+from scan3d_twin.core.types import (
+    UNMEASURED,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Pose2,
+    RangeImage,
+)
 
 Labels = npt.NDArray[np.int8]
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
@@ -165,7 +172,7 @@ def is_passed(points: FloatArray, image: RangeImage, clearly: float | FloatArray
 
     # Compare with the nearest beam
     line, off = _find_nearest_entry(-yaws, -bearing)
-    beam, away = _find_nearest_entry(image.spec.elevations, np.arctan2(up, flat))
+    beam, away = _find_nearest_beam(image, line, np.arctan2(up, flat))
     spacing = float(np.median(-np.diff(yaws)))
     reach = _measure_reach(image, spacing)
     seen = (off <= spacing) & (away <= math.radians(1.0)) & (flat > 0)
@@ -184,6 +191,25 @@ def _measure_reach(image: RangeImage, spacing: float) -> FloatArray:
     eroded = ndimage.minimum_filter(hole, wide, mode="constant", cval=1)
     void = ndimage.maximum_filter(eroded, wide, mode="constant", cval=0, origin=mirrored)
     return np.where(hole & void, image.spec.max_range, image.ranges)
+
+
+def _find_nearest_beam(
+    image: RangeImage, line: IntArray, elevations: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return the beam of each ``line`` nearest to ``elevations`` (...) [rad], and how far it is.
+
+    Where lines have elevations of their own, it is one of the nominally nearest three.
+    """
+    own = image.elevations
+    beam, away = _find_nearest_entry(image.spec.elevations, elevations)
+    if own is None:
+        return beam, away
+    beside = np.clip(beam[..., None] + np.arange(-1, 2), 0, image.spec.n_beams - 1)
+    off = np.abs(own[line[..., None], beside] - elevations[..., None])
+    off[image.codes[line[..., None], beside] == UNMEASURED] = np.inf
+    best = np.argmin(off, axis=-1)[..., None]
+    beam, away = (np.take_along_axis(each, best, axis=-1)[..., 0] for each in (beside, off))
+    return beam, away
 
 
 def _find_nearest_entry(ascending: FloatArray, values: FloatArray) -> tuple[IntArray, FloatArray]:

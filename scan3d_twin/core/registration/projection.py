@@ -13,6 +13,10 @@ follows from the point relative to the lidar. Tables then give the nearest line 
 The tables are indexed without computing an angle: by a pseudo-angle, the position of a direction
 (c, s) along the square |c| + |s| = 1. It grows with the angle, by (c^2 + s^2) / (|c| + |s|)^2 per
 radian.
+
+Where the lines of a sweep have elevations of their own, the table gives the beam nominally nearest,
+and the nearest of the line's beams around it is taken.
+
 ``native/projection.h`` computes it.
 """
 
@@ -27,6 +31,7 @@ import numpy as np
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import (
+    UNMEASURED,
     BoolArray,
     FloatArray,
     IntArray,
@@ -52,6 +57,9 @@ class Projection:
         mount: cos kappa, sin kappa, a, k . t, k_z, then t (3), x axis (3), z axis (3) of the lidar
             in ``base`` (14,).
         backwards: Whether any beam looks back over the zenith or the nadir.
+        elevations: Elevation of each reading in entries of the tables (n_lines, n_beams), infinite
+            where the line has no beam; None if the lines agree.
+        search: Beams to either side of the nominally nearest among which a line's nearest one is.
     """
 
     lines: SmallIntArray
@@ -60,6 +68,8 @@ class Projection:
     middles: FloatArray
     mount: FloatArray
     backwards: bool
+    elevations: FloatArray | None
+    search: int
 
     @staticmethod
     def of(image: RangeImage, line_spacing: float) -> Projection:
@@ -68,7 +78,10 @@ class Projection:
         elevations = np.ascontiguousarray(image.spec.elevations).tobytes()
         beams, mount, backwards = _project_lidar(elevations, image.T_base_lidar.tobytes())
         lines = tabulate_nearest(middles, line_spacing)
-        return Projection(lines, beams, read_only(image.yaws), middles, mount, backwards)
+        own, search = _locate_beams(image)
+        return Projection(
+            lines, beams, read_only(image.yaws), middles, mount, backwards, own, search
+        )
 
     @cached_property
     def value(self) -> native.Projection:
@@ -79,7 +92,8 @@ class Projection:
             n_beams=n_beams,
             lines=self.lines,
             beams=self.beams,
-            beam_stride=0,
+            elevations=self.elevations,
+            search=self.search,
             yaws=self.yaws,
             middles=self.middles,
             mount=self.mount,
@@ -112,6 +126,22 @@ def tabulate_nearest(angles: FloatArray, spacing: float) -> SmallIntArray:
     if engine.tabulate_nearest(angles, len(angles), spacing, _cell_centres(), table) < 0:
         raise MemoryError
     return table
+
+
+def _locate_beams(image: RangeImage) -> tuple[FloatArray | None, int]:
+    """Return ``elevations`` and ``search`` of a sweep.
+
+    Where beams are at most a spacing apart, the one nearest to a direction is at most half a
+    spacing from it, as is the nominally nearest; the shift of the beams comes on top.
+    """
+    own, nominal = image.elevations, image.spec.elevations
+    if own is None:
+        return None, 0
+    cells, measured = np.empty(own.shape), image.codes != UNMEASURED
+    engine.locate_angles(read_only(own), own.size, cells)
+    shift = np.max(np.abs(own - nominal), where=measured, initial=0.0)
+    spacing = float(np.median(np.abs(np.diff(nominal))))
+    return np.where(measured, cells, math.inf), 1 + math.ceil(shift / max(spacing, 1e-9))
 
 
 @lru_cache(maxsize=16)

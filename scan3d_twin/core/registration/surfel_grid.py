@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.edges import Edges, find_edges
 from scan3d_twin.core.registration.native import engine
@@ -63,7 +64,7 @@ class SurfelGrid:
     """Surfels of a sweep in frame ``scan``, on the grid of its lines and beams.
 
     Attributes:
-        image: The sweep.
+        image: The sweep, its columns packed if it has several for each beam.
         noise: Noise of its readings.
         rows: Surfels (m, 8) line by line, columns as in ``surfels``.
         yaws: Yaw at which each was measured, relative to the middle of the sweep (m,) [rad].
@@ -159,6 +160,8 @@ def extract_surfels(
 ) -> SurfelGrid:
     """Return the surfels of ``image``, for any number of registrations.
 
+    A grid with several columns for each beam of a line is packed (``core/line_grid.py``).
+
     Args:
         image: A sweep; filled gaps are not used.
         keep: Readings (n_lines, n_beams), or their points, that get a surfel; all by default.
@@ -171,6 +174,13 @@ def extract_surfels(
     _check(image)
     mask = _as_mask(keep, image.codes.shape)
     grid = _extract(image, mask, noise)
+
+    # Pack a grid whose windows are half empty
+    if 2 * grid.count < np.count_nonzero(grid.valid):
+        columns = find_packed_columns(image.codes)
+        if columns is not None:
+            kept = None if mask is None else np.take_along_axis(mask, columns, axis=1)
+            return extract_surfels(pack_columns(image, columns), keep=kept, noise=noise)
     if grid.count < MIN_SURFELS:
         wanted = grid.valid if mask is None else grid.valid & mask
         raise RegistrationError(
@@ -205,10 +215,11 @@ def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None)
 
 def _check(image: RangeImage) -> None:
     shape = (image.n_lines, image.spec.n_beams)
-    for name in ("yaws", "ranges", "codes"):
-        if getattr(image, name).shape != shape:
+    for name in ("yaws", "ranges", "codes", "elevations"):
+        array = getattr(image, name)
+        if array is not None and array.shape != shape:
             raise ConfigError(
-                f"range image: {name} has shape {getattr(image, name).shape}, but expected are "
+                f"range image: {name} has shape {array.shape}, but expected are "
                 f"{shape[0]} lines of {shape[1]} beams"
             )
     if min(shape) < 5:

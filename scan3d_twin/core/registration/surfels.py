@@ -53,7 +53,8 @@ class Beams(NamedTuple):
     """The beams of a lidar on its mount.
 
     Attributes:
-        directions: Unit vectors in ``base`` (n_beams, 3).
+        directions: Unit vectors in ``base``: (n_beams, 3), or (n_lines, n_beams, 3) where the lines
+            of a sweep have elevations of their own.
         lever: Position of the lidar in ``base`` (3,) [m].
         spacing: Typical angle between two beams [rad].
     """
@@ -64,24 +65,43 @@ class Beams(NamedTuple):
 
     @staticmethod
     def of(image: RangeImage) -> Beams:
-        """Return the beams of a sweep, which all sweeps of a lidar share.
+        """Return the beams of a sweep, which all regular sweeps of a lidar share.
 
         Raises:
             ConfigError: Elevations or mount are not finite.
         """
-        return _compute_beams(
-            read_only(image.spec.elevations).tobytes(), image.T_base_lidar.tobytes()
-        )
+        own, T_base_lidar = image.elevations, image.T_base_lidar.tobytes()
+        usual = _compute_beams(read_only(image.spec.elevations).tobytes(), T_base_lidar)
+        if own is None:
+            return usual
+        directions = _compute_own_directions(read_only(own).tobytes(), T_base_lidar)
+        return usual._replace(directions=directions.reshape(*own.shape, 3))
+
+    def at(self, lines: IntArray, beams: IntArray) -> FloatArray:
+        """Return the directions of some readings (n, 3), by their lines (n,) and beams (n,)."""
+        every = self.directions
+        return np.asarray(every[beams] if every.ndim == 2 else every[lines, beams])
 
 
 @lru_cache(maxsize=16)
 def _compute_beams(elevations: bytes, T_base_lidar: bytes) -> Beams:
     e, T = np.frombuffer(elevations), np.frombuffer(T_base_lidar).reshape(4, 4)
+    spacing = float(np.median(np.abs(np.diff(e))))
+    return Beams(_compute_directions(e, T), read_only(T[:3, 3]), spacing)
+
+
+@lru_cache(maxsize=4)
+def _compute_own_directions(elevations: bytes, T_base_lidar: bytes) -> FloatArray:
+    """Return ``_compute_directions`` of the readings of a sweep; large, and used a few times."""
+    e, T = np.frombuffer(elevations), np.frombuffer(T_base_lidar).reshape(4, 4)
+    return _compute_directions(e, T)
+
+
+def _compute_directions(e: FloatArray, T: FloatArray) -> FloatArray:
+    """Return unit vectors in ``base`` (n, 3) at elevations ``e`` (n,) [rad], on the mount ``T``."""
     if not (np.all(np.isfinite(e)) and np.all(np.isfinite(T))):
         raise ConfigError("range image: elevations and T_base_lidar must be finite")
-    directions = np.cos(e)[:, None] * T[:3, 0] + np.sin(e)[:, None] * T[:3, 2]
-    spacing = float(np.median(np.abs(np.diff(e))))
-    return Beams(read_only(directions), read_only(T[:3, 3]), spacing)
+    return read_only(np.cos(e)[:, None] * T[:3, 0] + np.sin(e)[:, None] * T[:3, 2])
 
 
 def make_native_sweep(image: RangeImage) -> native.Sweep:
@@ -94,7 +114,7 @@ def make_native_sweep(image: RangeImage) -> native.Sweep:
         ranges=read_only(image.ranges),
         yaws=read_only(image.yaws),
         rays=beams.directions,
-        ray_stride=0,
+        ray_stride=0 if beams.directions.ndim == 2 else 3 * image.spec.n_beams,
         lever=beams.lever,
         sigmas=None,
         beam_spacing=beams.spacing,

@@ -33,6 +33,7 @@ class SweepPoints(NamedTuple):
         placed = SweepPoints(np.empty((n, 3)), np.empty(n, int), np.empty(n, int), np.empty(n))
         engine.place_readings(
             index, n, image.spec.n_beams, read_only(image.ranges), np.cos(yaws), np.sin(yaws),
-            np.ascontiguousarray(image.beams), read_only(image.T_base_lidar[:3, 3]), *placed,
+            np.ascontiguousarray(image.beams), image.elevations is not None,
+            read_only(image.T_base_lidar[:3, 3]), *placed,
         )  # fmt: skip
         return placed

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.types import FloatArray, ScanLine, wrap
+from scan3d_twin.core.types import FloatArray, LidarSpec, ScanLine, wrap
 
 MAX_ODOMETRY_GAP = 10
 """Sample periods without odometry after which the heading is unknown: lines in the gap are lost."""
@@ -40,9 +40,15 @@ def deskew_lines(
         return []
 
     # Interpolate outside of odometry gaps
-    times = np.array([line.stamp for line in lines])[:, None] + robot.lidar.spec.beam_times
+    times = np.array([line.stamp + _find_beam_times(line, robot.lidar.spec) for line in lines])
+    first_times, last_times = (end(times, axis=1, keepdims=True) for end in (np.min, np.max))
     gaps = np.flatnonzero(np.diff(stamps) > MAX_ODOMETRY_GAP * robot.base.spec.sample_period)
-    after, before = times[:, :1] < stamps[gaps + 1], times[:, -1:] > stamps[gaps]
+    after, before = first_times < stamps[gaps + 1], last_times > stamps[gaps]
     whole = ~np.any(after & before, axis=1)
     yaws = np.interp(times, stamps, headings)
     return [pair for pair, kept in zip(zip(lines, yaws, strict=True), whole, strict=True) if kept]
+
+
+def _find_beam_times(line: ScanLine, spec: LidarSpec) -> FloatArray:
+    """Return the times of the beams of ``line`` after its stamp (n_beams,) [s]."""
+    return spec.beam_times if line.beam_times is None else line.beam_times

@@ -240,17 +240,17 @@ def _gather_samples(places: Sequence[Sequence[RangeImage]]) -> Samples:
 def _sample_sweep(image: RangeImage, place: int) -> tuple[FloatArray | IntArray, ...]:
     """Return the fields of ``Samples`` for one sweep, each surfel's mean as its reading."""
     # Express the surfels as readings
-    table = extract_surfels(image).at(np.s_[::STRIDE, ::STRIDE])
-    yaws, e = image.yaws[::STRIDE, ::STRIDE], image.spec.elevations[::STRIDE]
-    beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1)
+    grid = extract_surfels(image)
+    image, table = grid.image, grid.at(np.s_[::STRIDE, ::STRIDE])
+    yaws = image.yaws[::STRIDE, ::STRIDE]
     lidar = _rotate(np.broadcast_to(image.T_base_lidar[:3, 3], (*yaws.shape, 3)), yaws)
     ranges = np.linalg.norm(table[..., X] - lidar, axis=2)
 
     # Select those beyond the robot
     line, beam = np.nonzero((table[..., VARIANCE] > 0) & (ranges > MIN_RANGE))
-    n = len(line)
+    n, e = len(line), image.elevations_at(STRIDE * line, STRIDE * beam)
     return (
-        beams[beam],
+        np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1),
         ranges[line, beam],
         yaws[line, beam],
         np.full(n, measure_turn_rate(image)),

@@ -16,10 +16,10 @@ def fill_gaps(image: RangeImage, config: GapConfig) -> RangeImage:
     differ by less than ``config.depth_edge``, so never across a depth edge. Measured readings are
     kept as they are; filled ones keep their error code. ``native/readings.h`` fills them.
     """
-    ranges, elevations = image.ranges.copy(), read_only(image.spec.elevations)
+    ranges, elevations = image.ranges.copy(), read_only(image.elevation_rows)
     engine.fill_gaps(
-        ranges, elevations, read_only(image.yaws), *ranges.shape, config.max_angle,
-        config.depth_edge,
+        ranges, elevations, len(elevations) > 1, read_only(image.yaws), *ranges.shape,
+        config.max_angle, config.depth_edge,
     )  # fmt: skip
     ranges.flags.writeable = False
     return replace(image, ranges=ranges)

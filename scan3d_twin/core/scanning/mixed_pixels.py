@@ -29,11 +29,11 @@ def remove_mixed_pixels(image: RangeImage, config: GapConfig) -> RangeImage:
         image: The raw range image.
         config: Its ``depth_edge`` is the largest step that may be noise.
     """
-    elevations, yaws = read_only(image.spec.elevations), read_only(image.yaws)
+    elevations, yaws = read_only(image.elevation_rows), read_only(image.yaws)
     mixed = np.zeros(image.ranges.shape, dtype=bool)
     engine.mark_mixed_pixels(
-        read_only(image.ranges), elevations, yaws, *mixed.shape, config.depth_edge,
-        math.tan(MAX_INCIDENCE), mixed,
+        read_only(image.ranges), elevations, len(elevations) > 1, yaws, *mixed.shape,
+        config.depth_edge, math.tan(MAX_INCIDENCE), mixed,
     )  # fmt: skip
     if not mixed.any():
         return image

@@ -15,11 +15,13 @@ import numpy as np
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import DataLossError, LinkTimeoutError
 from scan3d_twin.core.hal import BunchingLidar, Robot
+from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
 from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
 from scan3d_twin.core.scanning.deskew import Lines, deskew_lines
 from scan3d_twin.core.scanning.extrinsics import correct_extrinsics
 from scan3d_twin.core.types import (
     FloatArray,
+    LidarSpec,
     Observation,
     Pose2,
     RangeImage,
@@ -238,14 +240,34 @@ def _assemble_observation(robot: Robot, lines: Lines, yaw: float, started: float
     turning = poses[len(poses) // 2 :]
 
     # Assemble image and pose
+    spec = robot.lidar.spec
     image = RangeImage(
-        stamps=read_only([line.stamp for line, _ in lines]),
+        stamps=read_only([_find_stamp(line, spec) for line, _ in lines]),
         yaws=read_only([yaws for _, yaws in lines]),
         ranges=read_only([line.ranges for line, _ in lines]),
         codes=read_only([line.codes for line, _ in lines], np.int64),
-        spec=robot.lidar.spec,
+        spec=spec,
         T_base_lidar=read_only(robot.T_base_lidar),
+        elevations=_stack_elevations([line for line, _ in lines], spec),
     )
+    columns = find_packed_columns(image.codes)
+    image = image if columns is None else pack_columns(image, columns)
     x = float(np.mean([pose.x for pose in turning]))
     y = float(np.mean([pose.y for pose in turning]))
     return Observation(image, Pose2(x, y, yaw))
+
+
+def _find_stamp(line: ScanLine, spec: LidarSpec) -> float:
+    """Return the stamp [s] of ``line`` with which ``spec`` gives the time of its middle beam."""
+    if line.beam_times is None:
+        return line.stamp
+    middle = spec.n_beams // 2
+    return line.stamp + float(line.beam_times[middle] - spec.beam_times[middle])
+
+
+def _stack_elevations(lines: list[ScanLine], spec: LidarSpec) -> FloatArray | None:
+    """Return the elevations (n_lines, n_beams) [rad]; None if all lines have those of ``spec``."""
+    every = [line.elevations for line in lines]
+    if all(own is None for own in every):
+        return None
+    return read_only([spec.elevations if own is None else own for own in every])

@@ -68,7 +68,7 @@ def extract_target(
         pieces of the range image with fewer than ``config.min_points`` points.
     """
     # Drop stray points
-    windowed = sweep.select(is_in_window(image, sweep.beams, config))
+    windowed = sweep.select(is_in_window(image, sweep.lines, sweep.beams, config))
     windowed = windowed.select(_measure_pieces(image, windowed) >= config.min_points)
     if len(windowed) == 0:
         return windowed
@@ -79,9 +79,11 @@ def extract_target(
     return windowed.select(touching[groups])
 
 
-def is_in_window(image: RangeImage, beams: IntArray, config: TargetConfig) -> BoolArray:
-    """Return which ``beams`` (n,) are in the vertical window that is modelled (n,)."""
-    return np.asarray(np.abs(image.spec.elevations[beams]) <= config.window / 2)
+def is_in_window(
+    image: RangeImage, lines: IntArray, beams: IntArray, config: TargetConfig
+) -> BoolArray:
+    """Return which readings, by ``lines`` and ``beams`` (n,), are in the modelled window (n,)."""
+    return np.asarray(np.abs(image.elevations_at(lines, beams)) <= config.window / 2)
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ def _find_groups(panorama: Observation, config: Config) -> list[_Group]:
     """Return the things in a panorama, at least one."""
     # Select the points in the window
     sweep = extract_points(panorama.image, config)
-    sweep = sweep.select(is_in_window(panorama.image, sweep.beams, config.target))
+    sweep = sweep.select(is_in_window(panorama.image, sweep.lines, sweep.beams, config.target))
     if len(sweep) < config.target.min_points:
         raise SceneError(
             f"no target: the panorama shows nothing within {config.target.max_range:g} m; "

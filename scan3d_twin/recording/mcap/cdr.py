@@ -93,7 +93,11 @@ def encode_frames(stamp: float, T_world_odom: Pose2, T_odom_base: Pose2) -> Mess
 
 
 def encode_scan(line: ScanLine, spec: LidarSpec) -> Message:
-    """Return a scan line; its intensities are the sensor's error codes, -1 where measured."""
+    """Return a scan line; its intensities are the sensor's error codes, -1 where measured.
+
+    A ``LaserScan`` has evenly spaced beams: those of a line that has its own elevations are stated
+    to lie at the nominal ones.
+    """
     # Write the header
     steps = max(1, spec.n_beams - 1)
     first, last = float(spec.elevations[0]), float(spec.elevations[-1])

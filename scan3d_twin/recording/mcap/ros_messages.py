@@ -31,6 +31,11 @@ builtin_interfaces/Time stamp
 string direction
 uint8[] data
 """,
+    "scan3d_twin_msgs/msg/ScanAngles": """
+std_msgs/Header header
+float64[] elevations
+float64[] times
+""",
     "scan3d_twin_msgs/msg/Candidate": """
 geometry_msgs/Pose viewpoint
 float64 overlap

@@ -6,7 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from scan3d_twin.core.types import Candidate, Plan, Pose2, RegistrationResult
+from scan3d_twin.core.types import (
+    Candidate,
+    LidarSpec,
+    Plan,
+    Pose2,
+    RegistrationResult,
+    ScanLine,
+)
 from scan3d_twin.recording.exact_json import Packed
 from scan3d_twin.recording.mcap import ros_messages as ros
 
@@ -25,6 +32,19 @@ def encode_log(stamp: float, text: str) -> ros.Message:
         file="",
         function="",
         line=0,
+    )
+
+
+def encode_angles(line: ScanLine, spec: LidarSpec) -> ros.Message:
+    """Return elevations [rad] and times after the stamp [s] of the beams of a scan line."""
+    own = (line.elevations, line.beam_times)
+    usual = (spec.elevations, spec.beam_times)
+    elevations, times = (b if a is None else a for a, b in zip(own, usual, strict=True))
+    return ros.encode(
+        "scan3d_twin_msgs/msg/ScanAngles",
+        header=ros.make_header(line.stamp, "laser"),
+        elevations=elevations,
+        times=times,
     )
 
 

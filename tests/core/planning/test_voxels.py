@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic
 from paper import paper_config
 from sessions import BOX, session_at
 
@@ -21,9 +23,10 @@ from scan3d_twin.core.planning.voxels import (
     VOXEL_SIZE,
     VoxelMap,
     build_voxel_map,
+    is_passed,
 )
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Pose2
+from scan3d_twin.core.types import Pose2, read_only
 
 EYE = Eye(0.30, math.radians(30.0), math.radians(37.5), 4.0)
 
@@ -119,3 +122,16 @@ def test_the_eye_is_that_of_the_sweeps(box: Session) -> None:
     eye = Eye.of(box.views[0], paper_config())
     assert eye.height == pytest.approx(0.30)
     assert eye.half_width == pytest.approx(math.radians(30.0))
+
+
+@pytest.mark.parametrize("shift", [synthetic.interleaved, synthetic.irregular])
+def test_a_beam_has_passed_what_is_before_its_reading_wherever_it_lies(
+    shift: synthetic.Shift,
+) -> None:
+    image = synthetic.observe(Pose2(), shift=shift).image
+    lines, beams = np.nonzero(np.isfinite(image.ranges) & (image.ranges < 3.9))
+    low = np.abs(image.elevations_at(lines, beams)) < 1.0
+    lines, beams = lines[low], beams[low]
+    nearer = replace(image, ranges=read_only(image.ranges - 0.03))
+    assert np.mean(is_passed(nearer.points_at(lines, beams), image, 0.02)) > 0.995
+    assert np.mean(is_passed(nearer.points_at(lines, beams), image, 0.04)) < 0.02

@@ -48,7 +48,7 @@ from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfel
 from scan3d_twin.core.registration.surfels import Beams, fit_surfels, make_native_sweep
 from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.extrinsics import apply_mount
-from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
+from scan3d_twin.core.types import UNMEASURED, FloatArray, Pose2, RangeImage, read_only
 
 FIRST, SECOND = Pose2(0.0, 0.15, -0.05), Pose2(0.02, -0.15, 0.10)
 MOVE = FIRST.inverse() @ SECOND
@@ -143,6 +143,9 @@ def test_range_noise() -> None:
     ranges, valid = image(1).ranges, np.isfinite(image(1).ranges)
     plain = reference.scan_noise.estimate_range_noise(ranges, valid)
     assert estimate_range_noise(ranges, valid) == pytest.approx(plain, rel=1e-9)
+    rays = Beams.of(uneven(image(1))).directions
+    plain = reference.scan_noise.estimate_range_noise(ranges, valid, rays)
+    assert estimate_range_noise(ranges, valid, rays) == pytest.approx(plain, rel=1e-9)
     few = valid & (np.arange(valid.size).reshape(valid.shape) < 150)
     usual = reference.scan_noise.estimate_range_noise(ranges, few)
     assert estimate_range_noise(ranges, few) == usual
@@ -177,14 +180,15 @@ def test_known_rays() -> None:
 
 
 def test_edges() -> None:
-    grid = grids()[0]
-    beams = Beams.of(grid.image)
-    plain = reference.edges.edge_rows(
-        grid.image.ranges, grid.image.yaws, beams.directions, beams.lever, grid.rows, grid.index,
-        grid.valid, grid.noise.yaw_sigma,
-    )  # fmt: skip
-    assert len(plain) > 4
-    assert near(grid.edge_rows, plain, 1e-9)
+    for grid in (grids()[0], extract_surfels(uneven(image(1)))):
+        beams = Beams.of(grid.image)
+        plain = reference.edges.edge_rows(
+            grid.image.ranges, grid.image.yaws, beams.directions, beams.lever, grid.rows,
+            grid.index, grid.valid, grid.noise.yaw_sigma,
+        )  # fmt: skip
+        assert len(plain) >= 4
+        assert near(grid.edge_rows, plain, 1e-9)
+    assert len(np.unique(np.round(plain[:, 4] / np.sum(plain[:, :2] ** 2, axis=1), 12))) > 1
 
 
 def test_edge_equations() -> None:
@@ -420,45 +424,79 @@ def test_what_is_near_is_what_a_full_search_finds(within: float) -> None:
     assert not is_near(places, points[:0], within).any()
 
 
-def readings(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ranges that step and have gaps, elevations and yaws."""
+def readings(seed: int, own: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ranges that step and have gaps, elevations (each line's own or common) and yaws."""
     rng = np.random.default_rng(seed)
     ranges = np.cumsum(rng.normal(0.0, 0.05, (40, 30)), axis=1) + 2.0
     ranges[rng.random(ranges.shape) < 0.3] = math.nan
     elevations = np.linspace(-1.0, 0.7, 30)
     yaws = np.linspace(0.5, -0.5, 40)[:, None] + rng.normal(0.0, 0.001, (40, 30))
+    if own:
+        elevations = elevations + np.sort(rng.uniform(-0.02, 0.02, (40, 30)), axis=1)
     return ranges, elevations, yaws
 
 
-def test_mixed_pixels() -> None:
+@pytest.mark.parametrize("own", [False, True])
+def test_mixed_pixels(own: bool) -> None:
     for seed in range(5):
-        given = readings(seed)
+        given = readings(seed, own)
         found = np.zeros(given[0].shape, dtype=bool)
-        engine.mark_mixed_pixels(*given, *found.shape, 0.04, 0.3, found)
+        ranges, elevations, yaws = given
+        own = elevations.ndim > 1
+        engine.mark_mixed_pixels(ranges, elevations, own, yaws, *found.shape, 0.04, 0.3, found)
         assert found.any()
         assert np.array_equal(found, reference.readings.mixed(*given, 0.04, 0.3))
 
 
-def test_gaps() -> None:
+@pytest.mark.parametrize("own", [False, True])
+def test_gaps(own: bool) -> None:
     for seed in range(5):
-        given = readings(seed)
-        ranges = given[0].copy()
-        engine.fill_gaps(ranges, *given[1:], *ranges.shape, 0.15, 0.1)
+        given = readings(seed, own)
+        ranges, (_, elevations, yaws) = given[0].copy(), given
+        engine.fill_gaps(ranges, elevations, own, yaws, *ranges.shape, 0.15, 0.1)
         wanted = reference.readings.filled(*given, 0.15, 0.1)
         assert np.isfinite(ranges).sum() > np.isfinite(given[0]).sum()
         assert np.array_equal(ranges, wanted, equal_nan=True)
 
 
-def test_neighbours_on_a_surface() -> None:
-    ranges, elevations, yaws = readings(0)
+@pytest.mark.parametrize("own", [False, True])
+def test_neighbours_on_a_surface(own: bool) -> None:
+    ranges, elevations, yaws = readings(0, own)
     lines, beams = (np.ascontiguousarray(part) for part in np.nonzero(np.isfinite(ranges)))
     counts, n = np.empty(len(lines), dtype=np.int64), len(lines)
     engine.count_neighbours(
-        ranges, yaws, elevations, *ranges.shape, lines, beams, n, 0.04, 0.3, counts
+        ranges, yaws, elevations, own, *ranges.shape, lines, beams, n, 0.04, 0.3, counts
     )  # fmt: skip
     wanted = reference.readings.neighbours(ranges, elevations, yaws, 0.04, 0.3)
     assert len(np.unique(counts)) > 5
     assert np.array_equal(counts, wanted[lines, beams])
+
+
+def uneven(sweep: RangeImage) -> RangeImage:
+    """Every other line half a beam higher, each beam off by up to a quarter, lines repeated."""
+    rng = np.random.default_rng(9)
+    off = (
+        rng.uniform(-0.25, 0.25, sweep.ranges.shape) + 0.5 * (np.arange(sweep.n_lines) % 2)[:, None]
+    )
+    lines = np.sort(rng.choice(sweep.n_lines, sweep.n_lines))
+    yaws, ranges, codes = (each[lines] for each in (sweep.yaws, sweep.ranges, sweep.codes))
+    return replace(
+        sweep, yaws=read_only(yaws), ranges=read_only(ranges), codes=read_only(codes, np.int64),
+        elevations=read_only(sweep.spec.elevations + math.tau / 1024 * off),
+    )  # fmt: skip
+
+
+def shift_lines(sweep: RangeImage) -> RangeImage:
+    """Every other line half a beam higher, every tenth beam missing in a third of the lines."""
+    shift = math.pi / 1024 * (np.arange(sweep.n_lines) % 2)
+    codes = np.array(sweep.codes)
+    codes[::3, ::10] = UNMEASURED
+    return replace(
+        sweep,
+        ranges=read_only(np.where(codes == UNMEASURED, math.nan, sweep.ranges)),
+        codes=read_only(codes, np.int64),
+        elevations=read_only(sweep.spec.elevations + shift[:, None]),
+    )
 
 
 def test_placed_readings() -> None:
@@ -466,7 +504,7 @@ def test_placed_readings() -> None:
     leaning = replace(
         sweep, T_base_lidar=apply_mount(sweep.T_base_lidar, MountConfig(0.01, 0.02, 0.1))
     )
-    for seen in (sweep, leaning):
+    for seen in (sweep, leaning, shift_lines(sweep)):
         wanted = seen.ranges < 3.0
         for found, plain in zip(
             SweepPoints.of(seen, wanted), reference.readings.placed(seen, wanted), strict=True

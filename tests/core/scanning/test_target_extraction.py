@@ -40,7 +40,8 @@ def test_floor_robot_and_far_things_are_left_out() -> None:
 
 def test_the_window_is_213_beams_around_384() -> None:
     image = observe(SPAWN).image
-    inside = np.flatnonzero(is_in_window(image, np.arange(image.spec.n_beams), CONFIG.target))
+    beams = np.arange(image.spec.n_beams)
+    inside = np.flatnonzero(is_in_window(image, np.zeros_like(beams), beams, CONFIG.target))
     middle = image.spec.n_beams // 2
     assert len(inside) == 213
     assert (inside[0], inside[-1]) == (middle - 106, middle + 106)

@@ -152,8 +152,8 @@ class Projection(Value):
 
     _fields_ = (
         ("n_lines", c_int64), ("n_beams", c_int64), ("lines", Ints), ("beams", Ints),
-        ("beam_stride", c_int64), ("yaws", Doubles), ("middles", Doubles), ("mount", Doubles),
-        ("backwards", c_int64),
+        ("elevations", Doubles), ("search", c_int64), ("yaws", Doubles), ("middles", Doubles),
+        ("mount", Doubles), ("backwards", c_int64),
     )  # fmt: skip
 
 
@@ -258,6 +258,7 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
         None, Doubles, c_int64, Doubles, c_int64, Doubles, c_double, c_double, Doubles, Doubles,
     ),
     "write_cell_centres": (None, Doubles),
+    "locate_angles": (None, Doubles, c_int64, Doubles),
     "tabulate_nearest": (c_int64, Doubles, c_int64, c_double, Doubles, Ints),
     "find_readings": (None, Projection, Doubles, c_int64, Flags, Longs),
     "build_equations": (
@@ -291,18 +292,18 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     ),
     "find_near": (c_int64, Doubles, c_int64, Doubles, c_int64, c_double, Flags),
     "mark_mixed_pixels": (
-        None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double, Flags,
+        None, Doubles, Doubles, c_int64, Doubles, c_int64, c_int64, c_double, c_double, Flags,
     ),
-    "fill_gaps": (None, Doubles, Doubles, Doubles, c_int64, c_int64, c_double, c_double),
+    "fill_gaps": (None, Doubles, Doubles, c_int64, Doubles, c_int64, c_int64, c_double, c_double),
     "place_readings": (
-        None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Longs,
-        Longs, Doubles,
+        None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, Doubles, c_int64, Doubles,
+        Doubles, Longs, Longs, Doubles,
     ),
     "measure_free_reach": (
         c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
     ),
     "count_neighbours": (
-        None, Doubles, Doubles, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double,
+        None, Doubles, Doubles, Doubles, c_int64, c_int64, c_int64, Longs, Longs, c_int64, c_double,
         c_double, Longs,
     ),
     "dilate": (c_int64, Flags, c_int64, c_int64, Longs, c_int64, Flags),

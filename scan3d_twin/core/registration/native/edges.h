@@ -8,6 +8,7 @@
 #define MIN_EDGE_COSINE 0.35    /* of incidence (70 deg): a surface seen flatter may be a silhouette */
 #define MIN_UPRIGHT 0.9         /* length of a normal in the top view (26 deg of lean) */
 #define MAX_EDGE_SPREAD 0.01    /* scatter of a vertical edge in the top view [m] */
+#define MAX_UNEVENNESS 0.25     /* of the spacing of lines, up to which they count as evenly spaced */
 #define MAX_PLANE_DISTANCE 0.03 /* of the last reading from the plane that ends [m]: 3 sigma */
 
 enum {
@@ -112,6 +113,17 @@ static int64_t make_edge(double (*places)[3], int64_t n, double spread, int64_t 
     return 1;
 }
 
+/* Return the angle between the lines beside an edge: `usual`, unless they are unevenly spaced. Lines that see
+ * the same place twice leave the edge as uncertain as half the mean spacing. */
+static double spacing_at(const Sweep *sweep, int64_t pair, int64_t beam, double usual) {
+    const double *yaws = sweep->yaws + beam, *here = yaws + pair * sweep->stride;
+    double step = fabs(here[sweep->stride] - here[0]);
+    if (fabs(step - usual) <= MAX_UNEVENNESS * usual) return usual;
+    double turn = fabs(yaws[(sweep->n_lines - 1) * sweep->stride] - yaws[0]);
+    double least = turn / (double)(2 * (sweep->n_lines - 1));
+    return step > least ? step : least;
+}
+
 /* Write at most `most` edges of a sweep; return their number, or -1 if memory runs out. */
 static int64_t find_edges(const Sweep *sweep, const double *rows, const int32_t *index,
                           const uint8_t *valid, double yaw_sigma, double *edges, int64_t most) {
@@ -124,11 +136,10 @@ static int64_t find_edges(const Sweep *sweep, const double *rows, const int32_t 
         goto done;
     }
 
-    /* variance of an edge's yaw */
+    /* usual spacing of lines */
     double spacing = 0;
     for (int64_t j = 0; j < n_beams; j++)
         spacing += fabs(sweep->yaws[sweep->stride + j] - sweep->yaws[j]) / (double)n_beams;
-    double variance = spacing * spacing / 12 + yaw_sigma * yaw_sigma;
     for (int64_t i = 0; i < n_lines; i++)
         with_surfels[i] = find_surfel_beams(index + i * sweep->stride, n_beams);
 
@@ -147,6 +158,8 @@ static int64_t find_edges(const Sweep *sweep, const double *rows, const int32_t 
                 }
                 if (first >= 0 && j - first >= MIN_BEAMS && count < most) {
                     int64_t n = place_run(sweep, rows, index, near, side, (Beams){first, j}, places);
+                    double step = spacing_at(sweep, pair, (first + j) / 2, spacing);
+                    double variance = step * step / 12 + yaw_sigma * yaw_sigma;
                     count += make_edge(places, n, variance, side, edges + EDGE * count);
                 }
                 first = -1;

@@ -58,6 +58,10 @@ void EXPORT(write_cell_centres)(double *centres) {
     write_cell_centres(centres);
 }
 
+void EXPORT(locate_angles)(const double *angles, int64_t n, double *cells) {
+    locate_angles(angles, n, cells);
+}
+
 int64_t EXPORT(tabulate_nearest)(const double *angles, int64_t n, double spacing, const double *centres,
                                  int32_t *table) {
     return tabulate_nearest(angles, n, spacing, centres, table);
@@ -208,21 +212,22 @@ int64_t EXPORT(find_near)(const double *points, int64_t n, const double *places,
 
 /* mixed_pixels.py, gap_filling.py, readings.py, costmap.py and fused_cloud.py */
 
-void EXPORT(mark_mixed_pixels)(const double *ranges, const double *elevations, const double *yaws,
-                               int64_t n_lines, int64_t n_beams, double noise, double steepest,
-                               uint8_t *mixed) {
-    mark_mixed_pixels(ranges, elevations, yaws, n_lines, n_beams, noise, steepest, mixed);
+void EXPORT(mark_mixed_pixels)(const double *ranges, const double *elevations, int64_t own,
+                               const double *yaws, int64_t n_lines, int64_t n_beams, double noise,
+                               double steepest, uint8_t *mixed) {
+    mark_mixed_pixels(ranges, elevations, own, yaws, n_lines, n_beams, noise, steepest, mixed);
 }
 
-void EXPORT(fill_gaps)(double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
-                  int64_t n_beams, double max_angle, double depth_edge) {
-    fill_gaps(ranges, elevations, yaws, n_lines, n_beams, max_angle, depth_edge);
+void EXPORT(fill_gaps)(double *ranges, const double *elevations, int64_t own, const double *yaws,
+                  int64_t n_lines, int64_t n_beams, double max_angle, double depth_edge) {
+    fill_gaps(ranges, elevations, own, yaws, n_lines, n_beams, max_angle, depth_edge);
 }
 
 void EXPORT(place_readings)(const int64_t *index, int64_t n, int64_t n_beams, const double *ranges,
-                    const double *c, const double *s, const double *rays, const double *lever,
-                    double *points, int64_t *lines, int64_t *beams, double *distance) {
-    place_readings(index, n, n_beams, ranges, c, s, rays, lever, points, lines, beams, distance);
+                    const double *c, const double *s, const double *rays, int64_t own,
+                    const double *lever, double *points, int64_t *lines, int64_t *beams,
+                    double *distance) {
+    place_readings(index, n, n_beams, ranges, c, s, rays, own, lever, points, lines, beams, distance);
 }
 
 int64_t EXPORT(measure_free_reach)(const int64_t *lines, const double *distance, const uint8_t *kinds,
@@ -236,9 +241,11 @@ int64_t EXPORT(measure_free_reach)(const int64_t *lines, const double *distance,
 }
 
 void EXPORT(count_neighbours)(const double *ranges, const double *yaws, const double *elevations,
-                        int64_t n_lines, int64_t n_beams, const int64_t *lines, const int64_t *beams,
-                        int64_t n, double noise, double steepest, int64_t *counts) {
-    count_neighbours(ranges, yaws, elevations, n_lines, n_beams, lines, beams, n, noise, steepest, counts);
+                        int64_t own, int64_t n_lines, int64_t n_beams, const int64_t *lines,
+                        const int64_t *beams, int64_t n, double noise, double steepest,
+                        int64_t *counts) {
+    count_neighbours(ranges, yaws, elevations, own, n_lines, n_beams, lines, beams, n, noise, steepest,
+                     counts);
 }
 
 /* grids.py and target_extraction.py */

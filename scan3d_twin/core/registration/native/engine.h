@@ -57,8 +57,9 @@ typedef struct {
 typedef struct {
     int64_t n_lines, n_beams;
     const int32_t *lines;   /* line by yaw of its middle beam (CELLS,), or -1 */
-    const int32_t *beams;   /* beam by elevation (CELLS,), or -1: one table, or one per line */
-    int64_t beam_stride;    /* cells from the table of one line to the next; 0 if all lines share it */
+    const int32_t *beams;   /* beam by nominal elevation (CELLS,), or -1 */
+    const double *elevations;   /* per reading, in cells, infinite if there is none; NULL if lines agree */
+    int64_t search;         /* beams to either side of the nominal one that may be the nearest */
     const double *yaws;     /* per reading */
     const double *middles;  /* yaw of each line's middle beam (n_lines,) */
     const double *mount;    /* (14,) */

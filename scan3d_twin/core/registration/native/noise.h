@@ -20,6 +20,7 @@
 enum {
     REACH = 3,                  /* lines to each side that a sixth difference takes */
     SLOPE_REACH = 2,            /* lines to each side that a slope takes */
+    BEAM_REACH = 4,             /* beams to each side, where lines have elevations of their own */
     MIN_READINGS = 200,         /* differences that an estimate needs */
     MAX_READINGS = 1200,        /* more are thinned out: this many give the estimate to 4 % */
     BINS = 256,                 /* of the histogram that finds the quartiles of the ranges */
@@ -79,6 +80,24 @@ typedef struct {
     double *difference, *slope;
 } Across;
 
+/* Return what the sixth difference at a reading owes to the lines' own elevations. */
+static double difference_by_elevation(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j) {
+    if (j < BEAM_REACH || j + BEAM_REACH >= sweep->n_beams) return NAN;
+    int64_t at = i * sweep->stride + j;
+    if (!valid[at - BEAM_REACH] || !valid[at + BEAM_REACH]) return NAN;
+    const double *ray = sweep->rays + i * sweep->ray_stride + 3 * j;
+    double along[3], square = 0, bend = 0;
+    for (int m = 0; m < 3; m++) {
+        along[m] = ray[m + 3 * BEAM_REACH] - ray[m - 3 * BEAM_REACH];
+        square += along[m] * along[m];
+    }
+    for (int k = -REACH; k <= REACH; k++)
+        for (int m = 0; m < 3; m++)
+            bend += SIXTH[REACH + k] * (ray[k * sweep->ray_stride + m] - ray[m]) * along[m];
+    double rise = 1 / sweep->ranges[at + BEAM_REACH] - 1 / sweep->ranges[at - BEAM_REACH];
+    return rise * bend / square;
+}
+
 /* Return the difference of line i at beam j, given the sixth difference of the yaws; a plane gives 0. */
 static double difference_across(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j, double bend,
                                 double turn, double *slope) {
@@ -89,6 +108,7 @@ static double difference_across(const Sweep *sweep, const uint8_t *valid, int64_
         inverse[REACH + k] = 1 / sweep->ranges[at];
         sum += SIXTH[REACH + k] * inverse[REACH + k];
     }
+    if (sweep->ray_stride > 0) sum -= difference_by_elevation(sweep, valid, i, j);
     double r = sweep->ranges[i * sweep->stride + j];
     double per_yaw = (inverse[REACH + SLOPE_REACH] - inverse[REACH - SLOPE_REACH]) / turn;
     *slope = r * r * per_yaw;

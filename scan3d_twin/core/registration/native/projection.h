@@ -43,16 +43,33 @@ static inline Direction direction_to(double x, double y, double z, double branch
                        cells_per_radian(yaw_c, yaw_s)};
 }
 
-/* Return the flat index of the reading in this direction, or -1; without branches. The base turns by some
- * cells during the tenth of a second of a line, so the yaw of the beam itself decides on the line. */
+/* Return the beam of a line nearest to an elevation in cells, among those around the nominal one; -1 if there
+ * is none. */
+static int32_t nearest_beam(double elevation, int32_t line, int32_t nominal, const Projection *p) {
+    const double *own = p->elevations + line * p->n_beams;
+    int64_t low = nominal > p->search ? nominal - p->search : 0;
+    int64_t high = nominal + p->search < p->n_beams ? nominal + p->search : p->n_beams - 1;
+    double least = CELLS;
+    int32_t nearest = -1;
+    for (int64_t j = low; j <= high; j++) {
+        double off = fabs(own[j] - elevation);
+        off = off > CELLS / 2 ? fabs(CELLS - off) : off;
+        nearest = off < least ? (int32_t)j : nearest;
+        least = off < least ? off : least;
+    }
+    return nearest;
+}
+
+/* Return the flat index of the reading in this direction, or -1; without branches if lines agree. The base
+ * turns by some cells during the tenth of a second of a line, so the yaw of the beam itself decides on the
+ * line. */
 static inline int32_t reading_at(double elevation, double yaw, double rate, const Projection *p) {
-    int32_t cell = (int32_t)elevation & (CELLS - 1);
+    int32_t beam = p->beams[(int32_t)elevation & (CELLS - 1)];
     int32_t line = p->lines[(int32_t)yaw & (CELLS - 1)];
     int64_t at = line > 0 ? line : 0;
-    int32_t beam = p->beams[at * p->beam_stride + cell];
     double turned = p->yaws[at * p->n_beams + (beam > 0 ? beam : 0)] - p->middles[at];
     line = p->lines[(int32_t)(yaw - turned * rate + CELLS) & (CELLS - 1)];
-    beam = p->beams[(line > 0 ? line : 0) * p->beam_stride + cell];
+    if (p->elevations && line >= 0 && beam >= 0) beam = nearest_beam(elevation, line, beam, p);
     return (line >= 0) & (beam >= 0) ? (int32_t)(line * p->n_beams + beam) : -1;
 }
 
@@ -61,6 +78,14 @@ enum { AHEAD = 1, BEHIND = -1 };
 static inline int32_t reading_of(double x, double y, double z, int branch, const Projection *p) {
     Direction way = direction_to(x, y, z, branch, p->mount);
     return reading_at(way.elevation, way.yaw, way.rate, p);
+}
+
+/* Write `n` angles in cells. */
+static void locate_angles(const double *angles, int64_t n, double *cells) {
+    for (int64_t k = 0; k < n; k++) {
+        Turn turn = turn_by(angles[k]);
+        cells[k] = angle_in_cells(turn.c, turn.s);
+    }
 }
 
 /* Write the angles in the middle of the cells (CELLS,). */

@@ -1,5 +1,6 @@
 /* Filters of the readings of a sweep: see mixed_pixels.py, gap_filling.py, readings.py, costmap.py and
- * fused_cloud.py. Arrays are dense, lines by beams; NaN is no reading. */
+ * fused_cloud.py. Arrays are dense, lines by beams; NaN is no reading. All lines share one row of elevations
+ * or rays, or each has its `own`. */
 #pragma once
 
 #include "cells.h"
@@ -13,12 +14,12 @@ static inline int step_between(double a, double b, double angle, double noise, d
 }
 
 /* Mark the readings with a step of the same sign on both sides, along or across lines. */
-static void mark_mixed_pixels(const double *ranges, const double *elevations, const double *yaws,
-                              int64_t n_lines, int64_t n_beams, double noise, double steepest,
-                              uint8_t *mixed) {
+static void mark_mixed_pixels(const double *ranges, const double *elevations, int64_t own,
+                              const double *yaws, int64_t n_lines, int64_t n_beams, double noise,
+                              double steepest, uint8_t *mixed) {
     for (int64_t i = 0; i < n_lines; i++)
         for (int64_t j = 1; j < n_beams - 1; j++) {
-            const double *r = ranges + i * n_beams + j, *e = elevations + j;
+            const double *r = ranges + i * n_beams + j, *e = elevations + (own ? i * n_beams : 0) + j;
             int before = step_between(r[-1], r[0], e[0] - e[-1], noise, steepest);
             int after = step_between(r[0], r[1], e[1] - e[0], noise, steepest);
             mixed[i * n_beams + j] |= before * after == 1;
@@ -52,10 +53,11 @@ static void fill_row(double *ranges, int64_t n, int64_t stride, const double *an
     }
 }
 
-static void fill_gaps(double *ranges, const double *elevations, const double *yaws, int64_t n_lines,
-                      int64_t n_beams, double max_angle, double depth_edge) {
+static void fill_gaps(double *ranges, const double *elevations, int64_t own, const double *yaws,
+                      int64_t n_lines, int64_t n_beams, double max_angle, double depth_edge) {
     for (int64_t i = 0; i < n_lines; i++)
-        fill_row(ranges + i * n_beams, n_beams, 1, elevations, 1, 1, max_angle, depth_edge);
+        fill_row(ranges + i * n_beams, n_beams, 1, elevations + (own ? i * n_beams : 0), 1, 1, max_angle,
+                 depth_edge);
     for (int64_t j = 0; j < n_beams; j++)
         fill_row(ranges + j, n_lines, n_beams, yaws + j, n_beams, -1, max_angle, depth_edge);
 }
@@ -63,12 +65,13 @@ static void fill_gaps(double *ranges, const double *elevations, const double *ya
 /* Write the points of n readings, given by ascending index, with their lines, beams and distances from the
  * yaw axis; the base is turned by angles of cosine `c` and sine `s`. */
 static void place_readings(const int64_t *index, int64_t n, int64_t n_beams, const double *ranges,
-                           const double *c, const double *s, const double *rays, const double *lever,
-                           double *points, int64_t *lines, int64_t *beams, double *distance) {
+                           const double *c, const double *s, const double *rays, int64_t own,
+                           const double *lever, double *points, int64_t *lines, int64_t *beams,
+                           double *distance) {
     for (int64_t k = 0, line = 0; k < n; k++) {
         while (index[k] >= (line + 1) * n_beams) line++;
         int64_t beam = index[k] - line * n_beams;
-        const double *ray = rays + 3 * beam;
+        const double *ray = rays + 3 * (own ? index[k] : beam);
         double *point = points + 3 * k, range = ranges[index[k]];
         point[0] = c[k] * lever[0] - s[k] * lever[1] + range * (c[k] * ray[0] - s[k] * ray[1]);
         point[1] = s[k] * lever[0] + c[k] * lever[1] + range * (s[k] * ray[0] + c[k] * ray[1]);
@@ -110,8 +113,9 @@ static void measure_free_reach(const int64_t *lines, const double *distance, con
 /* Write, for each of n readings, how many of its eight neighbours can lie on the same surface: one between
  * the two would be no steeper than a lidar can measure. */
 static void count_neighbours(const double *ranges, const double *yaws, const double *elevations,
-                             int64_t n_lines, int64_t n_beams, const int64_t *lines, const int64_t *beams,
-                             int64_t n, double noise, double steepest, int64_t *counts) {
+                             int64_t own, int64_t n_lines, int64_t n_beams, const int64_t *lines,
+                             const int64_t *beams, int64_t n, double noise, double steepest,
+                             int64_t *counts) {
     for (int64_t k = 0; k < n; k++) {
         int64_t i = lines[k], j = beams[k], here = i * n_beams + j;
         counts[k] = 0;
@@ -119,7 +123,8 @@ static void count_neighbours(const double *ranges, const double *yaws, const dou
             for (int64_t b = j > 0 ? j - 1 : 0; b <= j + 1 && b < n_beams; b++) {
                 int64_t there = a * n_beams + b;
                 double r = ranges[here], s = ranges[there], nearer = r < s ? r : s;
-                double angle = hypot(yaws[here] - yaws[there], elevations[j] - elevations[b]);
+                double rise = own ? elevations[here] - elevations[there] : elevations[j] - elevations[b];
+                double angle = hypot(yaws[here] - yaws[there], rise);
                 double most = nearer * angle * steepest;
                 counts[k] += there != here && fabs(r - s) <= (most > noise ? most : noise);
             }

@@ -1,0 +1,88 @@
+"""Registration of sweeps whose lines lie on no grid, beside regular ones.
+
+``python benchmarks/irregular_lines.py --json`` prints one object {name: {value, low, high, unit,
+peer, runs}}. Each ``..._vs_regular`` is the median error of the pairs of that kind divided by that
+of regular pairs with the same number of readings and the same guesses, with its 95 % interval by
+bootstrap over pairs. ``registration_data.LINES`` says what the kinds are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+import time
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from registration_data import LINES, Noise, Pair, pair, point_error
+
+from scan3d_twin.core.registration.multistart import register_grids
+from scan3d_twin.core.registration.pose_prior import PosePrior
+from scan3d_twin.core.registration.surfel_grid import extract_surfels
+
+SCENES, SIGMAS = ("boxes", "sine"), (0.010, 0.003)
+PRIOR_XY, PRIOR_YAW = 0.02, math.radians(2.0)
+FIRST_SEED = 1000
+RESAMPLES = 2000
+
+
+def register(data: Pair) -> tuple[float, float]:
+    """Return error [m] and CPU time [s] of the registration of a pair."""
+    prior, began = PosePrior.planar(data.init, PRIOR_XY, PRIOR_YAW), time.thread_time()
+    grids = extract_surfels(data.target), extract_surfels(data.source)
+    result = register_grids(*grids, init_T_target_source=data.init.matrix(), prior=prior, starts=1)
+    took = time.thread_time() - began
+    points = data.source.points[np.isfinite(data.source.ranges)]
+    return point_error(points, result.T_target_source, data.truth), took
+
+
+def compare_medians(errors: np.ndarray, usual: np.ndarray) -> tuple[float, float, float]:
+    """Return the ratio of the medians of paired errors (n,), and its 95 % interval."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(errors), size=(RESAMPLES, len(errors)))
+    ratios = np.median(errors[drawn], axis=1) / np.median(usual[drawn], axis=1)
+    low, high = np.quantile(ratios, (0.025, 0.975))
+    return float(np.median(errors) / np.median(usual)), float(low), float(high)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--runs", type=int, default=96, help="pairs of each kind")
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=SCENES)
+    parser.add_argument("--noise", nargs="+", type=float, default=SIGMAS, help="range noise [m]")
+    arguments = parser.parse_args()
+    seeds = range(FIRST_SEED, FIRST_SEED + arguments.runs)
+    rows = {}
+    for scene in arguments.scenes:
+        for sigma in arguments.noise:
+            usual = np.zeros(0)
+            for kind, lines in LINES.items():
+                pairs = [pair(scene, Noise(sigma), seed, lines=lines) for seed in seeds]
+                errors, times = np.array([register(data) for data in pairs]).T
+                usual = errors if kind == "regular" else usual
+                value, low, high = compare_medians(errors, usual)
+                name = f"{kind.replace(' ', '_')}_vs_regular_{scene}_{1e3 * sigma:.0f}mm"
+                readings = np.mean([np.isfinite(data.source.ranges).sum() for data in pairs])
+                rows[name] = {
+                    "value": round(value, 3), "low": round(low, 3), "high": round(high, 3),
+                    "unit": "ratio", "peer": "regular lines", "runs": len(pairs),
+                    "error_mm": round(1e3 * float(np.median(errors)), 4),
+                    "readings": round(float(readings)),
+                    "ms": round(1e3 * float(np.median(times)), 2),
+                }  # fmt: skip
+                print(name, rows[name], file=sys.stderr)
+    if arguments.json:
+        print(json.dumps(rows, indent=1))
+        return
+    for name, row in rows.items():
+        print(f"{name:42s} {row['value']:6.3f} [{row['low']:.3f}, {row['high']:.3f}]")
+
+
+if __name__ == "__main__":
+    main()
