@@ -37,6 +37,7 @@ class Step:
         odometry_error: Error of the odometry, before registration [m].
         fitness: Share of points with a correspondence.
         converged: Whether the registration did.
+        open_directions: Number of directions in which only odometry determines the pose.
         fell_back: Whether no overlap met epsilon.
         candidates: Number of viewpoints that the planner considered.
     """
@@ -59,6 +60,7 @@ class Step:
     odometry_error: float | None = None
     fitness: float | None = None
     converged: bool | None = None
+    open_directions: int | None = None
     fell_back: bool | None = None
     candidates: int | None = None
 

@@ -147,6 +147,7 @@ def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict
             "expected": result.predicted_rmse,
             "fitness": result.fitness,
             "converged": result.converged,
+            "open_directions": len(result.degenerate_directions),
         }
 
     # Add errors against the truth
