@@ -80,7 +80,8 @@ class Record:
         stop: The stop reason in words.
         complete: Whether the planner ended the run because nothing was left to scan.
         views: Number of views.
-        success: At least two views, and every registration error is at most epsilon.
+        success: At least two views, every registration error at most epsilon, and an F-score at
+            20 mm of at least ``evaluation.MIN_F_SCORE``.
         max_error: The largest registration error [m].
         coverage: Share of the coverable surface that the model covers.
         coverable_share: Share of the whole surface that is coverable.
