@@ -210,3 +210,30 @@ def test_a_blocked_contour_ends_the_run_when_nothing_registers(
     assert plan is not None
     assert plan.viewpoint is None
     assert plan.reason == closing.BLOCKED_REASON
+
+
+def test_a_contour_along_which_nothing_new_shows_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    left, middle, right = standing(-0.1, 0.9), standing(-0.1, 0.0), standing(-0.1, -0.9)
+    again = session_at(BOXES, WIDE, poses=(left, middle, right, left, middle, right), half=1.2)
+    assert closing.shows_nothing_new(again)
+    assert not closing.shows_nothing_new(replace(again, views=again.views[:5]))
+    assert not closing.shows_nothing_new(replace(again, views=again.views[:2]))
+    monkeypatch.setattr(closing.ErrorPrediction, "error", lambda self, viewpoint: math.inf)
+    context = finished(again, "hidden")
+    context.__dict__["is_contour_done"] = False
+    monkeypatch.setattr(closing, "was_blocked", lambda context: False)
+    plan = termination_plan(context)
+    assert plan is not None
+    assert plan.reason == closing.STALE_REASON
+
+
+def test_another_side_of_a_thin_thing_is_new_although_it_is_close_to_the_first() -> None:
+    pole = (Box((0.985, -0.015, 0.0), (1.015, 0.015, 1.0)),)
+    around = [
+        Pose2(1.0 - math.cos(a), -math.sin(a), a)  # counter-clockwise
+        for a in np.radians([0.0, 20.0, 40.0, 60.0])
+    ]
+    session = session_at(pole, WIDE, poses=tuple(around), half=0.02)
+    assert not closing.shows_nothing_new(session)
+    same = session_at(pole, WIDE, poses=(around[0],) * 4, half=0.02)
+    assert closing.shows_nothing_new(same)
