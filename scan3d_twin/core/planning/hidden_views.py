@@ -103,12 +103,15 @@ def was_blocked(context: PlanningContext) -> bool:
 
     A panorama was taken before that is decided.
     """
-    views = context.session.views
-    return any(
-        _is_blocked(PlanningContext(replace(context.session, views=views[:k])))
-        for k in range(1, len(views) + 1)
-        if any(taken == k for taken, _ in context.session.panoramas)
-    )
+    session = context.session
+    looked = {taken for taken, _ in session.panoramas if taken > 0}
+    return any(_is_blocked(PlanningContext(_first_views(session, k))) for k in sorted(looked))
+
+
+def _first_views(session: Session, count: int) -> Session:
+    """Return ``session`` as it was after its first ``count`` views and the panorama then."""
+    panoramas = tuple(each for each in session.panoramas if each[0] <= count)
+    return replace(session, views=session.views[:count], panoramas=panoramas)
 
 
 def _is_blocked(context: PlanningContext) -> bool:
