@@ -20,7 +20,13 @@ from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.sweep_points import SweepPoints
-from scan3d_twin.core.scanning.walls import Wall, find_walls, is_on_walls, reaches_wall_height
+from scan3d_twin.core.scanning.walls import (
+    LIDAR_HEIGHT,
+    Wall,
+    find_walls,
+    is_on_walls,
+    reaches_wall_height,
+)
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -31,6 +37,9 @@ from scan3d_twin.core.types import (
     read_only,
 )
 
+FLOOR_DISTANCE = 2.0
+"""Range from which the floor may seem as high as ``floor_height`` [m]: 0.5 deg of the mount are 17
+mm there. In the typical world 0.01 % of its readings at 0.3 to 1.2 m are above 15 mm."""
 GROUPING_CELL = 0.05
 """Side of a cell of the top view in which points are grouped [m]; a quarter of the default
 cluster_gap."""
@@ -49,10 +58,17 @@ MAX_COMPACT_SIZE = 3.5
 
 
 def extract_points(image: RangeImage, config: Config) -> Scan3D:
-    """Return all points of ``image`` within range, except the floor and the robot itself."""
-    with np.errstate(invalid="ignore"):
+    """Return all points of ``image`` within range, except the floor and the robot itself.
+
+    Half of ``floor_height`` is enough at 0.6 to 1 m: the floor is seen at a flat angle there, at
+    which the noise of its readings hardly shows in their height, and errors of the mount grow with
+    the distance. Of a thing of 0.1 m, its lowest 3 cm are a third.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
         keep = image.ranges <= config.target.max_range
-        keep &= image.heights > config.target.floor_height
+        share = np.maximum(image.ranges / FLOOR_DISTANCE, LIDAR_HEIGHT / image.ranges)
+        share = np.clip(share, 0.5, 1.0)
+        keep &= image.heights > config.target.floor_height * share
     points, lines, beams, distance = SweepPoints.of(image, keep)
     sweep = Scan3D(points, lines, beams, image.n_lines)
     outside = distance > config.motion.self_radius
