@@ -83,12 +83,13 @@ class PlanningContext:
 
     @cached_property
     def _seen(self) -> Scan3D:
-        """The target in the latest view without the sweep's margins."""
+        """The target in the latest view without the sweep's margins, unless it is in them only."""
         target, sweep = self.view.target, self.session.config.sweep
         if sweep.margin == 0.0:
             return target
         yaws = self.view.image.yaws[:, self.view.image.spec.n_beams // 2]
-        return target.select((np.abs(yaws) <= sweep.width / 2)[target.lines])
+        inside = target.select((np.abs(yaws) <= sweep.width / 2)[target.lines])
+        return inside if len(inside.occupied_lines) >= MIN_TARGET_LINES else target
 
     @cached_property
     def _whole(self) -> Contour:
