@@ -289,5 +289,5 @@ def test_a_model_of_much_else_is_no_success_however_well_it_is_registered() -> N
     result = evaluated(session_of(FIRST, SECOND))
     assert result.is_success(0.010)
     assert not result.is_success(0.0)
-    assert not replace(result, f_score={0.020: 0.49}).is_success(0.010)
+    assert not replace(result, f_score={0.020: 0.29}).is_success(0.010)
     assert not replace(result, pairs=()).is_success(0.010)
