@@ -47,7 +47,9 @@ def save_run(
     seen = build_view_clouds(session)
     model = join_models([each.cleaned for each in seen])
     known = truth is not None and len(model) and is_of_target(session, truth)
-    reference = Reference.of(session, truth) if truth is not None and known else None
+    reference = (
+        Reference.of(session, truth, settings.run.target) if truth is not None and known else None
+    )
     evaluation = None if reference is None else evaluate_model(session, model, reference)
 
     # Build the report

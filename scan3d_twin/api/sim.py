@@ -34,7 +34,8 @@ def run_sim(
     """Digitise a scene with the twin and save the results, as ``twin sim`` does.
 
     Args:
-        scene: Name of a scene (``scene_names()``), ``random:SEED``, or an .xml or mesh file.
+        scene: Name of a scene (``scene_names()``), ``random:SEED``, or an .xml or mesh file. A mesh
+            stands in a room of 5 by 5 m, or as ``options={"run": {"room": "none"}}`` says.
         seed: The run's one seed; the same seed gives the same files.
         preset: Named options: ``best`` or ``paper``.
         world: Named errors of robot, lidar and floor: ``ideal``, ``typical``, ``harsh`` or

@@ -37,6 +37,7 @@ class Step:
         odometry_error: Error of the odometry, before registration [m].
         fitness: Share of points with a correspondence.
         converged: Whether the registration did.
+        open_directions: Number of directions in which only odometry determines the pose.
         fell_back: Whether no overlap met epsilon.
         candidates: Number of viewpoints that the planner considered.
     """
@@ -59,6 +60,7 @@ class Step:
     odometry_error: float | None = None
     fitness: float | None = None
     converged: bool | None = None
+    open_directions: int | None = None
     fell_back: bool | None = None
     candidates: int | None = None
 
@@ -78,7 +80,8 @@ class Record:
         stop: The stop reason in words.
         complete: Whether the planner ended the run because nothing was left to scan.
         views: Number of views.
-        success: At least two views, and every registration error is at most epsilon.
+        success: At least two views, every registration error at most epsilon, and an F-score at
+            20 mm of at least ``evaluation.MIN_F_SCORE``.
         max_error: The largest registration error [m].
         coverage: Share of the coverable surface that the model covers.
         coverable_share: Share of the whole surface that is coverable.

@@ -51,7 +51,7 @@ def run_task(task: Task) -> TaskResult:
     wall, cpu = time.perf_counter(), time.process_time()
     run = task.settings.run
     try:
-        scene = load_scene(run.scene, run.mesh_scale)
+        scene = load_scene(run.scene, run.mesh_scale, run.room)
         with open_sim(scene, run.seed, task.settings.twin) as (robot, truth):
             loop = close_loop(robot, truth, task.settings, Unobserved(), time.process_time)
     except TwinError as error:
@@ -65,9 +65,10 @@ def run_task(task: Task) -> TaskResult:
     # Evaluate and draw the result
     seen = any(len(view.target) for view in loop.session.views)
     model = build_model(loop.session)
-    evaluation = (
-        evaluate_model(loop.session, model, Reference.of(loop.session, truth)) if seen else None
-    )
+    evaluation = None
+    if seen:
+        reference = Reference.of(loop.session, truth, run.target)
+        evaluation = evaluate_model(loop.session, model, reference)
     record = _fill_record(task.blank_record(), loop, model, evaluation)
     picture = _draw_picture(task, record, loop.session, model) if task.picture and seen else None
     return TaskResult(_add_provenance(record, wall, cpu), picture)
@@ -85,7 +86,7 @@ def _fill_record(
         stop=loop.session.stop_reason,
         complete=loop.session.stop_reason.startswith(COMPLETE_REASONS),
         views=len(loop.session.views),
-        success=bool(errors) and max(errors) <= blank.epsilon,
+        success=evaluation is not None and evaluation.is_success(blank.epsilon),
         max_error=max(errors, default=None),
         path=loop.journey.path,
         turn=loop.journey.turn,
@@ -147,6 +148,7 @@ def _registered(session: Session, k: int, evaluation: Evaluation | None) -> dict
             "expected": result.predicted_rmse,
             "fitness": result.fitness,
             "converged": result.converged,
+            "open_directions": len(result.degenerate_directions),
         }
 
     # Add errors against the truth

@@ -36,6 +36,8 @@ class SceneOptions:
     """Scene (`twin scenes`), random:SEED, or a file: .xml, .stl, .ply, .obj or .glb."""
     mesh_scale: Annotated[float | None, env("MESH_SCALE", "{run.mesh_scale:g}")] = None
     """Metres per unit of a mesh file."""
+    room: Annotated[str | None, env("ROOM", "{run.room}")] = None
+    """Room of a mesh: WxD [m], or none."""
     robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
     """Name of the base (`twin devices`)."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
@@ -75,7 +77,7 @@ class RunOptions:
         env("TARGET", "the most salient thing"),
         Parameter(allow_leading_hyphen=True),
     ] = None
-    """Target: x,y in the odometry frame [m], or its name in the twin."""
+    """x,y [m] by odometry, or a name (twin)."""
     targets: int | None = None
     """Number of things to scan, each into OUT/target-K."""
     config: Annotated[Path | None, env("CONFIG")] = None
@@ -114,7 +116,7 @@ def _flat(options: RunOptions, sections: Options) -> Options:
     for name, value in _given(options):
         if name == "scene":
             run[name] = absolute_scene(value)
-        elif name in ("seed", "preset", "world", "target", "mesh_scale"):
+        elif name in ("seed", "preset", "world", "target", "mesh_scale", "room"):
             run[name] = value
         elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
             top[name] = value

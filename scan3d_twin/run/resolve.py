@@ -27,8 +27,9 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
     """
     effective = build_settings([*_named_options(given), given])
     check_planner(effective.config.planner, truth_known=True)
-    scene = load_scene(effective.run.scene, effective.run.mesh_scale)
-    _check_target(effective.run.target, scene)
+    run = effective.run
+    scene = load_scene(run.scene, run.mesh_scale, run.room)
+    _check_target(run.target, scene)
     return settings_for_scene(scene, given), scene
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from scan3d_twin.core.model.evaluation import Evaluation
+from scan3d_twin.core.model.evaluation import MIN_F_SCORE, Evaluation
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import UNMEASURED
 
@@ -24,7 +24,8 @@ def find_warnings(session: Session, evaluation: Evaluation | None = None) -> lis
     if not session.views:
         return ["Nothing was scanned: there is no view."]
     found = [*_check_returns(session), *_check_fallbacks(session), *_check_registrations(session)]
-    return [*found, *_check_misfits(session), *_check_errors(session, evaluation)]
+    found += [*_check_misfits(session), *_check_errors(session, evaluation)]
+    return found if evaluation is None else [*found, *_check_model(evaluation)]
 
 
 def _check_returns(session: Session) -> Iterator[str]:
@@ -81,6 +82,20 @@ def _check_misfits(session: Session) -> Iterator[str]:
         yield (
             f"View {k} does not fit the others: most of its links contradict them. Inspect it, or "
             "drop it (alignment.misfits = drop)."
+        )
+
+
+def _check_model(evaluation: Evaluation) -> Iterator[str]:
+    score = evaluation.f_score[0.020]
+    if score < MIN_F_SCORE:
+        yield (
+            f"The model is not that of the target (F-score {score:.2f} at 20 mm): it shows other "
+            "things too, or little of the target."
+        )
+    if evaluation.left_out:
+        yield (
+            f"The scene has other targets: {', '.join(evaluation.left_out)}. This model is judged "
+            f"by {', '.join(evaluation.targets)}; --target chooses, --targets N scans several."
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import mujoco
@@ -71,14 +71,27 @@ class Truth:
         """Return the true ``T_map_base`` at ``stamp`` [s]."""
         return self._world.base_pose(stamp)
 
-    def surface(self, spacing: float) -> tuple[FloatArray, FloatArray]:
-        """Return points (n, 3) on the target about ``spacing`` apart [m], and normals (n, 3).
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets, as the scene declares them."""
+        return tuple(self._scene.targets)
+
+    def surface(
+        self, spacing: float, targets: Sequence[str] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return points (n, 3) on the targets about ``spacing`` apart [m], and normals (n, 3).
 
         All faces, visible or not, except those on the floor.
+
+        Args:
+            spacing: Distance of neighbouring points [m].
+            targets: Names of the targets; None for all.
         """
+        chosen = self.targets if targets is None else targets
+        wanted = {name for target in chosen for name in self._scene.targets[target]}
         data = self._scene_data()
         points, normals = [], []
-        for name in self._scene.target_geoms:
+        for name in (name for name in self._scene.target_geoms if name in wanted):
             geom = data.geom(name)
             local, directions = sample_geom(self._scene.model, geom.id, spacing)
             rotation = geom.xmat.reshape(3, 3)

@@ -95,6 +95,7 @@ def test_the_page_of_a_run_shows_the_defaults_of_a_plain_run(twin):
     run, config, twin_config = effective.run, effective.config, effective.twin
     assert shown["scene"] == run.scene
     assert float(shown["mesh-scale"]) == run.mesh_scale
+    assert shown["room"] == run.room
     assert shown["world"] == run.world
     assert shown["robot"] == twin_config.robot
     assert shown["lidar-link"] == twin_config.lidar_link

@@ -10,10 +10,10 @@ from scan3d_twin.core.types import Pose2, read_only
 from scan3d_twin.run.run_warnings import find_warnings
 
 
-def of_pairs(*pairs):
+def of_pairs(*pairs, f20=0.9, left_out=()):
     """Return an evaluation with these registration errors and nothing else."""
     none = Distances(0.0, 0.0, 0.0)
-    return Evaluation(1.0, (1.0,), none, none, {}, 1.0, pairs)
+    return Evaluation(1.0, (1.0,), none, none, {0.020: f20}, 1.0, pairs, ("left",), left_out)
 
 
 def with_registration(session, **changes):
@@ -89,3 +89,12 @@ def test_no_view_at_all_is_told():
 
 def test_a_view_that_does_not_fit_is_told(session):
     assert warns(replace(session, misfits=(1,)), "View 1 does not fit", "alignment.misfits")
+
+
+def test_a_model_of_much_else_and_other_targets_are_told(session):
+    assert not warns(session, "F-score", evaluation=of_pairs(f20=0.3))
+    assert warns(session, "not that of the target", "0.29", evaluation=of_pairs(f20=0.29))
+    assert not warns(session, "other targets", evaluation=of_pairs())
+    (told,) = warns(session, "other targets", evaluation=of_pairs(left_out=("right",)))
+    assert "right" in told
+    assert "judged by left" in told

@@ -128,7 +128,7 @@ def surfels_of(view: View, config: Config, workspace: Workspace | None = None) -
     if kept is not None and kept[0] is scope:
         grid = SurfelGrid(image, *kept[1:])
     else:
-        grid = extract_surfels(image, keep=scope)
+        grid = extract_surfels(image, keep=_clear_of_floor(scope, config))
 
     # Add the errors that readings share
     noise = replace(
@@ -139,6 +139,11 @@ def surfels_of(view: View, config: Config, workspace: Workspace | None = None) -
         offset_sigma=config.registration.offset_sigma,
     )
     return replace(grid, noise=noise)
+
+
+def _clear_of_floor(scan: Scan3D, config: Config) -> Scan3D:
+    """Return ``scan`` without its lowest points, whose surfels would lean towards the floor."""
+    return scan.select(scan.points[:, 2] > config.target.floor_height)
 
 
 def keep_surfels(view: View, config: Config, workspace: Workspace) -> SurfelGrid:

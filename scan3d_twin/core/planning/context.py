@@ -37,7 +37,10 @@ from scan3d_twin.core.viewpoints import (
 )
 
 MIN_LINES = 5
-"""Smallest number of lines on the target that make a contour."""
+"""Smallest number of lines whose direction tells a corner or a further part of the front."""
+MIN_TARGET_LINES = 2
+"""Smallest number of lines on a target in sight: a pole of 3 cm has three at 1 m. That it is no
+stray is up to ``target.min_points``."""
 FRONT_ANGLE_TOLERANCE = math.radians(20.0)
 """Distance from ``MAX_FRONT_ANGLE`` within which a view ends a tour of the front [rad]: one more
 would show little new."""
@@ -80,12 +83,13 @@ class PlanningContext:
 
     @cached_property
     def _seen(self) -> Scan3D:
-        """The target in the latest view without the sweep's margins."""
+        """The target in the latest view without the sweep's margins, unless it is in them only."""
         target, sweep = self.view.target, self.session.config.sweep
         if sweep.margin == 0.0:
             return target
         yaws = self.view.image.yaws[:, self.view.image.spec.n_beams // 2]
-        return target.select((np.abs(yaws) <= sweep.width / 2)[target.lines])
+        inside = target.select((np.abs(yaws) <= sweep.width / 2)[target.lines])
+        return inside if len(inside.occupied_lines) >= MIN_TARGET_LINES else target
 
     @cached_property
     def _whole(self) -> Contour:
@@ -204,7 +208,7 @@ class PlanningContext:
 
     @property
     def _is_in_sight(self) -> bool:
-        return len(self._seen.occupied_lines) >= MIN_LINES
+        return len(self._seen.occupied_lines) >= MIN_TARGET_LINES
 
     @cached_property
     def is_contour_done(self) -> bool:

@@ -7,15 +7,41 @@ sites, J. Field Robotics 26, 2009).
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.model.fused_cloud import thin_by_voxel
+from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_surface import HiddenSurface
+from scan3d_twin.core.planning.overlap_or_default import list_overlaps
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
+from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
+from scan3d_twin.core.viewpoints import sum_turns
 
+BLOCKED_REASON = "no viewpoint left: none that shows the next segment can be reached"
+"""Stop reason of a contour that goes on where the robot cannot."""
+STALE_REASON = "nothing new in the latest views: the contour leads nowhere"
+"""Stop reason of a contour along which no more of the target shows."""
+STALE_VIEWS = 3
+"""Number of views without anything new after which the contour leads nowhere (assumption)."""
+MIN_NEW_SHARE = 0.03
+"""Share of a view's target that must be new: a step with an overlap of 80 % shows 20 %; noise, a
+few points at the edges."""
+MIN_PROGRESS_TURN = math.radians(30.0)
+"""Turn over these views above which they go on round the target [rad]: the turns of three steps
+with an overlap of 80 % round a thin thing are 54 deg."""
+NEW_DISTANCE = 0.05
+"""Distance from known surface beyond which surface is new [m]: the errors of registration, several
+times."""
+MIN_PROGRESS = 0.2
+"""Least distance by which a view on the way is nearer to the wanted one [m]: grid_step."""
 MAX_TRIED = 20
 """Largest number of viewpoints whose error is predicted; the others show less surface."""
 
@@ -24,15 +50,74 @@ def termination_plan(context: PlanningContext) -> Plan | None:
     """Return the plan after the last step along the contour; None while there is a next step.
 
     It ends the run, unless ``planning.closing`` asks for views of hidden surface: then it goes
-    where the most of it is expected to show with a predicted error that meets epsilon.
+    where the most of it is expected to show with a predicted error that meets epsilon. So it does
+    where the contour goes on, but the robot cannot, as at a wall: the other end is hidden too. A
+    contour along which nothing new shows is as good as done.
     """
+    # Look for an end of the contour
     reason = context.termination_reason()
-    if reason is None:
-        return None
     wanted = context.session.config.planning.closing == "hidden"
+    if reason is None:
+        if not wanted:
+            return None
+        if was_blocked(context):
+            return (
+                _plan_hidden_view(context) or _plan_approach(context) or stop_plan(BLOCKED_REASON)
+            )
+        if shows_nothing_new(context.session):
+            return _plan_hidden_view(context) or stop_plan(STALE_REASON)
+        return None
+
+    # Add views of hidden surface
     if not (wanted and context.is_ongoing and context.is_contour_done):
         return stop_plan(reason)
     return _plan_hidden_view(context) or stop_plan(reason)
+
+
+def shows_nothing_new(session: Session) -> bool:
+    """Return whether the latest ``STALE_VIEWS`` views show next to nothing that is new.
+
+    A view shows something new where its target is farther than ``NEW_DISTANCE`` from that of all
+    earlier views, or where it looks from another side: the back of a thin thing is close to its
+    front.
+    """
+    first = len(session.views) - STALE_VIEWS
+    latest = [view.T_world_scan for view in session.views[max(first - 1, 0) :]]
+    if first < 1 or abs(sum_turns(latest)) > MIN_PROGRESS_TURN:
+        return False
+    seen = [
+        thin_by_voxel(view.T_world_scan.apply(view.target.points), NEW_DISTANCE)
+        for view in session.views
+    ]
+    for k in range(first, len(seen)):
+        if len(seen[k]) == 0:
+            continue
+        distance, _ = find_nearest(cKDTree(np.concatenate(seen[:k])), seen[k], NEW_DISTANCE)
+        if np.mean(~np.isfinite(distance)) > MIN_NEW_SHARE:
+            return False
+    return True
+
+
+def was_blocked(context: PlanningContext) -> bool:
+    """Return whether no viewpoint of the next segment could be reached after any of the views.
+
+    A panorama was taken before that is decided.
+    """
+    session = context.session
+    looked = {taken for taken, _ in session.panoramas if taken > 0}
+    return any(_is_blocked(PlanningContext(_first_views(session, k))) for k in sorted(looked))
+
+
+def _first_views(session: Session, count: int) -> Session:
+    """Return ``session`` as it was after its first ``count`` views and the panorama then."""
+    panoramas = tuple(each for each in session.panoramas if each[0] <= count)
+    return replace(session, views=session.views[:count], panoramas=panoramas)
+
+
+def _is_blocked(context: PlanningContext) -> bool:
+    config = context.session.config.planning
+    overlaps = [*list_overlaps(config), config.default_overlap]
+    return all(context.find_placement(eta).viewpoint is None for eta in overlaps)
 
 
 def _plan_hidden_view(context: PlanningContext) -> Plan | None:
@@ -53,4 +138,32 @@ def _plan_hidden_view(context: PlanningContext) -> Plan | None:
         pose = candidates.poses[i]
         if prediction.error(here @ pose) <= config.epsilon:
             return candidates.go(pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
+    return None
+
+
+def _plan_approach(context: PlanningContext) -> Plan | None:
+    """Return the plan for a view on the way to the most hidden surface; None if there is none.
+
+    From the last view before the robot was blocked, the other end of the target is out of sight.
+    The view nearest to the wanted one is taken whose predicted error meets epsilon.
+    """
+    # Choose the viewpoint to approach
+    session, config = context.session, context.session.config.planning
+    candidates = PoseCandidates(context)
+    areas = HiddenSurface(session).measure_areas(candidates.poses)
+    if np.max(areas, initial=0.0) < config.least_hidden:
+        return None
+    goal, here = candidates.poses[int(np.argmax(areas))], context.view.T_world_scan
+
+    # Take the nearest view to it that can be registered
+    try:
+        prediction = ErrorPrediction.of(context)
+    except RegistrationError:
+        return None
+    distances = np.array([pose.distance(goal) for pose in candidates.poses])
+    order = np.argsort(distances, kind="stable")
+    for i in order[distances[order] < here.distance(goal) - MIN_PROGRESS]:
+        pose = candidates.poses[i]
+        if prediction.error(here.inverse() @ pose) <= config.epsilon:
+            return candidates.go(pose, "contour blocked: on the way to its other end")
     return None

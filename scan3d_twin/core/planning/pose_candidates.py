@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import (
-    MIN_LINES,
+    MIN_TARGET_LINES,
     PlanningContext,
     explain_view_limit,
     stop_plan,
@@ -150,7 +150,10 @@ class PoseCandidates:
 
     def termination_reason(self) -> str | None:
         """Return why no planner can plan a further view; None if one can."""
-        if len(self.session.views[-1].target.occupied_lines) < MIN_LINES or len(self.surface) == 0:
+        if (
+            len(self.session.views[-1].target.occupied_lines) < MIN_TARGET_LINES
+            or len(self.surface) == 0
+        ):
             return "target lost: the latest view shows nothing of it"
         return explain_view_limit(self.session)
 

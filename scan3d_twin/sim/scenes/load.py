@@ -10,6 +10,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
 from scan3d_twin.sim.resources import find_resource_dir
+from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
 from scan3d_twin.sim.scenes.meshes import MESH_SUFFIXES, mesh_spec
 from scan3d_twin.sim.scenes.random_scenes import NAME_PREFIX, scene_of_seed
 from scan3d_twin.sim.scenes.scene import Scene, one_line, scene_from_spec
@@ -24,17 +25,20 @@ def scene_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in find_resource_dir("scenes").glob("*.xml")))
 
 
-def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
+def load_scene(name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_ROOM) -> Scene:
     """Return a built-in scene by name, or an MJCF or mesh file by path.
 
     Args:
         name_or_path: A name of ``scene_names()``, ``random:SEED``, or a path that ends in .xml .stl
             .ply .obj .glb.
         mesh_scale: Metres per unit of a mesh file.
+        room: Room around a mesh: width by depth, such as ``5x5`` [m], or ``none`` for an open
+            floor; larger where the mesh leaves the robot no way round it.
 
     Raises:
         UnknownNameError: There is no scene of this name, and it is no path.
-        ConfigError: ``mesh_scale`` is not positive, or SEED is not a whole number.
+        ConfigError: ``mesh_scale`` is not positive, ``room`` is no room, or SEED is not a whole
+            number.
         SceneError: The file is missing or broken, or holds no target.
 
     >>> s3d.load_scene("three_boxes").tour
@@ -42,6 +46,7 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
     """
     if not (mesh_scale > 0 and np.isfinite(mesh_scale)):
         raise ConfigError(f"mesh scale must be > 0, got {mesh_scale:g}")
+    size = parse_room(room)
     if name_or_path.startswith(NAME_PREFIX):
         return scene_of_seed(name_or_path)
     path = Path(name_or_path)
@@ -49,7 +54,7 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0) -> Scene:
     if suffix == ".xml" or suffix in MESH_SUFFIXES:
         if not path.is_file():
             raise SceneError(f"no file {name_or_path}")
-        spec = _read_mjcf(path) if suffix == ".xml" else mesh_spec(path, mesh_scale)
+        spec = _read_mjcf(path) if suffix == ".xml" else mesh_spec(path, mesh_scale, size)
         return scene_from_spec(path.stem, spec, name_or_path)
     if name_or_path not in scene_names():
         raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))

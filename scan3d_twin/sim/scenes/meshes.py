@@ -15,6 +15,7 @@ import numpy as np
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 from scan3d_twin.sim.scenes.surface_samples import sample_triangles
+from scan3d_twin.sim.scenes.walls import add_walls
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 
@@ -22,18 +23,26 @@ ROBOT_HEIGHT = 0.35
 """Height above which nothing can touch the robot [m]."""
 SPAWN_DISTANCE = 1.5
 """Distance from the robot's start to the mesh [m]; as in the built-in scenes."""
+START_ROOM = 0.40
+"""Least room between the robot's start and the wall behind it [m]: the robot's radius, clearance
+and as much again."""
 SIZE_LIMITS = (0.02, 20.0)
 """Smallest and largest plausible extent of a mesh [m]; beyond, its unit is wrong."""
 GRID_CELLS = 24
 """Cells of the collision grid along the longer side of the footprint."""
 
 
-def mesh_spec(path: Path, scale: float) -> Any:
+def mesh_spec(path: Path, scale: float, room: tuple[float, float] | None) -> Any:
     """Return an ``MjSpec`` with the mesh of ``path`` as target, on the floor, 1.5 m ahead of spawn.
+
+    The mesh stands in the middle of the room, whose walls move outwards where it leaves the robot
+    no way round it.
 
     Args:
         path: A .stl, .ply, .obj or .glb file; z is up, except in .glb where y is up by definition.
         scale: Metres per unit of the file.
+        room: Width (across the robot's first view) and depth of the room [m]; None for an open
+            floor.
 
     Raises:
         SceneError: The file is not a mesh, is empty, or its size is implausible.
@@ -73,8 +82,19 @@ def mesh_spec(path: Path, scale: float) -> Any:
     )
     spec.worldbody.add_light(pos=[0, 0, 3], dir=[0.3, 0, -1])
     spec.add_text(name="scan3d.tour", data="full")
-    spec.add_text(name="scan3d.description", data=f"mesh {path.name}")
+    place = "on an open floor" if room is None else _add_room(spec, vertices[faces], room)
+    spec.add_text(name="scan3d.description", data=f"mesh {path.name} {place}")
     return spec
+
+
+def _add_room(spec: Any, triangles: FloatArray, room: tuple[float, float]) -> str:
+    """Add a room round the ``triangles`` (m, 3, 3); return its size in words."""
+    corners = triangles.reshape(-1, 3)[:, :2]
+    width, depth = room
+    needed = np.ptp(corners, axis=0) + 2 * (SPAWN_DISTANCE + START_ROOM)
+    depth, width = max(depth, float(needed[0])), max(width, float(needed[1]))
+    add_walls(spec, (depth / 2, depth / 2, width / 2, width / 2))
+    return f"in a room of {width:.3g} x {depth:.3g} m"
 
 
 def _load(path: Path, scale: float) -> tuple[FloatArray, IntArray]:

@@ -20,6 +20,7 @@ from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.scenes.random_ranges import SceneRanges, Shape
 from scan3d_twin.sim.scenes.random_shapes import Solid, build_shape, draw_uniform
 from scan3d_twin.sim.scenes.scene import Scene, scene_from_spec
+from scan3d_twin.sim.scenes.walls import add_walls
 
 NAME_PREFIX = "random:"
 """Prefix of the seed in a scene's name."""
@@ -32,8 +33,6 @@ MIN_START_DISTANCE = 1.5
 MIN_WALL_DISTANCE = 0.8
 """Least distance of a target for tour front to the wall behind it [m]; nearer, stray points would
 join the two in a panorama."""
-WALL_HALF_HEIGHT, WALL_HALF_THICKNESS = 1.25, 0.05
-"""Half height and half thickness of walls [m]; as in the built-in scenes."""
 
 
 def draw_scene(
@@ -152,33 +151,7 @@ def _add_room(
     if rng.random() >= ranges.walls:
         return limits
 
-    # Add the four walls
-    material = spec.add_material(name="wall", rgba=(0.85, 0.85, 0.82, 1.0)).name
-    middle = ((limits[1] - limits[0]) / 2, (limits[3] - limits[2]) / 2)
-    half = ((limits[0] + limits[1]) / 2, (limits[2] + limits[3]) / 2)
-    for name, x, y, long in (
-        (
-            "back",
-            -limits[0] - WALL_HALF_THICKNESS,
-            middle[1],
-            (WALL_HALF_THICKNESS, half[1] + 2 * WALL_HALF_THICKNESS),
-        ),
-        (
-            "front",
-            limits[1] + WALL_HALF_THICKNESS,
-            middle[1],
-            (WALL_HALF_THICKNESS, half[1] + 2 * WALL_HALF_THICKNESS),
-        ),
-        ("right", middle[0], -limits[2] - WALL_HALF_THICKNESS, (half[0], WALL_HALF_THICKNESS)),
-        ("left", middle[0], limits[3] + WALL_HALF_THICKNESS, (half[0], WALL_HALF_THICKNESS)),
-    ):
-        spec.worldbody.add_geom(
-            name=f"wall_{name}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=(x, y, WALL_HALF_HEIGHT),
-            size=(*long, WALL_HALF_HEIGHT),
-            material=material,
-        )
+    add_walls(spec, limits)
     return limits
 
 

@@ -19,6 +19,7 @@ from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.pose_prior import PLANAR
+from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, rms
 
@@ -210,3 +211,12 @@ def test_the_calibration_makes_it_careful() -> None:
 def test_wrong_settings_are_refused(section: type, values: dict[str, float]) -> None:
     with pytest.raises(ConfigError):
         section(**values)
+
+
+def test_surfels_keep_clear_of_the_floor_and_the_model_does_not() -> None:
+    """Those next to the floor would lean towards it."""
+    low = (Box((1.0, -0.5, 0.0), (1.2, 0.5, 0.3)),)
+    session = session_at(low, config())
+    view, limit = session.views[0], session.config.target.floor_height
+    assert view.target.points[:, 2].min() < 0.7 * limit
+    assert surfels_of(view, session.config).rows[:, X][:, 2].min() > 0.9 * limit

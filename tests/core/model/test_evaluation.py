@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +46,7 @@ class BoxTruth:
     spawn: Pose2 = SPAWN
 
     latest = math.inf
+    targets = ("target",)
 
     def pose_at(self, stamp: float) -> Pose2:
         """Sweep k has stamps from 1000 k on; the robot turned, so add the heading of the line."""
@@ -53,7 +55,9 @@ class BoxTruth:
         index = min(int(line / 0.1), image.n_lines - 1)
         return self.poses[int(k)] @ Pose2(0.0, 0.0, float(image.yaws[index, 0]))
 
-    def surface(self, spacing: float) -> tuple[FloatArray, FloatArray]:
+    def surface(
+        self, spacing: float, targets: Sequence[str] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """The four sides."""
         points, normals = [], []
         for axis, value, sign in ((0, 0.6, -1), (0, 1.0, 1), (1, -0.4, -1), (1, 0.4, 1)):
@@ -230,3 +234,60 @@ def test_voxels_are_means() -> None:
     points = np.array([[0.01, 0.01, 0.01], [0.03, 0.01, 0.01], [0.91, 0.0, 0.0]])
     assert thin_by_voxel(points, 0.1) == pytest.approx(np.array([[0.02, 0.01, 0.01], [0.91, 0, 0]]))
     assert thin_by_voxel(np.zeros((0, 3)), 0.1).shape == (0, 3)
+
+
+@dataclass(frozen=True)
+class TwoBoxes(BoxTruth):
+    """The box, and a second one beside it."""
+
+    gap: float = 0.5
+
+    targets = ("near", "beside")
+
+    def surface(
+        self, spacing: float, targets: Sequence[str] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """The four sides of each."""
+        points, normals = super().surface(spacing)
+        away = np.array([0.0, 0.8 + self.gap, 0.0])
+        parts = {"near": points, "beside": points + away}
+        chosen = self.targets if targets is None else targets
+        return np.concatenate([parts[t] for t in chosen]), np.concatenate([normals] * len(chosen))
+
+
+def test_the_target_that_was_scanned_counts_and_not_another_one() -> None:
+    session = session_of(FIRST, SECOND)
+    alone, two = BoxTruth((FIRST, SECOND)), TwoBoxes((FIRST, SECOND))
+    model = build_model(session)
+    result = evaluate_model(session, model, Reference.of(session, two))
+    assert result.targets == ("near",)
+    assert result.left_out == ("beside",)
+    assert result.coverage == evaluate_model(session, model, Reference.of(session, alone)).coverage
+
+
+def test_the_target_that_was_asked_for_counts_even_if_another_one_was_scanned() -> None:
+    session, two = session_of(FIRST, SECOND), TwoBoxes((FIRST, SECOND))
+    reference = Reference.of(session, two, "beside")
+    result = evaluate_model(session, build_model(session), reference)
+    assert result.targets == ("beside",)
+    assert result.left_out == ()
+    assert result.coverage < 0.05
+    assert not result.is_success(math.inf)
+    place = Reference.of(session, two, "0.6,0.0")
+    assert place.targets == ("near",)
+    assert place.left_out == ()
+
+
+@pytest.mark.parametrize(("gap", "count"), [(0.15, 2), (0.3, 1)])
+def test_targets_that_are_one_thing_to_the_robot_count_together(gap: float, count: int) -> None:
+    session, two = session_of(FIRST, SECOND), TwoBoxes((FIRST, SECOND), gap=gap)
+    for asked in ("", "near", "beside"):
+        assert len(Reference.of(session, two, asked).targets) == count
+
+
+def test_a_model_of_much_else_is_no_success_however_well_it_is_registered() -> None:
+    result = evaluated(session_of(FIRST, SECOND))
+    assert result.is_success(0.010)
+    assert not result.is_success(0.0)
+    assert not replace(result, f_score={0.020: 0.29}).is_success(0.010)
+    assert not replace(result, pairs=()).is_success(0.010)

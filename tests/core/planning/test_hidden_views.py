@@ -12,7 +12,7 @@ from sessions import session_at
 from synthetic import THREE_BOXES, Box
 
 from scan3d_twin.core.planning import hidden_views as closing
-from scan3d_twin.core.planning.context import PlanningContext
+from scan3d_twin.core.planning.context import Placement, PlanningContext
 from scan3d_twin.core.planning.hidden_surface import FACE_DEPTH, HiddenSurface
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
@@ -152,3 +152,88 @@ def test_a_contour_that_was_done_stays_done() -> None:
     on = session_at(BOXES, WIDE, poses=(end, standing(-0.1, 0.0)), half=1.2)
     assert not PlanningContext(replace(on, views=on.views[1:])).is_contour_done
     assert PlanningContext(on).is_contour_done
+
+
+def blocked(session: Session, monkeypatch: pytest.MonkeyPatch) -> PlanningContext:
+    """Return the context of a contour that goes on where the robot cannot."""
+    monkeypatch.setattr(
+        PlanningContext, "find_placement", lambda self, overlap: Placement(None, False)
+    )
+    context = finished(session, "hidden")
+    context.__dict__["is_contour_done"] = False
+    return context
+
+
+def test_where_the_contour_is_blocked_what_is_hidden_elsewhere_comes_next(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = termination_plan(blocked(seen, monkeypatch))
+    assert plan is not None
+    assert plan.viewpoint is not None
+
+
+def test_only_a_panorama_can_tell_that_the_contour_is_blocked(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unseen = replace(seen, panoramas=seen.panoramas[:1])
+    assert termination_plan(blocked(unseen, monkeypatch)) is None
+
+
+def test_what_is_too_far_to_register_is_approached(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No view of hidden surface registers on the latest one, but others on the way to it do."""
+    context = blocked(seen, monkeypatch)
+    candidates = PoseCandidates(context)
+    areas = HiddenSurface(context.session).measure_areas(candidates.poses)
+    goal = candidates.poses[int(np.argmax(areas))]
+    here = context.view.T_world_scan
+
+    def error(prediction: object, step: Pose2) -> float:
+        return math.inf if (here @ step).distance(goal) < 0.8 else 0.001
+
+    monkeypatch.setattr(closing.ErrorPrediction, "error", error)
+    monkeypatch.setattr(closing, "MAX_TRIED", 0)
+    plan = termination_plan(context)
+    assert plan is not None
+    assert plan.viewpoint is not None
+    near = min(d for pose in candidates.poses if (d := pose.distance(goal)) >= 0.8)
+    assert plan.viewpoint.distance(goal) == pytest.approx(near)
+    assert near < here.distance(goal)
+
+
+def test_a_blocked_contour_ends_the_run_when_nothing_registers(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(closing.ErrorPrediction, "error", lambda self, viewpoint: math.inf)
+    plan = termination_plan(blocked(seen, monkeypatch))
+    assert plan is not None
+    assert plan.viewpoint is None
+    assert plan.reason == closing.BLOCKED_REASON
+
+
+def test_a_contour_along_which_nothing_new_shows_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    left, middle, right = standing(-0.1, 0.9), standing(-0.1, 0.0), standing(-0.1, -0.9)
+    again = session_at(BOXES, WIDE, poses=(left, middle, right, left, middle, right), half=1.2)
+    assert closing.shows_nothing_new(again)
+    assert not closing.shows_nothing_new(replace(again, views=again.views[:5]))
+    assert not closing.shows_nothing_new(replace(again, views=again.views[:2]))
+    monkeypatch.setattr(closing.ErrorPrediction, "error", lambda self, viewpoint: math.inf)
+    context = finished(again, "hidden")
+    context.__dict__["is_contour_done"] = False
+    monkeypatch.setattr(closing, "was_blocked", lambda context: False)
+    plan = termination_plan(context)
+    assert plan is not None
+    assert plan.reason == closing.STALE_REASON
+
+
+def test_another_side_of_a_thin_thing_is_new_although_it_is_close_to_the_first() -> None:
+    pole = (Box((0.985, -0.015, 0.0), (1.015, 0.015, 1.0)),)
+    around = [
+        Pose2(1.0 - math.cos(a), -math.sin(a), a)  # counter-clockwise
+        for a in np.radians([0.0, 20.0, 40.0, 60.0])
+    ]
+    session = session_at(pole, WIDE, poses=tuple(around), half=0.02)
+    assert not closing.shows_nothing_new(session)
+    same = session_at(pole, WIDE, poses=(around[0],) * 4, half=0.02)
+    assert closing.shows_nothing_new(same)

@@ -190,7 +190,7 @@ def test_the_most_views_end_the_run(wall: Session) -> None:
 
 def test_a_lost_target_ends_the_run(wall: Session) -> None:
     view = wall.views[0]
-    blind = replace(view, target=view.target.select(view.target.lines < 2))
+    blind = replace(view, target=view.target.select(view.target.lines < 1))
     made = plan(replace(wall, views=(blind,)))
     assert made.viewpoint is None
     assert "target lost" in made.reason

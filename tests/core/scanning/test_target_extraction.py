@@ -32,7 +32,8 @@ def test_floor_robot_and_far_things_are_left_out() -> None:
     image = observe(SPAWN).image
     scan = extract_points(image, CONFIG)
     ranges = image.ranges[scan.lines, scan.beams]
-    assert scan.points[:, 2].min() > CONFIG.target.floor_height
+    assert scan.points[:, 2].min() > CONFIG.target.floor_height / 2
+    assert scan.points[ranges > 2.0, 2].min() > CONFIG.target.floor_height
     assert ranges.max() <= CONFIG.target.max_range
     assert np.hypot(scan.points[:, 0], scan.points[:, 1]).min() > CONFIG.motion.self_radius
     assert np.isfinite(image.points[..., 2]).sum() > len(scan)
@@ -142,3 +143,16 @@ def test_of_two_alike_the_one_ahead_is_the_target() -> None:
     ahead, behind = Box((1.3, -0.3, 0.0), (1.6, 0.3, 0.6)), Box((-1.5, -0.3, 0.0), (-1.2, 0.3, 0.6))
     look = observe(Pose2(), (ahead, behind), width=math.tau - 1e-3, step=math.radians(2.0))
     assert find_target(look, None, paper_config())[:, 0].min() > 1.0
+
+
+def test_near_the_robot_the_floor_takes_little_of_a_thing_and_none_of_it_stays() -> None:
+    """At 1 m the floor is seen at a flat angle: its noise of 1 cm is 3 mm of height there."""
+    low = Box((0.9, -0.3, 0.0), (1.2, 0.3, 0.1))
+    rng = np.random.default_rng(3)
+    image = observe(Pose2(), (low,), room=False, sigma=0.010, rng=rng).image
+    scan = extract_points(image, CONFIG)
+    front = np.abs(scan.points[:, 0] - 0.9) < 0.05
+    assert scan.points[front, 2].min() < 0.022
+    bare = observe(Pose2(), (), room=False, sigma=0.010, rng=rng).image
+    readings = np.count_nonzero(np.isfinite(bare.ranges))
+    assert len(extract_points(bare, CONFIG)) < 0.001 * readings  # of normal noise beyond 3 sigma

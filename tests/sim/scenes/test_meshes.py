@@ -2,9 +2,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan3d_twin.core.errors import HazardError, SceneError
+from scan3d_twin.core.errors import ConfigError, HazardError, SceneError
+from scan3d_twin.sim.kinematic import KinematicWorld
+from scan3d_twin.sim.ray_casting import choose_caster
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.truth import Truth
 
 
 def cup(radius=0.15, height=0.3, wall=0.01):
@@ -123,3 +126,40 @@ def test_points_without_triangles_are_no_mesh(tmp_path):
     trimesh.PointCloud(np.eye(3)).export(path)
     with pytest.raises(SceneError, match=r"cloud\.ply"):
         load_scene(str(path))
+
+
+def wall_distances(scene):
+    """Return how far the walls are from the middle of the mesh [m]: ahead, behind, left, right."""
+    truth = Truth(scene, KinematicWorld(scene.spawn), choose_caster(scene.model), lambda: None)
+    above = float(truth.surface(0.02)[0][:, 2].max()) + 0.1
+    ways = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float)
+    return truth.first_hits(np.tile([0.0, 0.0, above], (4, 1)), ways)
+
+
+def test_a_mesh_stands_in_the_middle_of_a_room(save):
+    path = save(trimesh.creation.box((0.3, 0.4, 0.5)))
+    assert wall_distances(load_scene(path)) == pytest.approx([2.5] * 4, abs=1e-5)
+    wide = wall_distances(load_scene(path, room="6x4.5"))
+    assert wide == pytest.approx([2.25, 2.25, 3.0, 3.0], abs=1e-5)
+
+
+def test_the_room_grows_with_the_mesh(save):
+    scene = load_scene(save(trimesh.creation.box((2.0, 4.0, 0.5))))
+    ahead, behind, left, right = wall_distances(scene)
+    assert ahead == pytest.approx(behind)
+    assert behind + scene.spawn.x >= 0.35  # the robot's radius, twice
+    assert left == pytest.approx(right)
+    assert right - 2.0 == pytest.approx(behind - 1.0)
+    assert scene.description == f"mesh thing.stl in a room of {2 * left:g} x {2 * behind:g} m"
+
+
+def test_a_mesh_may_stand_on_an_open_floor(save):
+    scene = load_scene(save(trimesh.creation.box((0.3, 0.4, 0.5))), room="none")
+    assert np.isinf(wall_distances(scene)).all()
+    assert scene.description == "mesh thing.stl on an open floor"
+
+
+@pytest.mark.parametrize("room", ["", "5", "5x", "5x5x5", "0.5x5", "5x500", "nanx5", "big"])
+def test_a_room_is_two_sizes_or_none(save, room):
+    with pytest.raises(ConfigError, match=r"room must be WIDTHxDEPTH .* got"):
+        load_scene(save(trimesh.creation.box((0.3, 0.4, 0.5))), room=room)
