@@ -4,7 +4,7 @@ Each pair is a view registered on the one before it, in a closed loop of the pre
 ``random:SEED``. Nothing was tuned on seeds from 6000 on: development and ``calibrate_error.py`` use
 1000 to 2999. With e the error of the planar pose (x, y, yaw about the target's origin), C its
 reported covariance, ``error`` the RMS displacement of the target's points by e, ``predicted`` the
-reported ``predicted_rmse`` and ``calibrated`` that times ``planning.calibration``:
+reported ``predicted_rmse`` and ``calibrated`` that times ``registration.calibration``:
 
 * ``nees_median``, ``nees_above_95``: median of e^T C^-1 e (ideal 2.37), and the share above 7.81,
   the 95 % quantile of chi2 with 3 degrees of freedom (ideal .05);
@@ -15,7 +15,7 @@ reported ``predicted_rmse`` and ``calibrated`` that times ``planning.calibration
 * ``factor``: 90 % quantile of ``error`` / ``predicted``; 1.44 to 1.65 for correct covariances;
 * ``median_error_mm``, ``pairs``.
 
-Intervals (95 %) are by bootstrap over scenes. A rate of jitter turns each line of the lidar about
+Intervals (95 %) are by bootstrap over scenes. Jitter turns each line of the lidar about
 the vertical axis, unknown to the robot: a mast that vibrates.
 
 ``python benchmarks/honesty.py [--world typical] [--jitter 0] [--scenes 300] [--jobs 1]
@@ -285,7 +285,7 @@ def main() -> None:
 
     # Measure and print
     pairs = [pair for seed in wanted for pair in found[seed]]
-    calibration = build_settings([]).config.planning.calibration
+    calibration = build_settings([]).config.registration.calibration
     rows: dict[str, dict[str, Any]] = {
         **bootstrap(pairs, partial(measure, calibration=calibration)),
         "pairs": {"value": len(pairs), "low": len(pairs), "high": len(pairs)},

@@ -450,7 +450,7 @@ class RegistrationResult:
     Attributes:
         T_target_source: The pose (4, 4).
         covariance: Covariance of x, y, z [m] and rx, ry, rz [rad] about the target's origin (6, 6);
-            of clouds without a prior infinite where an undetermined direction points.
+            without a prior infinite where an undetermined direction points.
         information: Information matrix (6, 6): the inverse of the covariance on the estimated
             directions, 0 on the others.
         fitness: Share of source points with a correspondence, 0..1.
@@ -460,7 +460,8 @@ class RegistrationResult:
         iterations: Iterations run.
         converged: Whether the result may be used.
         degenerate_directions: Unit directions (k, 6) that the data do not determine.
-        ambiguity_gap: Score distance to the next best basin, 0..1; 1 where none was searched.
+        ambiguity_gap: Score distance to the next best basin, 0..1, 1 if several starts met in one;
+            NaN where a single start looked for no other.
 
     >>> result = session.views[1].registration
     >>> result.converged, result.covariance.shape, bool(result.predicted_rmse < 0.01)
@@ -501,7 +502,7 @@ class RegistrationResult:
             iterations=0,
             converged=False,
             degenerate_directions=read_only(np.zeros((0, 6))),
-            ambiguity_gap=1.0,
+            ambiguity_gap=math.nan,
         )
 
 

@@ -36,6 +36,8 @@ OFF_PLANE = 0.03
 and is seen so flat that its own readings jump is not where the plane ends."""
 EMPTY = 3
 """Lines without return that count as empty space; single ones are dropouts."""
+FLAT, BEND = 4, 0.12
+"""Lines farther in, where normals of a flat face agree, and the tangent of their difference."""
 INWARDS = 2
 """Lines from the edge to the surfel that carries it: nearer windows would cross the edge."""
 
@@ -72,9 +74,21 @@ def edge_rows(
             c, s = np.cos(yaws[part]), np.sin(yaws[part])
             last = np.stack([c * x - s * y, s * x + c * y, z], axis=1)
             carrier = index[line - INWARDS if side > 0 else line + 1 + INWARDS, first:end]
+            inner = near - side * (INWARDS + FLAT)
+            if not 0 <= inner < len(index) or not _flat(rows, carrier, index[inner, first:end]):
+                continue
             found.append(_run(yaws, last, rows[carrier], yaw_sigma, (line, first, end), side))
     edges = [edge for edge in found if edge is not None]
     return np.array(edges).reshape(-1, 8)
+
+
+def _flat(rows: FloatArray, carrier: SmallIntArray, inner: SmallIntArray) -> bool:
+    """Return whether the normals of a run agree with those farther in."""
+    both = (carrier >= 0) & (inner >= 0)
+    if 2 * np.count_nonzero(both) < len(both):
+        return False
+    a, b = rows[carrier[both], 3:5].sum(axis=0), rows[inner[both], 3:5].sum(axis=0)
+    return bool(abs(a[0] * b[1] - a[1] * b[0]) < BEND * (a @ b))
 
 
 def _jumps(ranges: FloatArray, surfel: BoolArray, valid: BoolArray, side: int) -> BoolArray:

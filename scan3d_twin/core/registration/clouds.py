@@ -501,7 +501,7 @@ class _Pair:
             iterations=iterations,
             converged=settled and len(undetermined) < len(rows),
             degenerate_directions=read_only(degenerate @ shift.T),
-            ambiguity_gap=1.0,
+            ambiguity_gap=math.nan,
         )
 
     # --- equations ---

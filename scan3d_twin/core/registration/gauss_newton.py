@@ -32,6 +32,7 @@ from scan3d_twin.core.registration.point_to_plane import combine_noise
 from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, PosePrior
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.registration.surfels import X
+from scan3d_twin.core.registration.undetermined import with_infinite_variance
 from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
 Dof = Literal["planar", "se3"]
@@ -211,18 +212,22 @@ def distance_between(a: FloatArray, b: FloatArray, reach: float) -> float:
     return math.sqrt(np.sum(shift * shift) + np.sum(turn * turn) / 2.0)
 
 
-def make_result(outcome: RunResult, ambiguity_gap: float) -> RegistrationResult:
-    """Return ``outcome`` as the result of a registration."""
+def make_result(problem: Problem, outcome: RunResult, ambiguity_gap: float) -> RegistrationResult:
+    """Return ``outcome`` as the result of a registration.
+
+    Without a prior, the directions that the scans do not determine have infinite variance.
+    """
+    free = outcome.degenerate if problem.prior is None else outcome.degenerate[:0]
     return RegistrationResult(
         T_target_source=read_only(outcome.T),
-        covariance=read_only(outcome.covariance),
+        covariance=read_only(with_infinite_variance(outcome.covariance, free, problem.reach)),
         information=read_only(outcome.information),
         fitness=outcome.pairs / outcome.surfels,
         inlier_rmse=math.sqrt(outcome.square / outcome.pairs),
-        predicted_rmse=outcome.predicted_rmse,
+        predicted_rmse=math.inf if len(free) else outcome.predicted_rmse,
         num_inliers=outcome.pairs,
         iterations=outcome.iterations,
-        converged=outcome.settled,
+        converged=outcome.settled and len(free) < len(problem.dims),
         degenerate_directions=read_only(outcome.degenerate),
         ambiguity_gap=ambiguity_gap,
     )

@@ -159,7 +159,7 @@ def _make_result(
         iterations=iterations,
         converged=settled and fitness >= config.min_fitness,
         degenerate_directions=read_only(np.zeros((0, 6))),
-        ambiguity_gap=1.0,
+        ambiguity_gap=math.nan,
     )
 
 

@@ -7,6 +7,7 @@ taken.
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -83,7 +84,7 @@ def register_grids(
     problem = Problem(target, source, prior, dof, criteria or Criteria())
     init = _first_guess(init_T_target_source, prior)
     basin, gap = search_basins(problem, init, starts)
-    return make_result(basin.outcome, gap)
+    return make_result(problem, basin.outcome, gap)
 
 
 def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
@@ -95,7 +96,9 @@ def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray
 
 
 def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[Basin, float]:
-    """Return the best basin and the gap in contradiction to the next, 0..1 (1 if alone).
+    """Return the best basin and the gap in contradiction to the next, 0..1.
+
+    The gap is 1 if all starts ended in one basin, and NaN for a single start, which knows no other.
 
     Raises:
         ConfigError: Several starts are wanted, but there is no prior to spread them over.
@@ -104,7 +107,7 @@ def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[Basi
     if starts < 1:
         raise ConfigError(f"starts must be >= 1, got {starts}")
     if starts == 1:
-        return Basin(align(problem, init), 0.0), 1.0
+        return Basin(align(problem, init), 0.0), math.nan
 
     # Iterate roughly, merging basins.
     poses, source = spread_starts(problem, init, starts), problem.make_source(ROUGH_THINNING)

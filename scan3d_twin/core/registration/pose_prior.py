@@ -17,7 +17,7 @@ PLANAR = (0, 1, 5)
 _PLANAR_ROWS, _PLANAR_COLUMNS = np.ix_(PLANAR, PLANAR)
 SIGMA_Z = 0.001
 """Height error of a robot on a floor [m]: the floor's unevenness under three wheels."""
-SIGMA_TILT = 0.003
+SIGMA_TILT = 0.002
 """Roll and pitch error of a robot on a floor [rad]."""
 
 

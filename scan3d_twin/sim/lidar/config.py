@@ -98,6 +98,9 @@ class LidarModelConfig:
     revolution: float = number(0.0045, 0.0, 0.05)
     """Relative error of the mirror's period about this mean, standard deviation over sensors; a
     capture of another sensor turned in 99.7 ms."""
+    sway: float = number(0.0, 0.0, 0.02)
+    """Yaw of the lidar on its mast, standard deviation over lines [rad]; 0: the mast is stiff. The
+    kinematic robot of the environments has none."""
     jitter: float = number(0.0003, 0.0, 0.003)
     """Error of the time of step 0, standard deviation over revolutions [s]; assumption, a capture
     shows .4 ms with the jitter of its host."""

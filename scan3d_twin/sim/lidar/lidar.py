@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
-from scan3d_twin.core.types import FloatArray, LidarSpec, ScanLine, read_only
+from scan3d_twin.core.types import FloatArray, LidarSpec, Pose2, ScanLine, read_only
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.lidar.noise import Draws, warm_up_error
 from scan3d_twin.sim.lidar.scanner import CHUNK, Evidence, Readings, Scanner
@@ -21,7 +21,7 @@ MAX_SWEEP_DURATION = 0.9 * HISTORY_STEPS * TIMESTEP
 """Longest sweep that is computed at once [s], limited by the history of the lidar's poses."""
 
 # Streams of the lidar's seed.
-_NOISE, _JITTER, _LOSS = 0, 1, 2
+_NOISE, _JITTER, _LOSS, _SWAY = 0, 1, 2, 3
 _BLOCK = 256
 
 
@@ -147,17 +147,25 @@ class SimLidar:
         starts = np.array([turn.start for turn in turns])
         times = starts[:, None] + self.spec.beam_times * self._pace
         positions, rotations = self._world.lidar_poses(times.ravel())
+        rotations = rotations.reshape(len(turns), n, 3, 3)
+        if config.sway > 0:
+            rotations = np.stack([self._sway(turn.number) for turn in turns])[:, None] @ rotations
 
         # Draw the noise and measure
         rngs = [np.random.default_rng([*self._seed, _NOISE, turn.number]) for turn in turns]
         return self._scanner.measure(
             turns[0].qpos,
             positions.reshape(len(turns), n, 3),
-            rotations.reshape(len(turns), n, 3, 3),
+            rotations,
             Draws.of(rngs, n, config),
             np.array([warm_up_error(turn.start, config) for turn in turns]),
             evidence=evidence,
         )
+
+    def _sway(self, number: int) -> FloatArray:
+        """Return the rotation (3, 3) by which the mast turns the lidar in a revolution."""
+        rng = np.random.default_rng([*self._seed, _SWAY, number])
+        return Pose2(0.0, 0.0, self._scanner.config.sway * rng.standard_normal()).matrix()[:3, :3]
 
     def _time(self, number: int) -> float:
         """Return the true time of step 0 of revolution ``number`` [s]; call in order of numbers."""

@@ -9,12 +9,14 @@
 #define MIN_UPRIGHT 0.9         /* length of a normal in the top view (26 deg of lean) */
 #define MAX_EDGE_SPREAD 0.01    /* scatter of a vertical edge in the top view [m] */
 #define MAX_UNEVENNESS 0.25     /* of the spacing of lines, up to which they count as evenly spaced */
+#define MAX_BEND 0.12           /* tangent of the angle between normals FLAT_LINES apart on a flat face (7 deg) */
 #define MAX_PLANE_DISTANCE 0.03 /* of the last reading from the plane that ends [m]: 3 sigma */
 
 enum {
     MIN_BEAMS = 8,              /* of an edge, next to each other */
     EMPTY_LINES = 3,            /* lines without return that count as empty space */
     SURFEL_OFFSET = 2,          /* lines from the edge to the surfel of its face */
+    FLAT_LINES = 4,             /* lines from there to one whose normals agree on a flat face */
 };
 
 /* Beams of a line from `low` on, before `high`. */
@@ -58,6 +60,28 @@ static int64_t mark_jumps(const Sweep *sweep, const int32_t *index, const uint8_
         }
     }
     return n;
+}
+
+/* Return whether the surface of a run is flat towards its edge: whether its normals next to the edge agree
+ * with those FLAT_LINES farther in. A round body's do not, and what it ends at is its outline, which
+ * wanders with the viewpoint. What is too narrow to tell is not flat. */
+static int is_flat_run(const Sweep *sweep, const double *rows, const int32_t *index, int64_t near,
+                       int64_t side, Beams run) {
+    int64_t next = near - SURFEL_OFFSET * side, inner = next - FLAT_LINES * side, n = 0;
+    if (inner < 0 || inner >= sweep->n_lines) return 0;
+    double here[2] = {0}, farther[2] = {0};
+    for (int64_t j = run.low; j < run.high; j++) {
+        int32_t at = index[next * sweep->stride + j], in = index[inner * sweep->stride + j];
+        if (at < 0 || in < 0) continue;
+        n++;
+        for (int m = 0; m < 2; m++) {
+            here[m] += rows[SURFEL * at + NX + m];
+            farther[m] += rows[SURFEL * in + NX + m];
+        }
+    }
+    double along = here[0] * farther[0] + here[1] * farther[1];
+    double across = here[0] * farther[1] - here[1] * farther[0];
+    return 2 * n >= run.high - run.low && fabs(across) < MAX_BEND * along;
 }
 
 /* Write x, y of the edge and z of the surfel (3) at the upright beams of a run; return their number. */
@@ -156,8 +180,10 @@ static int64_t find_edges(const Sweep *sweep, const double *rows, const int32_t 
                     first = first < 0 ? j : first;
                     continue;
                 }
-                if (first >= 0 && j - first >= MIN_BEAMS && count < most) {
-                    int64_t n = place_run(sweep, rows, index, near, side, (Beams){first, j}, places);
+                Beams run = {first, j};
+                if (first >= 0 && j - first >= MIN_BEAMS && count < most
+                    && is_flat_run(sweep, rows, index, near, side, run)) {
+                    int64_t n = place_run(sweep, rows, index, near, side, run, places);
                     double step = spacing_at(sweep, pair, (first + j) / 2, spacing);
                     double variance = step * step / 12 + yaw_sigma * yaw_sigma;
                     count += make_edge(places, n, variance, side, edges + EDGE * count);

@@ -10,6 +10,7 @@
 #include <stdlib.h>
 
 #define MIN_FILLED_SHARE 0.6    /* share of a window's readings that a fit needs */
+#define MAX_TILT 0.25           /* standard deviation of a normal [rad]: with more it tells nothing */
 #define MAX_RSS_SIGMAS 1.5      /* residual sum of squares of a fit, in sigma above that of noise alone */
 #define MIN_COSINE 0.05         /* of incidence: a plane seen flatter (87 deg) is not trusted */
 
@@ -176,19 +177,22 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
         double by_yaw = readings * q * q * swing * swing * yaw_variance;
         double free = readings - 3 > 1 ? readings - 3 : 1;
         double most = scatter * (free + MAX_RSS_SIGMAS * sqrt(2 * free)) + by_yaw * per_line;
-        int fits = (w->open[k] > 0) & (readings >= MIN_FILLED_SHARE * area[k]) & (readings > 5)
-                 & (r > 0) & (rss <= most) & (det > 1e-12 * trace * trace * trace)
-                 & (along * along > MIN_COSINE * MIN_COSINE * square);
 
         /* noise of the normal */
         double onto = mx * (c_xx * mx + 2 * (c_xy * my + c_xz * mz)) + my * (c_yy * my + 2 * c_yz * mz)
                     + c_zz * mz * mz;
         double tangents = (c_xx + c_yy + c_zz - onto / square) * inverse;
+        double tilt = tangents * (scatter * correlation + by_yaw / lines) / (2 * square);
+
+        /* take it? */
+        int fits = (w->open[k] > 0) & (readings >= MIN_FILLED_SHARE * area[k]) & (readings > 5)
+                 & (r > 0) & (rss <= most) & (det > 1e-12 * trace * trace * trace)
+                 & (along * along > MIN_COSINE * MIN_COSINE * square) & (tilt < MAX_TILT * MAX_TILT);
         double towards = (along > 0 ? -1 : 1) / sqrt(square);
         made[X][k] = x, made[Y][k] = y, made[Z][k] = z;
         made[NX][k] = towards * mx, made[NY][k] = towards * my, made[NZ][k] = towards * mz;
         made[VARIANCE][k] = by_range / square;
-        made[NORMAL_VARIANCE][k] = tangents * (scatter * correlation + by_yaw / lines) / (2 * square);
+        made[NORMAL_VARIANCE][k] = tilt;
         taken[k] = fits ? 1 : 0;
     }
 
