@@ -35,6 +35,7 @@ Criterion = Literal["displacement", "eq3", "nn"]
 Feature = Literal["normals", "variation"]
 CornerModel = Literal["contour", "silhouette"]
 Closing = Literal["none", "hidden"]
+Fallback = Literal["default", "best"]
 AlignmentMode = Literal["off", "loop_closure"]
 Misfits = Literal["keep", "drop"]
 Gain = Literal["oa", "rse", "af"]
@@ -203,7 +204,11 @@ class PlanningConfig:
     eta_step: float = number(0.1)
     """Step between the overlaps tried."""
     default_overlap: float = number(0.8)
-    """Overlap taken when none meets epsilon; paper section 5."""
+    """Overlap taken when none meets epsilon, by `fallback` or as no error can be predicted;
+    paper section 5."""
+    fallback: Fallback = "best"
+    """Viewpoint taken when no overlap meets epsilon: at default_overlap, or, oblique ones included,
+    the one with the least expected error (best)."""
     alpha: float = number(0.9)
     """Share of the lines of Q that make the virtual scan, eq. (5)."""
     lambda_: float = number(0.005, 0.0, 10.0)

@@ -21,6 +21,7 @@ from scan3d_twin.core.mapping.scan_matching import match_to_previous
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
+from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
 from scan3d_twin.core.scanning.extrinsic_calibration import (
     apply_yaw_scale,
     calibrate_on_panorama,
@@ -136,6 +137,8 @@ def run_loop(
         observer.on_plan(planned)
         if plan.viewpoint is None or not _wait_while_paused(robot, observer):
             break
+        if shortfall := describe_shortfall(plan, session.config.planning.epsilon):
+            observer.on_event(f"warning: {shortfall} for view {len(session.views)}")
         session = loop.send(plan)
     reason = plan.reason if plan.viewpoint is None else "stopped by the user"
     return conclude_session(planned, observer).with_stop_reason(reason)

@@ -27,6 +27,7 @@ PAPER: Mapping[str, Any] = {
         "calibration": 1.0,
         "checks": 0,
         "corner_model": "contour",
+        "fallback": "default",
         "closing": "none",
         "quantile": 0.9,
         "lambda": 0.030,

@@ -493,7 +493,7 @@ class Plan:
         viewpoint: ``T_world_scan`` of the next sweep; None when the scan is finished.
         overlap: The chosen eta; 0 when finished.
         predicted_rmse: E of the chosen overlap [m]; NaN when unknown.
-        fell_back: Whether no overlap met epsilon, so that the 80 % default was taken.
+        fell_back: Whether no viewpoint met epsilon, so that the one nearest to it was taken.
         candidates: All viewpoints that were considered, in that order.
         reason: Why the planner decided so, in words.
         needs_panorama: Whether a panorama from here may show that a better viewpoint is free.

@@ -7,17 +7,23 @@ sites, J. Field Robotics 26, 2009).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_surface import HiddenSurface
+from scan3d_twin.core.planning.overlap_or_default import expect_accuracy
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
-from scan3d_twin.core.types import Plan
+from scan3d_twin.core.types import Plan, Pose2, wrap
 
 MAX_TRIED = 20
 """Largest number of viewpoints whose error is predicted; the others show less surface."""
+HALFWAY_SHARES = (0.75, 0.5, 0.25)
+"""Shares of the way to a viewpoint at which a view in between is tried."""
 
 
 def termination_plan(context: PlanningContext) -> Plan | None:
@@ -36,7 +42,12 @@ def termination_plan(context: PlanningContext) -> Plan | None:
 
 
 def _plan_hidden_view(context: PlanningContext) -> Plan | None:
-    """Return the plan for the view of the most hidden surface; None if none is worth a view."""
+    """Return the plan for the view of the most hidden surface; None if none is worth a view.
+
+    Where the error of all viewpoints from which it shows exceeds the accuracy that the run keeps
+    (``expect_accuracy``), it goes part of the way: the next view is then registered on the one that
+    is taken there.
+    """
     # Rank viewpoints by hidden surface
     session, config = context.session, context.session.config.planning
     candidates = PoseCandidates(context)
@@ -47,10 +58,38 @@ def _plan_hidden_view(context: PlanningContext) -> Plan | None:
         prediction = ErrorPrediction.of(context)
     except RegistrationError:
         return None
-    here = context.view.T_world_scan.inverse()
+    here, accuracy = context.view.T_world_scan, expect_accuracy(session)
     order = np.argsort(-areas, kind="stable")
-    for i in order[areas[order] >= config.least_hidden][:MAX_TRIED]:
+    wanted = [int(i) for i in order[areas[order] >= config.least_hidden][:MAX_TRIED]]
+    for i in wanted:
         pose = candidates.poses[i]
-        if prediction.error(here @ pose) <= config.epsilon:
-            return candidates.go(pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
+        if prediction.error(here.inverse() @ pose) <= accuracy:
+            return _go(candidates, pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
+
+    # Else go part of the way to one
+    for i in wanted:
+        for pose in _iterate_halfway(here, candidates.poses[i]):
+            step = here.inverse() @ pose
+            is_possible = candidates.is_allowed(pose) and context.is_feasible(step)
+            if is_possible and prediction.error(step) <= accuracy:
+                reason = f"contour done: on the way to {1e4 * areas[i]:.0f} cm2 more"
+                return _go(candidates, pose, reason)
     return None
+
+
+def _iterate_halfway(here: Pose2, there: Pose2) -> Iterator[Pose2]:
+    """Yield poses between two, the farthest first."""
+    turn = wrap(there.yaw - here.yaw)
+    for share in HALFWAY_SHARES:
+        yield Pose2(
+            here.x + share * (there.x - here.x),
+            here.y + share * (there.y - here.y),
+            here.yaw + share * turn,
+        )
+
+
+def _go(candidates: PoseCandidates, pose: Pose2, reason: str) -> Plan:
+    """Return the plan to go to ``pose``, which falls back if its error exceeds epsilon."""
+    plan = candidates.go(pose, reason)
+    fell_back = plan.predicted_rmse > candidates.session.config.planning.epsilon
+    return replace(plan, fell_back=fell_back)

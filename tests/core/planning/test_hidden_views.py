@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from scan3d_twin.core.planning.hidden_surface import FACE_DEPTH, HiddenSurface
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.core.types import FloatArray, Plan, Pose2
 
 pytestmark = pytest.mark.slow
 
@@ -152,3 +153,46 @@ def test_a_contour_that_was_done_stays_done() -> None:
     on = session_at(BOXES, WIDE, poses=(end, standing(-0.1, 0.0)), half=1.2)
     assert not PlanningContext(replace(on, views=on.views[1:])).is_contour_done
     assert PlanningContext(on).is_contour_done
+
+
+def farther_than(limit: float) -> Callable[[object, Pose2], float]:
+    """Return an error of 4 mm up to a distance of ``limit`` [m], and of 40 mm beyond."""
+    return lambda self, viewpoint: 0.004 if math.hypot(viewpoint.x, viewpoint.y) <= limit else 0.04
+
+
+def strict(context: PlanningContext, epsilon: float) -> PlanningContext:
+    """Return ``context`` with another epsilon [m]."""
+    session = context.session
+    planning = replace(session.config.planning, epsilon=epsilon)
+    made = PlanningContext(replace(session, config=replace(session.config, planning=planning)))
+    made.__dict__["is_contour_done"] = True
+    return made
+
+
+def test_a_view_out_of_reach_is_approached_in_steps(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = strict(finished(seen, "hidden"), 0.01)
+    monkeypatch.setattr(closing.ErrorPrediction, "error", farther_than(1e-3))
+    assert (plan := termination_plan(context)) is not None
+    assert plan.viewpoint is None
+    monkeypatch.setattr(closing.ErrorPrediction, "error", farther_than(0.55))
+    assert (plan := termination_plan(context)) is not None
+    assert plan.viewpoint is not None
+    assert 0.1 < plan.viewpoint.distance(context.view.T_world_scan) <= 0.55
+    assert plan.predicted_rmse == 0.004
+    assert not plan.fell_back
+
+
+def test_a_run_that_cannot_meet_epsilon_still_adds_views(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(closing.ErrorPrediction, "error", farther_than(10.0))
+    context = strict(finished(seen, "hidden"), 0.003)
+    assert (plan := termination_plan(context)) is not None
+    assert plan.viewpoint is None
+    accepted = Plan(Pose2(), 0.8, 0.0041, True, (), "for a test")
+    context = strict(PlanningContext(replace(context.session, plans=(accepted,))), 0.003)
+    assert (plan := termination_plan(context)) is not None
+    assert plan.viewpoint is not None
+    assert plan.fell_back
