@@ -219,6 +219,9 @@ class PlanningConfig:
     """Rotation error per radian of the turn, eq. (2) [rad/rad]; fitted there too: 0.011."""
     drift: float = number(0.030, 0.0, 10.0)
     """Heading error per metre driven, not in the paper [rad/m]; fitted there too: 0.029."""
+    motion_variation: float = number(0.1, 0.0, 1.0)
+    """Share of lambda, gamma and drift that changes from move to move, an assumption; the rest is
+    the robot's own and is learned in the run. 1: nothing is learned."""
     sigma: float = number(0.005, 0.0, 1.0)
     """Standard deviation of N_noise of eq. (2) in x, y and z [m]; URG-04LX: 4 to 5 mm up to 2 m."""
     virtual_scan: VirtualScan = "smoothed"

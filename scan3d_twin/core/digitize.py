@@ -17,8 +17,9 @@ from scan3d_twin.core.drive_to_viewpoint import drive
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.mapping.loop_closure import align_final, align_on_loop_closure
-from scan3d_twin.core.mapping.scan_matching import match_to_previous
+from scan3d_twin.core.mapping.scan_matching import match_to_previous, predict_pose
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
+from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
@@ -278,11 +279,18 @@ def start_session(
 
 def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer) -> Observation:
     """Drive to ``viewpoint`` in ``odom``, around obstacles, and return a sweep from there."""
+    # Drive and sweep
+    started = robot.clock.now()
     observer.on_event(f"driving to viewpoint {len(session.views)}")
     touched = drive(robot, viewpoint, session, observer)
     observer.on_event(f"scanning view {len(session.views)}")
     observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line)
-    return replace(observation, touched=touched)
+
+    # Keep how the wheels moved since the latest view
+    poses = [sample.T_odom_base for sample in robot.base.odometry_since(started)]
+    before = session.views[-1].observation.T_odom_scan if session.views else poses[0]
+    legs = measure_legs(before, poses, observation.T_odom_scan.yaw)
+    return replace(observation, touched=touched, legs=legs)
 
 
 def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
@@ -309,7 +317,7 @@ def integrate(session: Session, observation: Observation) -> Session:
     image = fill_gaps(image, config.gaps)
 
     # Predict by odometry
-    prior = _predict_pose(session, observation)
+    prior = predict_pose(session.views, observation, config)
 
     # Extract the target
     points = extract_points(image, config)
@@ -333,15 +341,6 @@ def conclude_session(session: Session, observer: Observer) -> Session:
     for k in result.misfits:
         observer.on_event(f"view {k} does not fit the others")
     return result
-
-
-def _predict_pose(session: Session, observation: Observation) -> Pose2:
-    """Return ``T_world_scan`` by odometry from the previous view; the first view defines world."""
-    if not session.views:
-        return observation.T_odom_scan
-    previous = session.views[-1]
-    move = previous.observation.T_odom_scan.inverse() @ observation.T_odom_scan
-    return previous.T_world_scan @ move
 
 
 def _gather_known_target(session: Session) -> FloatArray:

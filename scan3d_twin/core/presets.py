@@ -33,6 +33,7 @@ PAPER: Mapping[str, Any] = {
         "lambda": 0.030,
         "gamma": 0.026,
         "drift": 0.036,
+        "motion_variation": 1.0,
     },
 }
 """Options by section, in the shape of a configuration file: Zhang, Yan and Sheng. A sweep of 60 deg

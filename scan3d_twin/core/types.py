@@ -308,11 +308,14 @@ class Observation:
         image: The raw range image in frame ``scan``.
         T_odom_scan: Pose of the sweep by odometry.
         touched: Places (x, y) in ``odom`` [m] where the robot bumped into something on the way.
+        legs: How the wheels moved since the sweep before it: turn on the spot [rad], not wrapped,
+            and length of the drive after it [m], again and again; empty where it is not known.
     """
 
     image: RangeImage
     T_odom_scan: Pose2
     touched: tuple[tuple[float, float], ...] = ()
+    legs: tuple[tuple[float, float], ...] = ()
 
 
 @compressible("points", "lines", "beams")

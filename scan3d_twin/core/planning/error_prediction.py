@@ -20,7 +20,8 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior, surfels_of
+from scan3d_twin.core.mapping.motion_model import MotionModel
+from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.visibility import NextSweep, Visible, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid
@@ -60,13 +61,13 @@ class ErrorPrediction:
         grid: Surfels of the latest view, in the scope of registration.
         on_target: Its readings of the target (n_lines, n_beams).
         config: The run's configuration.
-        scale: Factor on the motion error, estimated from the odometry of this run.
+        motion: Errors of the odometry, as learned in this run; as configured by default.
     """
 
     grid: SurfelGrid
     on_target: BoolArray
     config: Config
-    scale: float = 1.0
+    motion: MotionModel | None = None
 
     @staticmethod
     def of(context: PlanningContext) -> ErrorPrediction:
@@ -76,10 +77,10 @@ class ErrorPrediction:
             RegistrationError: The view shows too little surface.
         """
         view, config = context.view, context.session.config
-        scale = estimate_odometry_scale(context.session.views, config)
+        motion = MotionModel.of(context.session.views, config)
         on_target = mask_readings(view.target, view.image)
         grid = surfels_of(view, config, context.session.workspace)
-        return ErrorPrediction(grid, on_target, config, scale)
+        return ErrorPrediction(grid, on_target, config, motion)
 
     def error(self, viewpoint: Pose2) -> float:
         """Return the predicted error [m] of the next view's target, times the calibration.
@@ -209,7 +210,8 @@ class ErrorPrediction:
 
         # Add edges and the prior
         total = honest @ H[block] @ honest.T + self._edges(viewpoint)[block]
-        total += motion_prior(viewpoint, self.config.planning, self.scale).information(PLANAR)
+        motion = self.motion or MotionModel.of((), self.config)
+        total += motion.spread(viewpoint).information(PLANAR)
         covariance = np.zeros((6, 6))
         covariance[block] = np.linalg.inv(total)
         return covariance

@@ -37,7 +37,7 @@ class FisherPlanner:
         except RegistrationError:
             return plan_smallest_overlap(context, lambda eta, O2: math.inf)
         simulation = SimulatedRegistration(
-            prediction.grid, prediction.on_target, session.config, seed, prediction.scale
+            prediction.grid, prediction.on_target, session.config, seed, prediction.motion
         )
 
         def error(_: float, viewpoint: Pose2) -> float:
