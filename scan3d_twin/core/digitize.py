@@ -23,6 +23,7 @@ from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
+from scan3d_twin.core.planning.standoff import fit_standoff
 from scan3d_twin.core.scanning.extrinsic_calibration import (
     apply_yaw_scale,
     calibrate_on_panorama,
@@ -223,12 +224,19 @@ def begin_session(
         observer.on_event(f"turns are corrected by {tuned.mount.yaw_scale:+.2%}")
 
     # Choose target and first viewpoint
-    return start_session(panorama, robot.base.odometry().T_odom_base, tuned, seed, target)
+    here = robot.base.odometry().T_odom_base
+    session, viewpoint = start_session(panorama, here, tuned, seed, target)
+    standoff = session.config.planning.standoff
+    if standoff != tuned.planning.standoff:
+        observer.on_event(f"standoff {standoff:.2f} m, by the height of the target")
+    return session, viewpoint
 
 
 def tune_config(session: Session, config: Config) -> Config:
     """Return ``config`` for a run that continues ``session``, tuned by its first panorama."""
-    return apply_yaw_scale(config, calibrate_on_panorama(session.panoramas[0][1].image))
+    panorama = session.panoramas[0][1]
+    tuned = apply_yaw_scale(config, calibrate_on_panorama(panorama.image))
+    return fit_standoff(tuned, panorama, session.hint)
 
 
 def start_session(
@@ -255,6 +263,7 @@ def start_session(
     """
     # Find the target
     hint = find_target(panorama, target, config)
+    config = fit_standoff(config, panorama, hint)
     contour = extract_panorama_contour(here.inverse().apply(hint))
     session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, panorama),))
 
@@ -284,7 +293,8 @@ def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer
     observer.on_event(f"driving to viewpoint {len(session.views)}")
     touched = drive(robot, viewpoint, session, observer)
     observer.on_event(f"scanning view {len(session.views)}")
-    observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line)
+    half = session.plans[-1].half_width if session.plans else None
+    observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line, half)
 
     # Keep how the wheels moved since the latest view
     poses = [sample.T_odom_base for sample in robot.base.odometry_since(started)]

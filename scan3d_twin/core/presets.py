@@ -28,6 +28,8 @@ PAPER: Mapping[str, Any] = {
         "checks": 0,
         "corner_model": "contour",
         "fallback": "default",
+        "sector": "whole",
+        "standoff_rule": "fixed",
         "closing": "none",
         "quantile": 0.9,
         "lambda": 0.030,

@@ -500,6 +500,7 @@ class Plan:
         candidates: All viewpoints that were considered, in that order.
         reason: Why the planner decided so, in words.
         needs_panorama: Whether a panorama from here may show that a better viewpoint is free.
+        half_width: Half the angle of the sweep there [rad]; None for all of it.
 
     >>> plan = session.plans[0]
     >>> plan.viewpoint is not None, 0.0 < plan.overlap < 1.0
@@ -513,3 +514,4 @@ class Plan:
     candidates: tuple[Candidate, ...]
     reason: str
     needs_panorama: bool = renamed(False, "needs_look")
+    half_width: float | None = None

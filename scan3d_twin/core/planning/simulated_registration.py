@@ -46,6 +46,7 @@ class SimulatedRegistration:
         config: The run's configuration.
         seed: Seed of the draws, the same for all candidates.
         motion: Errors of the odometry, as learned in this run; as configured by default.
+        half: Half the angle of the next sweep [rad]; all of it by default.
     """
 
     grid: SurfelGrid
@@ -53,6 +54,7 @@ class SimulatedRegistration:
     config: Config
     seed: int
     motion: MotionModel | None = None
+    half: float | None = None
 
     @staticmethod
     def of(context: PlanningContext, seed: int) -> SimulatedRegistration:
@@ -138,7 +140,8 @@ class SimulatedRegistration:
 
     @cached_property
     def _surface(self) -> Surface:
-        half = self.config.sweep.width / 2 + self.config.sweep.margin
+        whole = self.config.sweep.width / 2 + self.config.sweep.margin
+        half = whole if self.half is None else self.half
         return Surface(self.grid, self.on_target, half, self.config.target.max_range)
 
 
