@@ -21,6 +21,9 @@ from scan3d_twin.core.types import Plan, Pose2
 
 FREE_ANGLE = math.radians(5.0)
 """Angle seen beyond the gap that ends a target [rad]: ten lines."""
+NEXT_STEPS = (1.0, 1.3)
+"""Lengths of the next move, in those of this one, for which the floor must be known: steps differ
+by the share of the surface that the target's next side has more."""
 TARGET_STRIDE = 13
 """Stride of the target's points whose bearings are compared; a prime, so that all beams count."""
 
@@ -42,7 +45,7 @@ def narrow_sweep(context: PlanningContext, plan: Plan, error: SectorError) -> Pl
 
     # Look at the floor ahead where it is not known
     viewpoint = context.view.T_world_scan.inverse() @ plan.viewpoint
-    if not (context.is_contour_done or context.is_feasible(viewpoint @ viewpoint)):
+    if not (context.is_contour_done or _is_floor_known_ahead(context, viewpoint)):
         return plan
 
     # Try the target's own sector and one between it and the whole
@@ -56,14 +59,24 @@ def narrow_sweep(context: PlanningContext, plan: Plan, error: SectorError) -> Pl
     return plan
 
 
+def _is_floor_known_ahead(context: PlanningContext, step: Pose2) -> bool:
+    """Return whether the next move after this ``step`` can be planned by what is known now."""
+    moves = (Pose2(factor * step.x, factor * step.y, step.yaw) for factor in NEXT_STEPS)
+    return all(context.is_feasible(step @ move) for move in moves)
+
+
 def measure_sector(context: PlanningContext, viewpoint: Pose2) -> float:
     """Return half the angle [rad] of a sweep that shows the target and where it ends.
 
-    What counts is at most ``sweep.width``. The known part of the target lies on one side of a
+    What counts is at most ``sweep.width``, and all of it where a view is for hidden surface, which
+    may be anywhere in it. Along the contour the known part of the target lies on one side of a
     viewpoint that faces the next segment; as much is expected on the other.
     """
-    # Measure the bearings of the known target
     session, config = context.session, context.session.config
+    if context.is_contour_done:
+        return config.sweep.width / 2
+
+    # Measure the bearings of the known target
     there = context.view.T_world_scan @ viewpoint
     seen = [view.T_world_scan.apply(view.target.points[::TARGET_STRIDE]) for view in session.views]
     points = there.inverse().apply(np.concatenate(seen))

@@ -92,9 +92,15 @@ def test_the_sweep_stays_whole_where_the_floor_ahead_is_not_known(
 
     monkeypatch.setattr(PlanningContext, "is_feasible", is_feasible)
     assert narrow_sweep(context, plan_to(step), needs(0.0)).half_width is None
-    assert asked[-1].distance(step @ step) < 1e-9
+    assert asked[0].distance(step @ step) < 1e-9
     context.__dict__["is_contour_done"] = True
     assert narrow_sweep(context, plan_to(step), needs(0.0)).half_width is not None
+
+
+def test_a_view_of_hidden_surface_shows_all_that_counts(box: Session) -> None:
+    context = PlanningContext(box)
+    context.__dict__["is_contour_done"] = True
+    assert measure_sector(context, Pose2(0.0, -0.1, 0.1)) == box.config.sweep.width / 2
 
 
 @pytest.mark.slow
