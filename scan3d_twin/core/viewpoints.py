@@ -44,9 +44,10 @@ _ALTERNATIVES = tuple(
 )
 """Alternative viewpoints: turns off a segment's normal [deg] and factors on the standoff, the
 smallest change first."""
-_OBLIQUE_TURNS = tuple(math.radians(turn) for turn in (15.0, -15.0, 30.0, -30.0, 45.0, -45.0))
-"""Turns off a segment's normal from which a corner may show both of its faces [rad]: those of
-``_ALTERNATIVES``."""
+_OBLIQUE_TURNS = tuple(math.radians(turn) for turn in (15.0, 30.0, 45.0))
+"""Turns off a segment's normal, onwards, from which a corner may show both of its faces [rad].
+Turned back, a viewpoint is where the robot has been: errors are small there, and it gets
+nowhere."""
 TOWARDS_ROBOT = np.array([-1.0, 0.0])
 """Direction in ``scan`` from the middle of the sweep towards the robot."""
 

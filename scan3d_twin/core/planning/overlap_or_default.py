@@ -115,8 +115,9 @@ def describe_shortfall(plan: Plan, epsilon: float) -> str | None:
 def _plan_best(context: PlanningContext, straight: list[Candidate], error: ErrorOf) -> Plan:
     """Return the plan for the smallest overlap with an oblique viewpoint within epsilon.
 
-    If there is none, the candidate with the least error is taken, and the default overlap where no
-    error can be predicted.
+    If there is none, the candidate with the least error is taken; the more of the ``max_views`` are
+    used up, the more above it is accepted for a longer step, so that a wish that cannot be met does
+    not cost the model. Where no error can be predicted, it is the default overlap.
 
     Args:
         context: A tour that is not finished.
@@ -136,11 +137,16 @@ def _plan_best(context: PlanningContext, straight: list[Candidate], error: Error
                 if candidates[-1].predicted_rmse <= config.epsilon:
                     return _plan_for(candidates[-1], candidates, fell_back=False)
 
-    # Take the least error
-    best = min(candidates, key=lambda candidate: candidate.predicted_rmse, default=None)
-    if best is None or not math.isfinite(best.predicted_rmse):
+    # Take the least error, or a longer step if few views are left
+    least = min((candidate.predicted_rmse for candidate in candidates), default=math.inf)
+    if not math.isfinite(least):
         return _plan_default_overlap(context, candidates, config)
-    reason = f"no viewpoint meets epsilon: {best.overlap:.0%} has the least expected error"
+    accepted = least * (1.0 + len(context.session.views) / context.session.config.max_views)
+    best = min(
+        (candidate for candidate in candidates if candidate.predicted_rmse <= accepted),
+        key=lambda candidate: (candidate.overlap, candidate.predicted_rmse),
+    )
+    reason = f"no viewpoint meets epsilon: {best.overlap:.0%} comes near the least expected error"
     return _plan_for(best, candidates, fell_back=True, reason=reason)
 
 

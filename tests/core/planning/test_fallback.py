@@ -44,6 +44,24 @@ def test_the_least_error_is_taken_not_the_default(wall: PlanningContext) -> None
     assert {c.overlap for c in plan.candidates} == {0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8}
 
 
+def test_few_views_left_make_longer_steps(wall: PlanningContext) -> None:
+    config = replace(wall.session.config, max_views=2)
+    late = PlanningContext(replace(wall.session, config=config))
+    errors = {0.2: 0.061, 0.3: 0.059, 0.8: 0.040}
+    for context, overlap in ((wall, 0.8), (late, 0.3)):
+        plan = plan_smallest_overlap(context, lambda eta, viewpoint: errors.get(eta, 0.1))
+        assert plan.overlap == overlap
+        assert plan.fell_back
+
+
+def test_oblique_viewpoints_lead_onwards(wall: PlanningContext) -> None:
+    ahead = wall.find_placement(0.8).viewpoint
+    assert ahead is not None
+    found = wall.find_oblique_viewpoints(0.8)
+    assert found
+    assert all(viewpoint.y < ahead.y for viewpoint in found)
+
+
 def test_the_paper_takes_the_default_whatever_its_error() -> None:
     context = PlanningContext(session_at(WALL))
     plan = plan_smallest_overlap(context, lambda eta, viewpoint: 0.04 if eta == 0.6 else 0.06)
@@ -77,7 +95,7 @@ def test_nothing_meets_a_micrometre_and_the_plan_says_what_is_expected(
     session = replace(session, config=replace(session.config, planning=planning))
     plan = FisherPlanner().plan(session, np.random.default_rng(0))
     assert plan.fell_back
-    assert plan.predicted_rmse == min(c.predicted_rmse for c in plan.candidates)
+    assert plan.predicted_rmse <= 1.05 * min(c.predicted_rmse for c in plan.candidates)
     expected = f"0.001 mm is below the expected {1e3 * plan.predicted_rmse:.1f} mm"
     assert describe_shortfall(plan, 1e-6) == expected
     assert expect_accuracy(session.with_plan(plan)) == plan.predicted_rmse
