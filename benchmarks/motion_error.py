@@ -10,9 +10,10 @@ The error of a move is its odometry against the truth, in the frame of the start
     x_u ~ N(0, (lambda dx)^2), y_u ~ N(0, (lambda dy)^2), theta_u ~ N(0, (gamma dtheta)^2)
 
 These are maximum-likelihood fits. For the prior, the mean squared Mahalanobis distance of the moves
-per degree of freedom follows, which is 1 if the prior fits. Creep and slip are a least-squares fit
-and its residual. Last come medians and 90 % quantiles of the odometry's error on the same moves,
-with physics and without, for robots of the same seeds.
+per degree of freedom follows, which is 1 if the prior fits. Then come the errors that are left when
+the constants of each robot are known (``core/mapping/motion_model.py``). Creep and slip are a
+least-squares fit and its residual. Last come medians and 90 % quantiles of the odometry's error on
+the same moves, with physics and without, for robots of the same seeds.
 
 Run: ``python benchmarks/motion_error.py [--robots 40] [--json]``.
 """
@@ -29,7 +30,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from scan3d_twin.core.config import Config, MotionConfig
-from scan3d_twin.core.mapping.scan_matching import motion_prior
+from scan3d_twin.core.mapping.motion_model import MotionModel, motion_prior
+from scan3d_twin.core.navigation.legs import Legs, measure_legs
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.types import FloatArray, Pose2, wrap
@@ -60,12 +62,14 @@ class Move(NamedTuple):
         end: ``T_odom_base`` after.
         true: The true move, from where it started.
         robot: Its errors.
+        legs: Its turns and drives.
     """
 
     start: Pose2
     end: Pose2
     true: Pose2
     robot: RobotErrors
+    legs: Legs
 
     @property
     def measured(self) -> Pose2:
@@ -88,13 +92,16 @@ def moves(seed: int) -> list[Move]:
         for k in range(MOVES_PER_ROBOT):
             here, true_here = robot.base.odometry().T_odom_base, truth.pose_at(robot.clock.now())
             # Past the target from side to side, as between two viewpoints.
+            started = robot.clock.now()
             side = here.y + (-1) ** k * rng.uniform(*STEP)
             goal = Pose2(0.0, side, rng.uniform(-TURN, TURN))
             drive_to(robot, goal.x, goal.y, config)
             turn_to(robot, goal.yaw, config)
             robot.clock.sleep(0.5)
             there, true_there = robot.base.odometry().T_odom_base, truth.pose_at(robot.clock.now())
-            result.append(Move(here, there, true_here.inverse() @ true_there, drawn))
+            way = [sample.T_odom_base for sample in robot.base.odometry_since(started)]
+            legs = measure_legs(here, way, there.yaw)
+            result.append(Move(here, there, true_here.inverse() @ true_there, drawn, legs))
     return result
 
 
@@ -131,6 +138,24 @@ def fit_prior(pairs: list[tuple[Pose2, Pose2]]) -> tuple[float, float, float, fl
     found = minimize(lambda x: misfit(pairs, x)[0], start, method="Nelder-Mead").x
     lambda_, gamma, drift = np.exp(found)
     return float(lambda_), float(gamma), float(drift), misfit(pairs, found)[1]
+
+
+def fit_constants(driven: list[Move]) -> tuple[float, float]:
+    """Return what is left of the errors [m], [rad], RMS, with the constants of each robot fitted.
+
+    A robot has three constants and three errors of each of its moves.
+    """
+    model, left = MotionModel.of((), Config()), []
+    for robot in dict.fromkeys(id(move.robot) for move in driven):
+        own = [move for move in driven if id(move.robot) == robot]
+        A = np.concatenate([model.jacobian(move.measured, move.legs) for move in own])
+        d = np.concatenate([error(move.measured, move.true) for move in own])
+        weights = np.tile([1.0, 1.0, STEP[1]], len(own))
+        found = np.linalg.lstsq(weights[:, None] * A, weights * d, rcond=None)[0]
+        left.append((d - A @ found).reshape(-1, 3) * math.sqrt(len(d) / (len(d) - 3)))
+    residuals = np.concatenate(left)
+    xy, yaw = np.sqrt(np.mean(residuals[:, :2] ** 2)), np.sqrt(np.mean(residuals[:, 2] ** 2))
+    return float(xy), float(yaw)
 
 
 def error(measured: Pose2, true: Pose2) -> FloatArray:
@@ -177,7 +202,8 @@ def main() -> None:
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     values, prior = fit(pairs), fit_prior(pairs)
     names_of_prior = ("prior_lambda", "prior_gamma", "prior_drift", "prior_distance")
-    drift = dict(zip(("creep", "slip_xy", "slip_yaw"), fit_drift(driven), strict=True))
+    left = dict(zip(("left_xy", "left_yaw"), fit_constants(driven), strict=True))
+    drift = left | dict(zip(("creep", "slip_xy", "slip_yaw"), fit_drift(driven), strict=True))
     for name, quantiles in compare(driven, rng).items():
         drift |= {f"{name}_xy_50": quantiles[0, 0], f"{name}_xy_90": quantiles[0, 1]}
         drift |= {f"{name}_yaw_50": quantiles[1, 0], f"{name}_yaw_90": quantiles[1, 1]}

@@ -67,5 +67,5 @@ def _table(report: Report) -> list[str]:
     for row in report["registration"]:
         cells = [format_cell(row[key], form) for key, _, form in _COLUMNS]
         marks = [] if row["converged"] else ["not registered"]
-        rows.append(cells + marks + (["fell back to 80 %"] if row["fell_back"] else []))
+        rows.append(cells + marks + (["above epsilon"] if row["fell_back"] else []))
     return format_table([title for _, title, _ in _COLUMNS], rows)

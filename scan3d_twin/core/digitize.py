@@ -17,10 +17,13 @@ from scan3d_twin.core.drive_to_viewpoint import drive
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.mapping.loop_closure import align_final, align_on_loop_closure
-from scan3d_twin.core.mapping.scan_matching import match_to_previous
+from scan3d_twin.core.mapping.scan_matching import match_to_previous, predict_pose
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
+from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
+from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
+from scan3d_twin.core.planning.standoff import fit_standoff
 from scan3d_twin.core.scanning.extrinsic_calibration import (
     apply_yaw_scale,
     calibrate_on_panorama,
@@ -136,6 +139,8 @@ def run_loop(
         observer.on_plan(planned)
         if plan.viewpoint is None or not _wait_while_paused(robot, observer):
             break
+        if shortfall := describe_shortfall(plan, session.config.planning.epsilon):
+            observer.on_event(f"warning: {shortfall} for view {len(session.views)}")
         session = loop.send(plan)
     reason = plan.reason if plan.viewpoint is None else "stopped by the user"
     return conclude_session(planned, observer).with_stop_reason(reason)
@@ -219,12 +224,19 @@ def begin_session(
         observer.on_event(f"turns are corrected by {tuned.mount.yaw_scale:+.2%}")
 
     # Choose target and first viewpoint
-    return start_session(panorama, robot.base.odometry().T_odom_base, tuned, seed, target)
+    here = robot.base.odometry().T_odom_base
+    session, viewpoint = start_session(panorama, here, tuned, seed, target)
+    standoff = session.config.planning.standoff
+    if standoff != tuned.planning.standoff:
+        observer.on_event(f"standoff {standoff:.2f} m, by the height of the target")
+    return session, viewpoint
 
 
 def tune_config(session: Session, config: Config) -> Config:
     """Return ``config`` for a run that continues ``session``, tuned by its first panorama."""
-    return apply_yaw_scale(config, calibrate_on_panorama(session.panoramas[0][1].image))
+    panorama = session.panoramas[0][1]
+    tuned = apply_yaw_scale(config, calibrate_on_panorama(panorama.image))
+    return fit_standoff(tuned, panorama, session.hint)
 
 
 def start_session(
@@ -251,6 +263,7 @@ def start_session(
     """
     # Find the target
     hint = find_target(panorama, target, config)
+    config = fit_standoff(config, panorama, hint)
     contour = extract_panorama_contour(here.inverse().apply(hint))
     session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, panorama),))
 
@@ -275,11 +288,19 @@ def start_session(
 
 def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer) -> Observation:
     """Drive to ``viewpoint`` in ``odom``, around obstacles, and return a sweep from there."""
+    # Drive and sweep
+    started = robot.clock.now()
     observer.on_event(f"driving to viewpoint {len(session.views)}")
     touched = drive(robot, viewpoint, session, observer)
     observer.on_event(f"scanning view {len(session.views)}")
-    observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line)
-    return replace(observation, touched=touched)
+    half = session.plans[-1].half_width if session.plans else None
+    observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line, half)
+
+    # Keep how the wheels moved since the latest view
+    poses = [sample.T_odom_base for sample in robot.base.odometry_since(started)]
+    before = session.views[-1].observation.T_odom_scan if session.views else poses[0]
+    legs = measure_legs(before, poses, observation.T_odom_scan.yaw)
+    return replace(observation, touched=touched, legs=legs)
 
 
 def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
@@ -306,7 +327,7 @@ def integrate(session: Session, observation: Observation) -> Session:
     image = fill_gaps(image, config.gaps)
 
     # Predict by odometry
-    prior = _predict_pose(session, observation)
+    prior = predict_pose(session.views, observation, config)
 
     # Extract the target
     points = extract_points(image, config)
@@ -330,15 +351,6 @@ def conclude_session(session: Session, observer: Observer) -> Session:
     for k in result.misfits:
         observer.on_event(f"view {k} does not fit the others")
     return result
-
-
-def _predict_pose(session: Session, observation: Observation) -> Pose2:
-    """Return ``T_world_scan`` by odometry from the previous view; the first view defines world."""
-    if not session.views:
-        return observation.T_odom_scan
-    previous = session.views[-1]
-    move = previous.observation.T_odom_scan.inverse() @ observation.T_odom_scan
-    return previous.T_world_scan @ move
 
 
 def _gather_known_target(session: Session) -> FloatArray:

@@ -27,11 +27,15 @@ PAPER: Mapping[str, Any] = {
         "calibration": 1.0,
         "checks": 0,
         "corner_model": "contour",
+        "fallback": "default",
+        "sector": "whole",
+        "standoff_rule": "fixed",
         "closing": "none",
         "quantile": 0.9,
         "lambda": 0.030,
         "gamma": 0.026,
         "drift": 0.036,
+        "motion_variation": 1.0,
     },
 }
 """Options by section, in the shape of a configuration file: Zhang, Yan and Sheng. A sweep of 60 deg

@@ -344,11 +344,14 @@ class Observation:
         image: The raw range image in frame ``scan``.
         T_odom_scan: Pose of the sweep by odometry.
         touched: Places (x, y) in ``odom`` [m] where the robot bumped into something on the way.
+        legs: How the wheels moved since the sweep before it: turn on the spot [rad], not wrapped,
+            and length of the drive after it [m], again and again; empty where it is not known.
     """
 
     image: RangeImage
     T_odom_scan: Pose2
     touched: tuple[tuple[float, float], ...] = ()
+    legs: tuple[tuple[float, float], ...] = ()
 
 
 @compressible("points", "lines", "beams")
@@ -531,10 +534,11 @@ class Plan:
         viewpoint: ``T_world_scan`` of the next sweep; None when the scan is finished.
         overlap: The chosen eta; 0 when finished.
         predicted_rmse: E of the chosen overlap [m]; NaN when unknown.
-        fell_back: Whether no overlap met epsilon, so that the 80 % default was taken.
+        fell_back: Whether no viewpoint met epsilon, so that the one nearest to it was taken.
         candidates: All viewpoints that were considered, in that order.
         reason: Why the planner decided so, in words.
         needs_panorama: Whether a panorama from here may show that a better viewpoint is free.
+        half_width: Half the angle of the sweep there [rad]; None for all of it.
 
     >>> plan = session.plans[0]
     >>> plan.viewpoint is not None, 0.0 < plan.overlap < 1.0
@@ -548,3 +552,4 @@ class Plan:
     candidates: tuple[Candidate, ...]
     reason: str
     needs_panorama: bool = renamed(False, "needs_look")
+    half_width: float | None = None

@@ -44,6 +44,10 @@ _ALTERNATIVES = tuple(
 )
 """Alternative viewpoints: turns off a segment's normal [deg] and factors on the standoff, the
 smallest change first."""
+_OBLIQUE_TURNS = tuple(math.radians(turn) for turn in (15.0, 30.0, 45.0))
+"""Turns off a segment's normal, onwards, from which a corner may show both of its faces [rad].
+Turned back, a viewpoint is where the robot has been: errors are small there, and it gets
+nowhere."""
 TOWARDS_ROBOT = np.array([-1.0, 0.0])
 """Direction in ``scan`` from the middle of the sweep towards the robot."""
 
@@ -302,6 +306,15 @@ def iterate_alternatives(segment: Segment, config: Config) -> Iterator[Pose2]:
     """Yield viewpoints for ``segment``: the wanted one, then nearer, farther and rotated ones."""
     for turn, factor in _ALTERNATIVES:
         yield segment.viewpoint(factor * config.planning.standoff, math.radians(turn))
+
+
+def iterate_oblique(segment: Segment, standoff: float) -> Iterator[Pose2]:
+    """Yield viewpoints for ``segment`` from ``standoff`` [m] that are turned off its normal.
+
+    None of them is nearer: from there less is seen, and ever shorter steps get nowhere.
+    """
+    for turn in _OBLIQUE_TURNS:
+        yield segment.viewpoint(standoff, turn)
 
 
 def choose_viewpoint(

@@ -48,15 +48,25 @@ def _returned_share(view: View, window: float) -> float:
 
 
 def _check_fallbacks(session: Session) -> Iterator[str]:
-    for k, plan in enumerate(session.plans):
-        if plan.fell_back and plan.viewpoint is not None:
-            known = [c.predicted_rmse for c in plan.candidates if math.isfinite(c.predicted_rmse)]
-            best = f" (best {1e3 * min(known):.1f} mm)" if known else ""
-            yield (
-                f"View {k + 1}: no overlap was predicted to meet "
-                f"{1e3 * session.config.planning.epsilon:g} mm{best}; the default of "
-                f"{plan.overlap:.0%} was taken. The surface has few features."
-            )
+    epsilon = session.config.planning.epsilon
+    fallen = [
+        (k + 1, plan)
+        for k, plan in enumerate(session.plans)
+        if plan.fell_back and plan.viewpoint is not None
+    ]
+    expected = [plan.predicted_rmse for _, plan in fallen if math.isfinite(plan.predicted_rmse)]
+    if expected:
+        yield (
+            f"{1e3 * epsilon:g} mm is below the expected {1e3 * max(expected):.1f} mm, which the "
+            "run accepted: this sensor does not reach it on this surface."
+        )
+    for view, plan in fallen:
+        known = [c.predicted_rmse for c in plan.candidates if math.isfinite(c.predicted_rmse)]
+        best = f" (best {1e3 * min(known):.1f} mm)" if known else ""
+        yield (
+            f"View {view}: no viewpoint was predicted to meet {1e3 * epsilon:g} mm{best}; an "
+            f"overlap of {plan.overlap:.0%} was taken."
+        )
 
 
 def _check_registrations(session: Session) -> Iterator[str]:

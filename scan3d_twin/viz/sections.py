@@ -138,7 +138,7 @@ def _row(k: int, session: Session, row: dict[str, Any] | None, *, known: bool) -
 
 def _note(row: dict[str, Any]) -> str:
     notes = [] if row["converged"] else ["not registered: placed by odometry"]
-    return "; ".join(notes + (["default overlap"] if row["fell_back"] else []))
+    return "; ".join(notes + (["above epsilon"] if row["fell_back"] else []))
 
 
 def render_overlap_curves(session: Session) -> str:
@@ -176,7 +176,7 @@ def render_overlap_curves(session: Session) -> str:
     return (
         "<h2>How the overlaps were chosen</h2><p>For each step the planner predicts the "
         "registration error E of growing overlaps η and takes the smallest that stays within ε "
-        "(filled dot); if none does, the default.</p>"
+        "(filled dot); if none does, the best.</p>"
         f'<div class="charts">{charts}</div>'
         + (f"<p>The first overlap tried was enough for {at_once}.</p>" if at_once else "")
     )
@@ -198,7 +198,7 @@ def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
     ]
 
     # Draw the chart
-    words = f"{plan.overlap:.0%}" + (" (default)" if plan.fell_back else "")
+    words = f"{plan.overlap:.0%}" + (" (above ε)" if plan.fell_back else "")
     title = f"View {k} to {k + 1}: {words}" if chosen else f"View {k}: the last"
     chart = Chart(
         f"{title}: predicted error against overlap",

@@ -39,9 +39,11 @@ def test_a_good_run_has_nothing_to_tell(session):
     assert find_warnings(good, of_pairs(PairError(1, 0.009, 0.02, 0.03))) == []
 
 
-def test_a_default_overlap_is_told_with_the_view_it_led_to(session):
-    fallen = planned(session, fell_back=True, overlap=0.8)
-    assert warns(fallen, "View 1:", "10 mm", "default of 80%")
+def test_a_step_above_epsilon_is_told_with_the_view_it_led_to(session):
+    fallen = planned(session, fell_back=True, overlap=0.8, predicted_rmse=0.0123)
+    assert warns(fallen, "View 1:", "10 mm", "overlap of 80%")
+    assert warns(fallen, "10 mm is below the expected 12.3 mm")
+    assert not warns(planned(session), "below the expected")
 
 
 def test_an_unregistered_view_is_told(session):

@@ -79,13 +79,13 @@ def test_the_table_tells_of_each_view_and_marks_what_is_worse_than_wanted(page):
     assert len(rows) == 3
     assert "4.2 mm" in rows[1]
     assert '<td class="over">14.2 mm</td>' in rows[2]
-    assert "default overlap" in rows[2]
+    assert "above epsilon" in rows[2]
     assert re.search(r"\d+\.\d mm, \d\.\d\d°", rows[1])
 
 
 def test_each_step_has_its_curve_with_the_chosen_overlap_filled(page):
     charts = re.findall(r"<h3>(View .*?)</h3>(.*?)</svg>", page)
-    assert [title for title, _ in charts] == ["View 0 to 1: 60%", "View 1 to 2: 80% (default)"]
+    assert [title for title, _ in charts] == ["View 0 to 1: 60%", "View 1 to 2: 80% (above ε)"]
     first, second = (svg for _, svg in charts)
     assert first.count("<circle") == 3
     assert first.count('r="4.5"') == 1
@@ -104,7 +104,7 @@ def test_coverage_is_the_evaluations_or_else_what_the_robot_knows(page, session)
 def test_warnings_are_said_in_words(page):
     assert "Before you trust this model" in page
     assert "View 2: registered 14.2 mm off its predecessor" in page
-    assert "View 2: no overlap was predicted to meet 10 mm (best 15.0 mm)" in page
+    assert "View 2: no viewpoint was predicted to meet 10 mm (best 15.0 mm)" in page
 
 
 def test_the_scene_is_shown_or_the_reason_why_not(page, session):

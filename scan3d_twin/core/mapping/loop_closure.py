@@ -4,13 +4,7 @@ A chain of registrations accumulates their errors. Once around a target, the las
 first again: registering the two closes the loop and reveals the accumulated error. The edges of the
 graph are the odometry between neighbours and the registrations of all overlapping pairs.
 
-A registration is a maximum-a-posteriori estimate x with information matrix L, based on a prior of
-mean x0 and information L0. The prior is removed again, so that odometry counts only once:
-
-    L_d = L - L0,   x_d = x + L_d^+ L0 (x - x0).
-
-An ambiguous pair, where several basins fit, adds little to its prior: the smaller the gap between
-their scores, the more of the prior's covariance is added to its own.
+The prior of each registration is removed again (``prior_removal``), so that odometry counts once.
 """
 
 from __future__ import annotations
@@ -23,16 +17,16 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.mapping.motion_model import MotionModel, describe_move
 from scan3d_twin.core.mapping.pose_graph import CHI2_GATE, PoseGraph, Solution
-from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior
+from scan3d_twin.core.mapping.prior_removal import remove_prior
 from scan3d_twin.core.mapping.surfel_store import SurfelStore
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
-from scan3d_twin.core.registration.multistart import MIN_CONTRADICTION_GAP
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult
+from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.core.viewpoints import NEARLY_ROUND, sum_turns
 
 OVERLAP_GATE = 0.30
@@ -45,8 +39,6 @@ PRIOR_INFLATION = 2.0
 realised errors are 0.5 to 4 times the predicted ones."""
 PAIR_SEARCHES = 2
 """Number of searches for overlapping pairs: after the first, better poses reveal more of them."""
-MIN_INFORMATION_SHARE = 0.05
-"""Information of the scans, as a share of the prior's, below which a direction is left out."""
 OVERLAP_STRIDE = 8
 """Stride of the surfels by which overlap is measured."""
 SINGLE_BASIN_SPREAD = 0.03
@@ -224,10 +216,11 @@ def _kept_views(session: Session, leave_out: Collection[int]) -> list[int]:
 
 def align_views(views: Sequence[View], config: Config) -> tuple[list[Edge], Solution]:
     """Return the registered pairs of two or more views, and the solution of their pose graph."""
-    scale = estimate_odometry_scale(views, config) if config.registration.engine == "grid" else 1.0
+    learned = views if config.registration.engine == "grid" else ()
+    model = MotionModel.of(learned, config)
     return align_grids(
         SurfelStore(views, config),
-        [_odometry_prior(a, b, config, scale) for a, b in pairwise(views)],
+        [model.prior(*describe_move(a, b.observation)) for a, b in pairwise(views)],
         first=views[0].T_world_scan,
         starts=config.registration.starts,
         min_overlap=config.alignment.min_overlap,
@@ -273,11 +266,6 @@ def align_grids(
     return edges, solution
 
 
-def _odometry_prior(previous: View, view: View, config: Config, scale: float) -> PosePrior:
-    move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
-    return motion_prior(move, config.planning, scale)
-
-
 def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -> Edge | None:
     """Return the edge between the scans i and j; None where they do not overlap.
 
@@ -305,36 +293,6 @@ def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -
     if not result.converged:
         return None
     return Edge(i, j, *remove_prior(result, prior))
-
-
-def remove_prior(result: RegistrationResult, prior: PosePrior) -> tuple[Pose2, FloatArray]:
-    """Return mean and information matrix (3, 3) of a registration without its prior.
-
-    Both are about the target's origin along its axes; the equations are in the module's docstring.
-    In the metric of the prior, L0 = A^T A, the eigenvalues of A^-T L A^-1 are 1 plus the
-    information that the scans add.
-    """
-    # Express the result in the prior's metric
-    shift = shift_to_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
-    rows = list(PLANAR)
-    deviation = shift @ prior.deviation(result.T_target_source)[rows]
-    half = np.linalg.cholesky(shift @ prior.covariance[np.ix_(PLANAR, PLANAR)] @ shift.T)
-    values, vectors = np.linalg.eigh(half.T @ result.information[np.ix_(PLANAR, PLANAR)] @ half)
-
-    # Remove the prior where scans add information
-    added = np.where(values - 1.0 > MIN_INFORMATION_SHARE, values - 1.0, 0.0)
-    along = vectors.T @ np.linalg.solve(half, deviation)
-    correction = half @ vectors @ np.divide(along, added, out=np.zeros(3), where=added > 0)
-
-    # Weaken ambiguous results
-    doubt = max(0.0, 1.0 - result.ambiguity_gap / MIN_CONTRADICTION_GAP)
-    added = added / (1.0 + doubt * added)
-
-    # Return to metres and radians
-    back = np.linalg.solve(half.T, vectors)
-    T = Pose2.from_matrix(result.T_target_source)
-    moved = Pose2(float(correction[0]), float(correction[1]), float(correction[2])) @ T
-    return moved, (back * added) @ back.T
 
 
 def _optimize_graph(

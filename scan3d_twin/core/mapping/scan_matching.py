@@ -2,37 +2,37 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
-from scan3d_twin.core.config import Config, PlanningConfig
+from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.mapping.motion_model import MotionModel, describe_move
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, extract_surfels, icp, register
-from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
+from scan3d_twin.core.registration.pose_prior import predict_rmse
 from scan3d_twin.core.session import View, Workspace
 from scan3d_twin.core.types import (
-    FloatArray,
+    Observation,
     Pose2,
     RegistrationResult,
     Scan3D,
     read_only,
     rms,
-    wrap,
 )
 from scan3d_twin.core.viewpoints import is_end_in_view
 
-MIN_SIGMA_XY, MIN_SIGMA_YAW = 0.003, math.radians(0.2)
-"""Standard deviations of a move of no length [m], [rad]: play of the wheels and the turning
-centre."""
-PRIOR_INNOVATIONS = 6.0
-"""Weight of the configured motion error in degrees of freedom: those of two moves."""
-MIN_VARIANCE_REDUCTION = 0.5
-"""Share of the odometry's variance that registration must remove in a direction to measure the
-odometry's error there."""
+
+def predict_pose(views: Sequence[View], observation: Observation, config: Config) -> Pose2:
+    """Return ``T_world_scan`` of a sweep by odometry from the latest view, its errors corrected.
+
+    The first view defines the world.
+    """
+    if not views:
+        return observation.T_odom_scan
+    move, legs = describe_move(views[-1], observation)
+    return views[-1].T_world_scan @ MotionModel.of(views, config).correct(move, legs)
 
 
 def match_to_previous(
@@ -51,9 +51,8 @@ def match_to_previous(
 def _match_by_grid(view: View, views: Sequence[View], config: Config, workspace: Workspace) -> View:
     """Register by the grid engine; odometry is the prior, so that the result is never worse."""
     # Predict by odometry
-    previous, scale = views[-1], estimate_odometry_scale(views, config)
-    move = previous.T_world_scan.inverse() @ view.T_world_scan
-    prior = motion_prior(move, config.planning, scale)
+    previous = views[-1]
+    prior = MotionModel.of(views, config).prior(*describe_move(previous, view.observation))
 
     # Register on the previous view
     try:
@@ -80,38 +79,6 @@ def _predict_rmse(result: RegistrationResult, view: View) -> float:
     """Return the expected RMS displacement [m] of the points that are modelled, the target's."""
     points = view.target.points if len(view.target) else view.sweep.points
     return predict_rmse(Pose2.from_matrix(result.T_target_source).apply(points), result.covariance)
-
-
-def estimate_odometry_scale(views: Sequence[View], config: Config) -> float:
-    """Return the factor by which this robot's odometry errors exceed the configured ones.
-
-    It is estimated from innovations: a registration moves the pose by d from the prior's mean. With
-    P the prior's covariance and C the result's, d has the covariance P - C; where C is small
-    compared with P, d^T (P - C)^-1 d estimates the squared factor. The configured error counts like
-    ``PRIOR_INNOVATIONS`` such squares of 1. Only the motion prior is scaled, not the error that
-    registration adds.
-    """
-    square, count = PRIOR_INNOVATIONS, PRIOR_INNOVATIONS
-    for previous, view in pairwise(views):
-        if view.registration is not None and view.registration.converged:
-            move = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
-            prior = motion_prior(move, config.planning)
-            innovation = _normalise_innovation(prior, view.registration)
-            square += float(innovation @ innovation)
-            count += len(innovation)
-    return math.sqrt(square / count)
-
-
-def _normalise_innovation(prior: PosePrior, result: RegistrationResult) -> FloatArray:
-    """Return the normalised innovations (k,) in the directions that registration determines."""
-    rows = np.ix_(PLANAR, PLANAR)
-    back = np.linalg.inv(shift_to_target(result.T_target_source))
-    C = (back @ result.covariance @ back.T)[rows]
-    whitener = np.linalg.inv(np.linalg.cholesky(prior.covariance[rows]))
-    gained, directions = np.linalg.eigh(np.eye(3) - whitener @ C @ whitener.T)
-    d = directions.T @ whitener @ prior.deviation(result.T_target_source)[list(PLANAR)]
-    determined = gained > MIN_VARIANCE_REDUCTION
-    return np.asarray(d[determined] / np.sqrt(gained[determined]))
 
 
 def surfels_of(view: View, config: Config, workspace: Workspace | None = None) -> SurfelGrid:
@@ -154,42 +121,6 @@ def keep_surfels(view: View, config: Config, workspace: Workspace) -> SurfelGrid
         grid.noise, grid.rows, grid.yaws, grid.index, grid.valid, grid.line_spacing,
     )  # fmt: skip
     return grid
-
-
-def motion_prior(move: Pose2, config: PlanningConfig, scale: float = 1.0) -> PosePrior:
-    """Return the prior of a move by turn, drive and turn, about the viewpoint it leads to.
-
-    Let D be the length of the drive and t1, t2 the turns before and after it. The standard
-    deviations are
-
-    * lambda D along the drive;
-    * lambda D, D gamma t1 and delta D^2 / 2 across it, as the heading is off by gamma t1 at its
-      start and drifts by delta D until its end;
-    * gamma (t1 + t2) and delta D of the final heading,
-
-    all independent of each other and multiplied by ``scale``.
-
-    Args:
-        move: The move ``T_previous_next``.
-        config: Its ``lambda_``, ``gamma`` and ``drift`` (delta).
-        scale: Factor on all errors, see ``estimate_odometry_scale``.
-    """
-    # Split the move and its errors
-    D = math.hypot(move.x, move.y)
-    bearing = math.atan2(move.y, move.x) if D > 0.01 else 0.0
-    before, after = config.gamma * abs(bearing), config.gamma * abs(wrap(move.yaw - bearing))
-    drift, slip = config.drift * D, config.lambda_ * D
-
-    # Sum up variances along the drive
-    C = np.zeros((3, 3))
-    C[0, 0] = slip**2 + MIN_SIGMA_XY**2
-    C[1, 1] = slip**2 + (D * before) ** 2 + (drift * D / 2) ** 2 + MIN_SIGMA_XY**2
-    C[2, 2] = (before + after) ** 2 + drift**2 + MIN_SIGMA_YAW**2
-    C[1, 2] = C[2, 1] = D * before * before + drift * drift * D / 2
-
-    # Turn them into the frame
-    along = Pose2(0.0, 0.0, bearing).matrix()[:3, :3]
-    return PosePrior.of_robot(move, scale**2 * along @ C @ along.T)
 
 
 def _fall_back_to_odometry(prior: PosePrior) -> RegistrationResult:

@@ -21,6 +21,7 @@ from scan3d_twin.core.viewpoints import (
     SILHOUETTE_TURN,
     TOWARDS_ROBOT,
     Contour,
+    Segment,
     average_lines,
     choose_viewpoint,
     count_well_seen,
@@ -30,6 +31,7 @@ from scan3d_twin.core.viewpoints import (
     find_predicted_segment,
     has_corner_after,
     is_end_in_view,
+    iterate_oblique,
     limit_direction,
     measure_angle,
     measure_sweep_width,
@@ -167,7 +169,25 @@ class PlanningContext:
 
     def find_placement(self, overlap: float) -> Placement:
         """Return the viewpoint that sees ``overlap`` of the current lines again (Fig. 8)."""
-        # Find the next segment
+        segment = self._find_segment(overlap)
+        return Placement(*choose_viewpoint(segment, self.session.config, self.is_feasible))
+
+    def find_oblique_viewpoints(self, overlap: float) -> list[Pose2]:
+        """Return the feasible viewpoints of ``overlap`` turned off the segment's normal.
+
+        They face the middle of the same segment. In a tour of the front they stay within
+        ``MAX_FRONT_ANGLE`` of it.
+        """
+        segment = self._find_segment(overlap)
+        return [
+            viewpoint
+            for viewpoint in iterate_oblique(segment, self.session.config.planning.standoff)
+            if self._is_in_tour(viewpoint) and self.is_feasible(viewpoint)
+        ]
+
+    def _find_segment(self, overlap: float) -> Segment:
+        """Return the next segment, of which ``overlap`` of the current lines is seen already."""
+        # Find it on the predicted surface or the contour
         config = self.session.config
         beyond = self._front if config.tour == "front" else None
         n_Q, S1 = self.n_Q(overlap), measure_sweep_width(config)
@@ -177,14 +197,20 @@ class PlanningContext:
             segment = find_next_segment(
                 self.contour, n_Q, S1, beyond, ends=self.has_end_in_view, bend=self._bend
             )
-        if config.tour == "front":
-            segment = replace(
-                segment, normal=limit_direction(segment.normal, self._front, MAX_FRONT_ANGLE)
-            )
 
-        # Choose a feasible viewpoint for it
-        viewpoint, wanted = choose_viewpoint(segment, config, self.is_feasible)
-        return Placement(viewpoint, wanted)
+        # Keep to the front
+        if config.tour != "front":
+            return segment
+        return replace(
+            segment, normal=limit_direction(segment.normal, self._front, MAX_FRONT_ANGLE)
+        )
+
+    def _is_in_tour(self, viewpoint: Pose2) -> bool:
+        """Return whether the tour has ``viewpoint``, given in ``scan``."""
+        if self.session.config.tour != "front":
+            return True
+        back = Pose2(0.0, 0.0, viewpoint.yaw).rotate(TOWARDS_ROBOT)
+        return abs(measure_angle(self._front, back)) <= MAX_FRONT_ANGLE + 1e-6
 
     def is_feasible(self, viewpoint: Pose2) -> bool:
         """Return whether the robot can reach ``viewpoint``, given in ``scan``, and stand there."""

@@ -20,7 +20,8 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior, surfels_of
+from scan3d_twin.core.mapping.motion_model import MotionModel
+from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.visibility import NextSweep, Visible, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid
@@ -60,13 +61,13 @@ class ErrorPrediction:
         grid: Surfels of the latest view, in the scope of registration.
         on_target: Its readings of the target (n_lines, n_beams).
         config: The run's configuration.
-        scale: Factor on the motion error, estimated from the odometry of this run.
+        motion: Errors of the odometry, as learned in this run; as configured by default.
     """
 
     grid: SurfelGrid
     on_target: BoolArray
     config: Config
-    scale: float = 1.0
+    motion: MotionModel | None = None
 
     @staticmethod
     def of(context: PlanningContext) -> ErrorPrediction:
@@ -76,18 +77,19 @@ class ErrorPrediction:
             RegistrationError: The view shows too little surface.
         """
         view, config = context.view, context.session.config
-        scale = estimate_odometry_scale(context.session.views, config)
+        motion = MotionModel.of(context.session.views, config)
         on_target = mask_readings(view.target, view.image)
         grid = surfels_of(view, config, context.session.workspace)
-        return ErrorPrediction(grid, on_target, config, scale)
+        return ErrorPrediction(grid, on_target, config, motion)
 
-    def error(self, viewpoint: Pose2) -> float:
+    def error(self, viewpoint: Pose2, half: float | None = None) -> float:
         """Return the predicted error [m] of the next view's target, times the calibration.
 
         The next view is assumed to show as much of the target as this one, at the same distance.
 
         Args:
             viewpoint: O2 in frame ``scan`` of the latest view.
+            half: Half the angle of the sweep there [rad]; all of it by default.
 
         Returns:
             Infinity without overlap.
@@ -95,7 +97,8 @@ class ErrorPrediction:
         # Select the surfels seen again
         config = self.config
         rows, t = self._rows, self.grid.image.T_base_lidar
-        seen = find_visible(rows, self._ranges, viewpoint, self._sweep, config.target.max_range)
+        sweep = self._sweep if half is None else NextSweep.like(self.grid, half)
+        seen = find_visible(rows, self._ranges, viewpoint, sweep, config.target.max_range)
         if np.count_nonzero(self._sampled_target[seen.index]) < MIN_SHARED_SURFELS:
             return math.inf
 
@@ -109,7 +112,7 @@ class ErrorPrediction:
 
         # Predict covariance and displacement
         equations = self._equations(seen, again, a, w)
-        covariance = self._covariance(equations, viewpoint)
+        covariance = self._covariance(equations, viewpoint, sweep)
         return config.planning.calibration * predict_rmse_of_moments(
             self._target.turned(viewpoint.yaw), covariance
         )
@@ -194,7 +197,7 @@ class ErrorPrediction:
         sums = np.stack([np.bincount(line, column) for column in columns])
         return np.asarray((sums[:7] / (self._stride + sums[7])) @ sums[:7].T)
 
-    def _covariance(self, equations: Equations, viewpoint: Pose2) -> FloatArray:
+    def _covariance(self, equations: Equations, viewpoint: Pose2, sweep: NextSweep) -> FloatArray:
         """Return the covariance (6, 6) about O2 of a planar registration."""
         # Marginalise the yaw scale
         noise = self.grid.noise
@@ -208,19 +211,20 @@ class ErrorPrediction:
         honest = find_determined(raw, INFORMATION_MARGIN * spurious, reach)[1]
 
         # Add edges and the prior
-        total = honest @ H[block] @ honest.T + self._edges(viewpoint)[block]
-        total += motion_prior(viewpoint, self.config.planning, self.scale).information(PLANAR)
+        total = honest @ H[block] @ honest.T + self._edges(viewpoint, sweep)[block]
+        motion = self.motion or MotionModel.of((), self.config)
+        total += motion.spread(viewpoint).information(PLANAR)
         covariance = np.zeros((6, 6))
         covariance[block] = np.linalg.inv(total)
         return covariance
 
-    def _edges(self, viewpoint: Pose2) -> FloatArray:
-        """Return the information (6, 6) about O2 of the edges that O2 sees again."""
+    def _edges(self, viewpoint: Pose2, sweep: NextSweep) -> FloatArray:
+        """Return the information (6, 6) about O2 of the edges that a ``sweep`` there sees again."""
         edges, back = self.grid.edges, viewpoint.inverse()
         if len(edges) == 0:
             return np.zeros((6, 6))
         middle = np.column_stack([edges.places, edges.heights.mean(axis=1)])
-        seen = self._sweep.cells(back.apply(middle))[0] >= 0
+        seen = sweep.cells(back.apply(middle))[0] >= 0
         again = edges.select(seen & self._still_edges(viewpoint))
         moved = again.seen_from(back)
         return linearise_edges(again, moved, viewpoint.matrix(), 1.0, 1e3)[0]

@@ -8,6 +8,7 @@ sites, J. Field Robotics 26, 2009).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,10 +20,10 @@ from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_surface import HiddenSurface
-from scan3d_twin.core.planning.overlap_or_default import list_overlaps
+from scan3d_twin.core.planning.overlap_or_default import expect_accuracy, list_overlaps
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Plan
+from scan3d_twin.core.types import Plan, Pose2, wrap
 from scan3d_twin.core.viewpoints import sum_turns
 
 BLOCKED_REASON = "no viewpoint left: none that shows the next segment can be reached"
@@ -44,6 +45,8 @@ MIN_PROGRESS = 0.2
 """Least distance by which a view on the way is nearer to the wanted one [m]: grid_step."""
 MAX_TRIED = 20
 """Largest number of viewpoints whose error is predicted; the others show less surface."""
+HALFWAY_SHARES = (0.75, 0.5, 0.25)
+"""Shares of the way to a viewpoint at which a view in between is tried."""
 
 
 def termination_plan(context: PlanningContext) -> Plan | None:
@@ -121,7 +124,12 @@ def _is_blocked(context: PlanningContext) -> bool:
 
 
 def _plan_hidden_view(context: PlanningContext) -> Plan | None:
-    """Return the plan for the view of the most hidden surface; None if none is worth a view."""
+    """Return the plan for the view of the most hidden surface; None if none is worth a view.
+
+    Where the error of all viewpoints from which it shows exceeds the accuracy that the run keeps
+    (``expect_accuracy``), it goes part of the way: the next view is then registered on the one that
+    is taken there.
+    """
     # Rank viewpoints by hidden surface
     session, config = context.session, context.session.config.planning
     candidates = PoseCandidates(context)
@@ -132,12 +140,22 @@ def _plan_hidden_view(context: PlanningContext) -> Plan | None:
         prediction = ErrorPrediction.of(context)
     except RegistrationError:
         return None
-    here = context.view.T_world_scan.inverse()
+    here, accuracy = context.view.T_world_scan, expect_accuracy(session)
     order = np.argsort(-areas, kind="stable")
-    for i in order[areas[order] >= config.least_hidden][:MAX_TRIED]:
+    wanted = [int(i) for i in order[areas[order] >= config.least_hidden][:MAX_TRIED]]
+    for i in wanted:
         pose = candidates.poses[i]
-        if prediction.error(here @ pose) <= config.epsilon:
-            return candidates.go(pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
+        if prediction.error(here.inverse() @ pose) <= accuracy:
+            return _go(candidates, pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
+
+    # Else go part of the way to one
+    for i in wanted:
+        for pose in _iterate_halfway(here, candidates.poses[i]):
+            step = here.inverse() @ pose
+            is_possible = candidates.is_allowed(pose) and context.is_feasible(step)
+            if is_possible and prediction.error(step) <= accuracy:
+                reason = f"contour done: on the way to {1e4 * areas[i]:.0f} cm2 more"
+                return _go(candidates, pose, reason)
     return None
 
 
@@ -145,7 +163,8 @@ def _plan_approach(context: PlanningContext) -> Plan | None:
     """Return the plan for a view on the way to the most hidden surface; None if there is none.
 
     From the last view before the robot was blocked, the other end of the target is out of sight.
-    The view nearest to the wanted one is taken whose predicted error meets epsilon.
+    The view nearest to the wanted one is taken whose predicted error meets the accuracy that the
+    run keeps.
     """
     # Choose the viewpoint to approach
     session, config = context.session, context.session.config.planning
@@ -164,6 +183,24 @@ def _plan_approach(context: PlanningContext) -> Plan | None:
     order = np.argsort(distances, kind="stable")
     for i in order[distances[order] < here.distance(goal) - MIN_PROGRESS]:
         pose = candidates.poses[i]
-        if prediction.error(here.inverse() @ pose) <= config.epsilon:
+        if prediction.error(here.inverse() @ pose) <= expect_accuracy(session):
             return candidates.go(pose, "contour blocked: on the way to its other end")
     return None
+
+
+def _iterate_halfway(here: Pose2, there: Pose2) -> Iterator[Pose2]:
+    """Yield poses between two, the farthest first."""
+    turn = wrap(there.yaw - here.yaw)
+    for share in HALFWAY_SHARES:
+        yield Pose2(
+            here.x + share * (there.x - here.x),
+            here.y + share * (there.y - here.y),
+            here.yaw + share * turn,
+        )
+
+
+def _go(candidates: PoseCandidates, pose: Pose2, reason: str) -> Plan:
+    """Return the plan to go to ``pose``, which falls back if its error exceeds epsilon."""
+    plan = candidates.go(pose, reason)
+    fell_back = plan.predicted_rmse > candidates.session.config.planning.epsilon
+    return replace(plan, fell_back=fell_back)

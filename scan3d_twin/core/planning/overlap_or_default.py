@@ -1,7 +1,10 @@
-"""The overlap of the next view: the smallest one that meets epsilon, else the default of 80 %.
+"""The overlap of the next view: the smallest one that meets epsilon, else what comes nearest to it.
 
 Paper section 5, eq. (4) and the pseudo-code. All planners that choose an overlap, and not a pose,
-build their plans here.
+build their plans here. Where no overlap meets epsilon from straight ahead, the paper takes 80 %,
+whatever it predicts; with ``planning.fallback = best`` viewpoints that are turned off the segment's
+normal are tried, from which a corner may show both of its faces, and of all the one with the least
+error is taken.
 """
 
 from __future__ import annotations
@@ -13,7 +16,11 @@ from scan3d_twin.core.config import PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, to_world
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, Plan, Pose2
+
+ErrorOf = Callable[[float, Pose2], float]
+"""Returns the error [m] of an overlap and its viewpoint in frame ``scan``."""
 
 
 def list_overlaps(config: PlanningConfig) -> list[float]:
@@ -22,7 +29,7 @@ def list_overlaps(config: PlanningConfig) -> list[float]:
     return [round(config.eta_min + k * config.eta_step, 9) for k in range(steps + 1)]
 
 
-def plan_smallest_overlap(context: PlanningContext, error: Callable[[float, Pose2], float]) -> Plan:
+def plan_smallest_overlap(context: PlanningContext, error: ErrorOf) -> Plan:
     """Return the plan for the smallest overlap whose error meets epsilon, eq. (4).
 
     Args:
@@ -44,6 +51,10 @@ def plan_smallest_overlap(context: PlanningContext, error: Callable[[float, Pose
         candidates.append(Candidate(viewpoint, eta, E, feasible=True))
         if config.epsilon >= E:
             return _plan_for(candidates[-1], candidates, fell_back=False)
+
+    # Else take what comes nearest to it
+    if config.fallback == "best":
+        return _plan_best(context, candidates, error)
     return _plan_default_overlap(context, candidates, config)
 
 
@@ -81,6 +92,64 @@ def predict_error(context: PlanningContext, viewpoint: Pose2) -> float:
         return math.nan
 
 
+def expect_accuracy(session: Session) -> float:
+    """Return the accuracy [m] that the run keeps: epsilon, or the largest error it has accepted.
+
+    A plan that fell back was carried out although its predicted error exceeds epsilon.
+    """
+    accepted = (plan.predicted_rmse for plan in session.plans if plan.fell_back)
+    known = (error for error in accepted if math.isfinite(error))
+    return max(session.config.planning.epsilon, *known, 0.0)
+
+
+def describe_shortfall(plan: Plan, epsilon: float) -> str | None:
+    """Return in words that ``plan`` is not expected to meet ``epsilon`` [m]; None if it is."""
+    if not plan.fell_back or plan.viewpoint is None:
+        return None
+    wanted = f"{1e3 * epsilon:g} mm"
+    if not math.isfinite(plan.predicted_rmse):
+        return f"{wanted} cannot be expected: too little surface is in sight to predict the error"
+    return f"{wanted} is below the expected {1e3 * plan.predicted_rmse:.1f} mm"
+
+
+def _plan_best(context: PlanningContext, straight: list[Candidate], error: ErrorOf) -> Plan:
+    """Return the plan for the smallest overlap with an oblique viewpoint within epsilon.
+
+    If there is none, the candidate with the least error is taken; the more of the ``max_views`` are
+    used up, the more above it is accepted for a longer step, so that a wish that cannot be met does
+    not cost the model. Where no error can be predicted, it is the default overlap.
+
+    Args:
+        context: A tour that is not finished.
+        straight: The candidates that were tried before.
+        error: See ``plan_smallest_overlap``.
+    """
+    # Try oblique viewpoints
+    config, candidates = context.session.config.planning, list(straight)
+    if any(math.isfinite(candidate.predicted_rmse) for candidate in straight):
+        for eta in list_overlaps(config):
+            tried = [
+                Candidate(to_world(context, viewpoint), eta, error(eta, viewpoint), feasible=True)
+                for viewpoint in context.find_oblique_viewpoints(eta)
+            ]
+            if tried:
+                candidates.append(min(tried, key=lambda candidate: candidate.predicted_rmse))
+                if candidates[-1].predicted_rmse <= config.epsilon:
+                    return _plan_for(candidates[-1], candidates, fell_back=False)
+
+    # Take the least error, or a longer step if few views are left
+    least = min((candidate.predicted_rmse for candidate in candidates), default=math.inf)
+    if not math.isfinite(least):
+        return _plan_default_overlap(context, candidates, config)
+    accepted = least * (1.0 + len(context.session.views) / context.session.config.max_views)
+    best = min(
+        (candidate for candidate in candidates if candidate.predicted_rmse <= accepted),
+        key=lambda candidate: (candidate.overlap, candidate.predicted_rmse),
+    )
+    reason = f"no viewpoint meets epsilon: {best.overlap:.0%} comes near the least expected error"
+    return _plan_for(best, candidates, fell_back=True, reason=reason)
+
+
 def _plan_default_overlap(
     context: PlanningContext, candidates: list[Candidate], config: PlanningConfig
 ) -> Plan:
@@ -96,9 +165,11 @@ def _plan_default_overlap(
     return _plan_for(default, candidates, fell_back=True)
 
 
-def _plan_for(candidate: Candidate, candidates: list[Candidate], fell_back: bool) -> Plan:
-    """Return the plan to go to ``candidate``."""
-    reason = (
+def _plan_for(
+    candidate: Candidate, candidates: list[Candidate], fell_back: bool, reason: str = ""
+) -> Plan:
+    """Return the plan to go to ``candidate``; the ``reason`` is that of the paper by default."""
+    reason = reason or (
         f"no overlap meets epsilon: default {candidate.overlap:.0%}"
         if fell_back
         else f"smallest overlap that meets epsilon: {candidate.overlap:.0%}"

@@ -18,7 +18,8 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior, surfels_of
+from scan3d_twin.core.mapping.motion_model import MotionModel
+from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.sequential_test import is_decided
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
@@ -44,14 +45,16 @@ class SimulatedRegistration:
         on_target: Its readings of the target (n_lines, n_beams).
         config: The run's configuration.
         seed: Seed of the draws, the same for all candidates.
-        scale: Factor on the motion error, estimated from the odometry of this run.
+        motion: Errors of the odometry, as learned in this run; as configured by default.
+        half: Half the angle of the next sweep [rad]; all of it by default.
     """
 
     grid: SurfelGrid
     on_target: BoolArray
     config: Config
     seed: int
-    scale: float = 1.0
+    motion: MotionModel | None = None
+    half: float | None = None
 
     @staticmethod
     def of(context: PlanningContext, seed: int) -> SimulatedRegistration:
@@ -62,9 +65,9 @@ class SimulatedRegistration:
         """
         view, config = context.view, context.session.config
         on_target = mask_readings(view.target, view.image)
-        scale = estimate_odometry_scale(context.session.views, config)
+        motion = MotionModel.of(context.session.views, config)
         grid = surfels_of(view, config, context.session.workspace)
-        return SimulatedRegistration(grid, on_target, config, seed, scale)
+        return SimulatedRegistration(grid, on_target, config, seed, motion)
 
     def error(self, viewpoint: Pose2, draws: int) -> float:
         """Return the ``planning.quantile`` of the errors [m] of up to ``draws`` draws, rounded up.
@@ -88,7 +91,7 @@ class SimulatedRegistration:
         if np.count_nonzero(planes.on_target) < MIN_SHARED_READINGS:
             yield from repeat(math.inf, draws)
             return
-        prior = motion_prior(viewpoint, self.config.planning, self.scale)
+        prior = (self.motion or MotionModel.of((), self.config)).spread(viewpoint)
         index = self.grid.index[self.on_target]
         points = self.grid.rows[index[index >= 0][::TARGET_STRIDE], X]
         for k in range(draws):
@@ -137,7 +140,8 @@ class SimulatedRegistration:
 
     @cached_property
     def _surface(self) -> Surface:
-        half = self.config.sweep.width / 2 + self.config.sweep.margin
+        whole = self.config.sweep.width / 2 + self.config.sweep.margin
+        half = whole if self.half is None else self.half
         return Surface(self.grid, self.on_target, half, self.config.target.max_range)
 
 

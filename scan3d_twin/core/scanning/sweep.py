@@ -73,14 +73,23 @@ def sweep(
     yaw: float,
     config: Config,
     on_line: Callable[[ScanLine], None],
+    half: float | None = None,
 ) -> Observation:
     """Scan ``config.sweep.width`` and margins around the heading ``yaw`` in ``odom`` [rad].
+
+    Args:
+        robot: At rest.
+        yaw: Heading of the sweep's middle in ``odom`` [rad].
+        config: The effective configuration.
+        on_line: Called with each line as it arrives.
+        half: Half the angle of a narrower sweep [rad].
 
     Raises:
         DataLossError: Lines are still missing after ``config.sweep.retries`` more passes.
         MotionTimeoutError, HazardError, LinkTimeoutError: From the robot.
     """
-    half, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
+    whole, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
+    half = whole if half is None else min(half, whole)
     started = robot.clock.now()
     lines = _scan_sector(robot, _Sector(yaw, half, rate, LOST_LINE_GAP), config, on_line)
     spacing = rate * robot.lidar.spec.line_period

@@ -13,7 +13,8 @@ from synthetic import ROOM, Box, observe
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.mapping.scan_matching import motion_prior, surfels_of
+from scan3d_twin.core.mapping.motion_model import motion_prior
+from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from scan3d_twin.core.planning.hidden_surface import FACE_DEPTH, HiddenSurface
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.core.types import FloatArray, Plan, Pose2
 
 pytestmark = pytest.mark.slow
 
@@ -237,3 +238,46 @@ def test_another_side_of_a_thin_thing_is_new_although_it_is_close_to_the_first()
     assert not closing.shows_nothing_new(session)
     same = session_at(pole, WIDE, poses=(around[0],) * 4, half=0.02)
     assert closing.shows_nothing_new(same)
+
+
+def farther_than(limit: float) -> Callable[[object, Pose2], float]:
+    """Return an error of 4 mm up to a distance of ``limit`` [m], and of 40 mm beyond."""
+    return lambda self, viewpoint: 0.004 if math.hypot(viewpoint.x, viewpoint.y) <= limit else 0.04
+
+
+def strict(context: PlanningContext, epsilon: float) -> PlanningContext:
+    """Return ``context`` with another epsilon [m]."""
+    session = context.session
+    planning = replace(session.config.planning, epsilon=epsilon)
+    made = PlanningContext(replace(session, config=replace(session.config, planning=planning)))
+    made.__dict__["is_contour_done"] = True
+    return made
+
+
+def test_a_view_out_of_reach_is_approached_in_steps(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = strict(finished(seen, "hidden"), 0.01)
+    monkeypatch.setattr(closing.ErrorPrediction, "error", farther_than(1e-3))
+    assert (plan := termination_plan(context)) is not None
+    assert plan.viewpoint is None
+    monkeypatch.setattr(closing.ErrorPrediction, "error", farther_than(0.55))
+    assert (plan := termination_plan(context)) is not None
+    assert plan.viewpoint is not None
+    assert 0.1 < plan.viewpoint.distance(context.view.T_world_scan) <= 0.55
+    assert plan.predicted_rmse == 0.004
+    assert not plan.fell_back
+
+
+def test_a_run_that_cannot_meet_epsilon_still_adds_views(
+    seen: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(closing.ErrorPrediction, "error", farther_than(10.0))
+    context = strict(finished(seen, "hidden"), 0.003)
+    assert (plan := termination_plan(context)) is not None
+    assert plan.viewpoint is None
+    accepted = Plan(Pose2(), 0.8, 0.0041, True, (), "for a test")
+    context = strict(PlanningContext(replace(context.session, plans=(accepted,))), 0.003)
+    assert (plan := termination_plan(context)) is not None
+    assert plan.viewpoint is not None
+    assert plan.fell_back

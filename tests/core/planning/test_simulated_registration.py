@@ -13,7 +13,8 @@ from synthetic import Box, observe
 
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.mapping.scan_matching import estimate_odometry_scale, motion_prior, surfels_of
+from scan3d_twin.core.mapping.motion_model import MotionModel, motion_prior
+from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
@@ -219,9 +220,9 @@ def test_odometry_that_errs_more_than_configured_is_found_out() -> None:
     for off in (0.0, 0.06):
         session = session_at(PILASTERS, CONFIG)
         views = session_with_moves(session, off)
-        scales.append(estimate_odometry_scale(views.views, CONFIG))
+        scales.append(MotionModel.of(views.views, CONFIG).scale)
     assert scales[0] < 1.0 < 2.0 < scales[1]
-    assert estimate_odometry_scale((), CONFIG) == 1.0
+    assert MotionModel.of((), CONFIG).scale == 1.0
 
 
 def session_with_moves(session: Session, off: float) -> Session:

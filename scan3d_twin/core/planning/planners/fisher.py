@@ -8,6 +8,7 @@ the overlap that it chooses; where they fail, the next larger overlap is tried.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.overlap_or_default import plan_smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
+from scan3d_twin.core.planning.sweep_choice import narrow_sweep
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 
@@ -27,24 +29,28 @@ class FisherPlanner:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose predicted error meets epsilon."""
         context, config = PlanningContext(session), session.config.planning
-        if plan := termination_plan(context):
-            return plan
+        final = termination_plan(context)
+        if final is not None and final.viewpoint is None:
+            return final
 
         # Prepare prediction and simulation
         seed = int(rng.integers(2**63))
         try:
             prediction = ErrorPrediction.of(context)
         except RegistrationError:
-            return plan_smallest_overlap(context, lambda eta, O2: math.inf)
+            return final or plan_smallest_overlap(context, lambda eta, O2: math.inf)
         simulation = SimulatedRegistration(
-            prediction.grid, prediction.on_target, session.config, seed, prediction.scale
+            prediction.grid, prediction.on_target, session.config, seed, prediction.motion
         )
 
-        def error(_: float, viewpoint: Pose2) -> float:
-            predicted = prediction.error(viewpoint)
+        def error(viewpoint: Pose2, half: float | None = None) -> float:
+            predicted = prediction.error(viewpoint, half)
             if config.checks == 0 or predicted > config.epsilon:
                 return predicted
-            simulated = simulation.error(viewpoint, config.checks)
+            sweep = simulation if half is None else replace(simulation, half=half)
+            simulated = sweep.error(viewpoint, config.checks)
             return max(predicted, simulated) if simulated > config.epsilon else predicted
 
-        return plan_smallest_overlap(context, error)
+        # Choose the overlap, then the sector
+        plan = final or plan_smallest_overlap(context, lambda _, viewpoint: error(viewpoint))
+        return narrow_sweep(context, plan, error)

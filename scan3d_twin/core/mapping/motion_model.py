@@ -1,0 +1,291 @@
+"""The motion model of this robot, learned from its own registrations: how its odometry errs.
+
+A robot errs by constants of its own. Let b = (c, delta, k) be the relative error of its distances
+(wheel radii), the drift of its heading per metre (their difference) and the relative error of its
+turns (wheel base). A move of legs, each a turn t_i and then a drive of length l_i, that has turned
+by theta_i = t_1 + ... + t_i and driven s_i before its drive i, errs by A b to first order, with
+
+    e_yaw = delta sum l_i + k sum t_i,
+    e_xy  = sum l_i (c u_i + (delta (s_i + l_i / 2) + k theta_i) n_i),
+
+u_i the direction of drive i and n_i the one to its left. What is left changes from move to move: a
+share of the configured errors (``planning.motion_variation``), and the play of the wheels.
+
+Each registration without its prior (``remove_prior``) measures A b in the directions that its scans
+determine, with information L_d. With N the covariance of what changes, b is estimated by Bayesian
+linear regression, recursively:
+
+    W = L_d (I + N L_d)^-1,   Lambda <- Lambda + w A^T W A,   eta <- eta + w A^T W d,
+
+from the configured errors as the prior, and from the turns of the first panorama if they were
+corrected by it. A registration in the wrong basin has little weight w (Geman and McClure's kernel,
+``CHI2_GATE``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from scan3d_twin.core.config import Config, PlanningConfig
+from scan3d_twin.core.mapping.pose_graph import CHI2_GATE
+from scan3d_twin.core.mapping.prior_removal import remove_prior
+from scan3d_twin.core.navigation.legs import Legs, assume_legs, check_legs
+from scan3d_twin.core.registration import PosePrior
+from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
+from scan3d_twin.core.session import View
+from scan3d_twin.core.types import FloatArray, Observation, Pose2, RegistrationResult, wrap
+
+MIN_SIGMA_XY, MIN_SIGMA_YAW = 0.003, math.radians(0.2)
+"""Standard deviations of a move of no length [m], [rad]: play of the wheels and the turning
+centre."""
+PLAY_XY, PLAY_YAW = 0.0015, math.radians(0.1)
+"""The same where the constants of the robot are learned [m], [rad]: twice what is left of the
+errors with its constants fitted, 0.6 mm and 0.05 deg by benchmarks/motion_error.py."""
+PRIOR_INNOVATIONS = 6.0
+"""Weight of the configured motion error in degrees of freedom: those of two moves."""
+MIN_VARIANCE_REDUCTION = 0.5
+"""Share of the odometry's variance that registration must remove in a direction to measure the
+odometry's error there."""
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """What is known of the errors of a robot's odometry.
+
+    Attributes:
+        config: The configured errors.
+        mean: Estimate of b (3,): per metre, rad per metre, per radian.
+        covariance: Its covariance (3, 3), the inverse of Lambda; 0 where nothing is learned.
+        scale: Factor by which the errors of this robot exceed what the model expects.
+        heading: Heading in which the latest sweep has left the robot, from its middle [rad].
+    """
+
+    config: PlanningConfig
+    mean: FloatArray
+    covariance: FloatArray
+    scale: float = 1.0
+    heading: float = 0.0
+
+    @staticmethod
+    def of(views: Sequence[View], config: Config) -> MotionModel:
+        """Return the model after ``views``; pure, so that a resumed run learns the same.
+
+        The factor is estimated from innovations: a registration moves the pose by d from the
+        prior's mean. With P the prior's covariance and C the result's, d has the covariance P - C;
+        where C is small compared with P, d^T (P - C)^-1 d estimates the squared factor. The model
+        counts like ``PRIOR_INNOVATIONS`` such squares of 1. Only the motion prior is scaled, not
+        the error that registration adds.
+        """
+        model = MotionModel._configured(config)
+        square, count = PRIOR_INNOVATIONS, PRIOR_INNOVATIONS
+        for previous, view in pairwise(views):
+            result = view.registration
+            if result is None or not result.converged:
+                continue
+            move, legs = describe_move(previous, view.observation)
+            innovation = _normalise_innovation(replace(model, scale=1.0).prior(move, legs), result)
+            square += float(innovation @ innovation)
+            count += len(innovation)
+            model = replace(model.learn(move, legs, result), scale=math.sqrt(square / count))
+        return replace(model, heading=find_last_heading(views[-1].observation) if views else 0.0)
+
+    @staticmethod
+    def _configured(config: Config) -> MotionModel:
+        """Return the model before the first move."""
+        planning, turns = config.planning, config.planning.gamma
+        learned = 1.0 - planning.motion_variation**2
+        mean = np.zeros(3)
+        if config.mount.yaw_scale and learned > 0:
+            mean[2] = config.mount.yaw_scale
+            turns = min(turns, config.registration.yaw_scale_sigma)
+        sigmas = np.array([planning.lambda_, planning.drift, turns])
+        return MotionModel(planning, mean, learned * np.diag(sigmas**2))
+
+    @property
+    def _is_learned(self) -> bool:
+        return self.config.motion_variation < 1.0
+
+    @property
+    def _spread(self) -> FloatArray:
+        """Covariance of b (3, 3), more where this robot errs more than expected.
+
+        It is never less: small innovations are part of the estimate already, and say nothing of the
+        directions that no registration has determined.
+        """
+        return max(1.0, self.scale) ** 2 * self.covariance
+
+    def prior(self, move: Pose2, legs: Legs | None = None) -> PosePrior:
+        """Return the prior of a ``move`` by odometry ``T_previous_next``, corrected by the model.
+
+        Args:
+            move: The move.
+            legs: How it was made; by default a turn, a drive and a turn.
+        """
+        return self._about(self.correct(move, legs), move, legs)
+
+    def spread(self, viewpoint: Pose2) -> PosePrior:
+        """Return the distribution of where a move to ``viewpoint`` ends, about that viewpoint."""
+        return self._about(viewpoint, viewpoint, None)
+
+    def correct(self, move: Pose2, legs: Legs | None = None) -> Pose2:
+        """Return a ``move`` by odometry, corrected by the mean of the model."""
+        if not self._is_learned:
+            return move
+        x, y, yaw = (self.jacobian(move, legs) @ self.mean).tolist()
+        return Pose2(move.x + x, move.y + y, move.yaw + yaw)
+
+    def learn(self, move: Pose2, legs: Legs, result: RegistrationResult) -> MotionModel:
+        """Return the model after a ``move`` that registration has measured as ``result``."""
+        if not self._is_learned:
+            return self
+
+        # Measure the error by the scans alone
+        measured, information = remove_prior(result, self.prior(move, legs))
+        shift = shift_to_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
+        information = shift.T @ information @ shift
+        d = np.array([measured.x - move.x, measured.y - move.y, wrap(measured.yaw - move.yaw)])
+
+        # Weigh it by what may differ this time
+        A, N = self.jacobian(move, legs), self._changing(move)
+        off, P = d - A @ self.mean, N + A @ self._spread @ A.T
+        chi2 = float(off @ _add_noise(information, P) @ off)
+        W = (CHI2_GATE / (CHI2_GATE + chi2)) ** 2 * _add_noise(information, N)
+
+        # Update the estimate
+        before = np.linalg.inv(self.covariance)
+        covariance = np.linalg.inv(before + A.T @ W @ A)
+        mean = covariance @ (before @ self.mean + A.T @ W @ d)
+        return replace(self, mean=mean, covariance=(covariance + covariance.T) / 2)
+
+    def _about(self, mean: Pose2, move: Pose2, legs: Legs | None) -> PosePrior:
+        """Return the prior about ``mean`` with the covariance of a ``move``."""
+        if not self._is_learned:
+            return motion_prior(mean, self.config, self.scale)
+        A = self.jacobian(move, legs)
+        C = self._changing(move) + A @ self._spread @ A.T
+        return PosePrior.of_robot(mean, (C + C.T) / 2)
+
+    def _changing(self, move: Pose2) -> FloatArray:
+        """Return the covariance (3, 3) of what changes from move to move."""
+        share, config = self.config.motion_variation, self.config
+        part = replace(
+            config,
+            lambda_=share * config.lambda_,
+            gamma=share * config.gamma,
+            drift=share * config.drift,
+        )
+        return self.scale**2 * _sum_variances(move, part, PLAY_XY, PLAY_YAW)
+
+    def jacobian(self, move: Pose2, legs: Legs | None) -> FloatArray:
+        """Return A (3, 3) of the module's docstring, along the axes of the move's start.
+
+        Args:
+            move: The move.
+            legs: How it was made; by default a turn, a drive and a turn.
+        """
+        A = np.zeros((3, 3))
+        turned, driven = 0.0, 0.0
+        for turn, length in assume_legs(move, self.heading) if legs is None else legs:
+            turned += turn
+            u = np.array([math.cos(turned), math.sin(turned)])
+            n = np.array([-u[1], u[0]])
+            A[:2, 0] += length * u
+            A[:2, 1] += length * (driven + length / 2) * n
+            A[:2, 2] += length * turned * n
+            driven += length
+        A[2, 1], A[2, 2] = driven, turned
+        return A
+
+
+def _add_noise(information: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the ``information`` (3, 3) of a measurement with more noise; it may be singular."""
+    result = information @ np.linalg.inv(np.eye(3) + covariance @ information)
+    return np.asarray(result + result.T) / 2
+
+
+def describe_move(previous: View, observation: Observation) -> tuple[Pose2, Legs]:
+    """Return the move from ``previous`` to ``observation`` by odometry, and its legs.
+
+    Where they were not recorded, or began at another view, the move counts as the shortest one.
+    """
+    move = previous.observation.T_odom_scan.inverse() @ observation.T_odom_scan
+    if check_legs(observation.legs, move):
+        return move, observation.legs
+    return move, assume_legs(move)
+
+
+def find_last_heading(observation: Observation) -> float:
+    """Return the heading of a sweep's last line, from its middle [rad]."""
+    image = observation.image
+    if len(image.stamps) == 0:
+        return 0.0
+    return float(image.yaws[int(np.argmax(image.stamps)), image.spec.n_beams // 2])
+
+
+def motion_prior(move: Pose2, config: PlanningConfig, scale: float = 1.0) -> PosePrior:
+    """Return the prior of a move by turn, drive and turn, about the viewpoint it leads to.
+
+    It takes each error of each move as drawn anew. Let D be the length of the drive and t1, t2 the
+    turns before and after it. The standard deviations are
+
+    * lambda D along the drive;
+    * lambda D, D gamma t1 and delta D^2 / 2 across it, as the heading is off by gamma t1 at its
+      start and drifts by delta D until its end;
+    * gamma (t1 + t2) and delta D of the final heading,
+
+    all independent of each other and multiplied by ``scale``.
+
+    Args:
+        move: The move ``T_previous_next``.
+        config: Its ``lambda_``, ``gamma`` and ``drift`` (delta).
+        scale: Factor on all errors, see ``MotionModel.of``.
+    """
+    return PosePrior.of_robot(
+        move, scale**2 * _sum_variances(move, config, MIN_SIGMA_XY, MIN_SIGMA_YAW)
+    )
+
+
+def _sum_variances(
+    move: Pose2, config: PlanningConfig, sigma_xy: float, sigma_yaw: float
+) -> FloatArray:
+    """Return the covariance (3, 3) of ``motion_prior``.
+
+    Args:
+        move: The move.
+        config: Its ``lambda_``, ``gamma`` and ``drift``.
+        sigma_xy: Standard deviation of a move of no length [m].
+        sigma_yaw: That of its heading [rad].
+    """
+    # Split the move and its errors
+    D = math.hypot(move.x, move.y)
+    bearing = math.atan2(move.y, move.x) if D > 0.01 else 0.0
+    before, after = config.gamma * abs(bearing), config.gamma * abs(wrap(move.yaw - bearing))
+    drift, slip = config.drift * D, config.lambda_ * D
+
+    # Sum up variances along the drive
+    C = np.zeros((3, 3))
+    C[0, 0] = slip**2 + sigma_xy**2
+    C[1, 1] = slip**2 + (D * before) ** 2 + (drift * D / 2) ** 2 + sigma_xy**2
+    C[2, 2] = (before + after) ** 2 + drift**2 + sigma_yaw**2
+    C[1, 2] = C[2, 1] = D * before * before + drift * drift * D / 2
+
+    # Turn them into the frame
+    along = Pose2(0.0, 0.0, bearing).matrix()[:3, :3]
+    return along @ C @ along.T
+
+
+def _normalise_innovation(prior: PosePrior, result: RegistrationResult) -> FloatArray:
+    """Return the normalised innovations (k,) in the directions that registration determines."""
+    rows = np.ix_(PLANAR, PLANAR)
+    back = np.linalg.inv(shift_to_target(result.T_target_source))
+    C = (back @ result.covariance @ back.T)[rows]
+    whitener = np.linalg.inv(np.linalg.cholesky(prior.covariance[rows]))
+    gained, directions = np.linalg.eigh(np.eye(3) - whitener @ C @ whitener.T)
+    d = directions.T @ whitener @ prior.deviation(result.T_target_source)[list(PLANAR)]
+    determined = gained > MIN_VARIANCE_REDUCTION
+    return np.asarray(d[determined] / np.sqrt(gained[determined]))

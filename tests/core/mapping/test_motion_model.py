@@ -1,0 +1,193 @@
+"""The errors of one robot's odometry, learned from its registrations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from paper import paper_planning
+
+from scan3d_twin.core.config import Config
+from scan3d_twin.core.mapping.motion_model import MotionModel, describe_move, motion_prior
+from scan3d_twin.core.navigation.legs import Legs, assume_legs
+from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
+from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, read_only, wrap
+
+CONFIG = Config()
+ROBOT = np.array([0.004, 0.03, -0.015])
+"""A robot that drives 0.4 % too far, drifts by 1.7 deg/m and turns by 1.5 % too little."""
+MOVES: tuple[Legs, ...] = (
+    ((-0.9, 1.3), (2.0, 0.0)),
+    ((1.2, 0.5), (0.4, 0.6), (-1.3, 0.0)),
+    ((-5.0, 0.9), (-0.4, 0.0)),
+    ((0.7, 1.1), (0.3, 0.0)),
+    ((2.6, 0.8), (1.0, 0.0)),
+)
+
+
+def follow(legs: Legs, errors: FloatArray | None = None, steps: int = 400) -> Pose2:
+    """Return where ``legs`` lead for a robot with ``errors`` (c, delta, k), in small steps."""
+    c, drift, k = np.zeros(3) if errors is None else errors
+    here = Pose2()
+    for turn, length in legs:
+        here = here @ Pose2(0.0, 0.0, turn * (1 + k))
+        for _ in range(steps):
+            step = length / steps
+            here = here @ Pose2(step * (1 + c), 0.0, drift * step)
+    return here
+
+
+def registered(
+    T: Pose2, prior: Any, sigmas: tuple[float, float, float] = (1e-3, 1e-3, 1e-3)
+) -> RegistrationResult:
+    """Return the registration that finds ``T`` with ``sigmas`` by its scans, given a ``prior``."""
+    rows = np.ix_(PLANAR, PLANAR)
+    shift = shift_to_target(T.matrix())[rows]
+    scans = np.diag(1.0 / np.array(sigmas) ** 2)
+    total = prior.information(PLANAR) + scans
+    mean = Pose2.from_matrix(prior.T)
+    off = np.array([T.x - mean.x, T.y - mean.y, wrap(T.yaw - mean.yaw)])
+    x, y, yaw = np.linalg.solve(total, scans @ off).tolist()
+    back = np.linalg.inv(shift)
+    information, covariance = np.zeros((6, 6)), np.eye(6) * 1e-6
+    information[rows] = back.T @ total @ back
+    covariance[rows] = shift @ np.linalg.inv(total) @ shift.T
+    result = RegistrationResult.unregistered(
+        read_only(Pose2(mean.x + x, mean.y + y, mean.yaw + yaw).matrix()),
+        read_only(covariance),
+        read_only(information),
+    )
+    return replace(result, converged=True)
+
+
+def drive(
+    moves: tuple[Legs, ...],
+    robot: FloatArray = ROBOT,
+    config: Config = CONFIG,
+    wrong: int | None = None,
+    **sigmas: Any,
+) -> list[Any]:
+    """Return the views of a ``robot`` after ``moves``; registration ``wrong`` is 80 mm off."""
+    image = SimpleNamespace(stamps=np.zeros(0))
+    views: list[Any] = []
+    odom = Pose2()
+    for k, legs in enumerate(((), *moves)):
+        odom = odom @ follow(legs)
+        seen = SimpleNamespace(T_odom_scan=odom, legs=legs, image=image)
+        result = None
+        if views:
+            prior = MotionModel.of(views, config).prior(*describe_move(views[-1], seen))  # type: ignore[arg-type]
+            true = follow(legs, robot)
+            result = registered(
+                Pose2(true.x, true.y + 0.08 * (k == wrong), true.yaw), prior, **sigmas
+            )
+        views.append(SimpleNamespace(observation=seen, registration=result))
+    return views
+
+
+@pytest.mark.parametrize("legs", MOVES)
+def test_the_jacobian_is_that_of_the_move(legs: Legs) -> None:
+    small = 0.01 * ROBOT
+    move, true = follow(legs), follow(legs, small)
+    model = replace(MotionModel.of((), CONFIG), mean=small)
+    found = model.correct(move, legs)
+    assert (found.x, found.y) == pytest.approx((true.x, true.y), abs=2e-6)
+    assert wrap(found.yaw - true.yaw) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_constants_of_the_robot_are_learned() -> None:
+    before, after = MotionModel.of((), CONFIG), MotionModel.of(drive(MOVES[:4]), CONFIG)
+    assert after.mean == pytest.approx(ROBOT, abs=2.5e-3)
+    sigmas = [np.sqrt(np.diag(model.covariance)) for model in (before, after)]
+    assert np.all(sigmas[1][1:] < 0.25 * sigmas[0][1:])
+    assert np.all(np.abs(after.mean - ROBOT) < 3 * sigmas[1])
+
+
+def test_the_next_move_is_predicted_from_those_before() -> None:
+    legs = MOVES[4]
+    move, true = follow(legs), follow(legs, ROBOT)
+    errors, spreads = [], []
+    for known in (0, 1, 4):
+        prior = MotionModel.of(drive(MOVES[:known]), CONFIG).prior(move, legs)
+        off = prior.deviation(true.matrix())[list(PLANAR)]
+        C = prior.covariance[np.ix_(PLANAR, PLANAR)]
+        assert off @ np.linalg.solve(C, off) < 16.3
+        errors.append(float(np.hypot(off[0], off[1])))
+        spreads.append(math.sqrt(C[2, 2]))
+    assert errors[2] < 0.2 * errors[0]
+    assert spreads[2] < 0.3 * spreads[0]
+    assert spreads[1] < spreads[0]
+
+
+def test_turns_the_long_way_round_err_more() -> None:
+    model = MotionModel.of((), CONFIG)
+    move = follow(((0.5, 0.8), (0.3, 0.0)))
+    sigmas = [
+        math.sqrt(model.prior(move, legs).covariance[5, 5])
+        for legs in (assume_legs(move), ((0.5 - math.tau, 0.8), (0.3, 0.0)))
+    ]
+    assert sigmas[1] > 2 * sigmas[0]
+
+
+def test_turns_back_and_forth_cancel() -> None:
+    """The error of a turn is undone by the turn back, which the sum of angles does not know."""
+    legs = ((1.5, 0.3), (-1.5, 0.0))
+    move = follow(legs)
+    learned = MotionModel.of((), CONFIG).prior(move, legs)
+    drawn = motion_prior(move, CONFIG.planning)
+    assert learned.covariance[5, 5] < 0.5 * drawn.covariance[5, 5]
+
+
+def test_a_registration_in_the_wrong_place_teaches_little() -> None:
+    model = MotionModel.of(drive(MOVES[:4], wrong=4), CONFIG)
+    assert model.mean == pytest.approx(ROBOT, abs=4e-3)
+
+
+def test_what_the_scans_leave_open_is_not_learned() -> None:
+    """A bare wall along the drive: the distance stays as configured."""
+    views = drive((((0.0, 1.0), (0.0, 0.0)),) * 3, sigmas=(10.0, 1e-3, 1e-3))
+    model = MotionModel.of(views, CONFIG)
+    assert math.sqrt(model.covariance[0, 0]) > 0.9 * CONFIG.planning.lambda_
+    assert model.mean[1] == pytest.approx(ROBOT[1], abs=3e-3)
+
+
+def test_a_robot_that_errs_more_than_configured_is_found_out() -> None:
+    assert MotionModel.of(drive(MOVES[:4], robot=np.zeros(3)), CONFIG).scale < 1.0
+    assert MotionModel.of(drive(MOVES[:4], robot=8 * ROBOT), CONFIG).scale > 1.5
+
+
+def test_the_yaw_scale_of_the_panorama_is_where_learning_begins() -> None:
+    mount, registration = CONFIG.mount, CONFIG.registration
+    tuned = replace(
+        CONFIG,
+        mount=replace(mount, yaw_scale=-0.015),
+        registration=replace(registration, yaw_scale_sigma=0.002),
+    )
+    model = MotionModel.of((), tuned)
+    assert model.mean.tolist() == [0.0, 0.0, -0.015]
+    legs = MOVES[2]
+    off = wrap(model.correct(follow(legs), legs).yaw - follow(legs).yaw)
+    assert off == pytest.approx(0.015 * 5.4, abs=1e-6)
+
+
+def test_the_paper_learns_nothing() -> None:
+    config = Config.preset("paper")
+    views = drive(MOVES[:3], config=config)
+    model = MotionModel.of(views, config)
+    move = follow(MOVES[3])
+    assert model.correct(move, MOVES[3]) == move
+    expected = motion_prior(move, paper_planning(), model.scale)
+    for prior in (model.prior(move, MOVES[3]), model.spread(move)):
+        assert np.array_equal(prior.T, expected.T)
+        assert np.array_equal(prior.covariance, expected.covariance)
+
+
+def test_legs_of_another_move_are_not_believed() -> None:
+    views = drive(MOVES[:2])
+    move, legs = describe_move(views[0], views[2].observation)
+    assert legs == assume_legs(move)
+    assert describe_move(views[1], views[2].observation)[1] == MOVES[1]
