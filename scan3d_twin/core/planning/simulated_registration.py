@@ -125,7 +125,7 @@ class SimulatedRegistration:
         if k in self._scans:
             return self._scans[k]
         rng, assumed = self._rng(k, HERE_STREAM), self.grid.noise
-        noise = DrawnNoise(assumed, assumed.yaw_scale_sigma * rng.standard_normal())
+        noise = DrawnNoise.draw(assumed, rng)
         scan = self._surface.here.read(noise, rng), noise
         if self.config.optimize_for == "speed":
             self._scans[k] = scan

@@ -11,14 +11,15 @@ lines and the scale of all yaws, all as strong as registration assumes them to b
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from scan3d_twin.core.planning.visibility import NextSweep, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels
-from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, ScanNoise
+from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, CURVE_RANGES, ScanNoise
 from scan3d_twin.core.registration.surfels import (
     EMPTY_RAY,
     SURFACE_RAY,
@@ -69,10 +70,19 @@ class DrawnNoise:
     Attributes:
         assumed: Standard deviations, as registration assumes them.
         yaw_scale: Relative error of all yaws of the robot.
+        curve: Range error at ``CURVE_RANGES``, the same in both scans (k,) [m].
     """
 
     assumed: ScanNoise
-    yaw_scale: float
+    yaw_scale: float = 0.0
+    curve: FloatArray = field(default_factory=lambda: np.zeros(len(CURVE_RANGES)))
+
+    @staticmethod
+    def draw(assumed: ScanNoise, rng: np.random.Generator) -> DrawnNoise:
+        """Return what all sweeps of one draw have in common."""
+        yaw_scale = assumed.yaw_scale_sigma * rng.standard_normal()
+        half = np.linalg.cholesky(assumed.curve_covariance)
+        return DrawnNoise(assumed, yaw_scale, half @ rng.standard_normal(len(half)))
 
     def yaws(self, yaws: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return drawn true yaws (n_lines, n_beams) [rad] for ``yaws`` by odometry."""
@@ -81,9 +91,23 @@ class DrawnNoise:
 
     def ranges(self, image: RangeImage, rng: np.random.Generator) -> FloatArray:
         """Return the ranges of ``image`` with noise (n_lines, n_beams) [m]."""
-        sigma = self.assumed.range_sigma + self.assumed.range_sigma_per_metre * image.ranges
-        noisy = image.ranges + sigma * rng.standard_normal(image.ranges.shape)
-        return np.asarray(noisy + self.assumed.bias_sigma * _draw_bias_field(image, rng))
+        assumed, ranges = self.assumed, image.ranges
+        sigma = assumed.range_sigma + assumed.range_sigma_per_metre * ranges
+        noise = _correlate(rng.standard_normal(ranges.shape), assumed.correlation)
+        shared = np.interp(ranges, CURVE_RANGES, self.curve)
+        shared += assumed.bias_sigma * _draw_bias_field(image, rng)
+        return np.asarray(ranges + sigma * noise + shared)
+
+
+def _correlate(white: FloatArray, factor: float) -> FloatArray:
+    """Return noise (n_lines, n_beams) whose mean along a line varies ``factor`` times as much.
+
+    A moving mean over that many beams, rounded, of the same variance as ``white``.
+    """
+    beams = max(1, round(factor))
+    if beams == 1:
+        return white
+    return np.asarray(math.sqrt(beams) * uniform_filter1d(white, beams, axis=1))
 
 
 def _draw_bias_field(image: RangeImage, rng: np.random.Generator) -> FloatArray:

@@ -38,6 +38,13 @@ BIAS_PATCH = np.radians(10.0)
 BIAS_LENGTH = 0.15
 """Correlation length of a range error [m]: 0.26 m for the 1.6 m cycle of a 46.55 MHz phase
 measurement, less at edges and changes of material."""
+CURVE_RANGES = read_only(0.25 * np.arange(24))
+"""Ranges at which the curve of the range error has its knots [m]; constant beyond. As in
+``native/shared_errors.h``."""
+CURVE_LENGTH = 0.25
+"""Range over which that curve changes [m]: a sixth of the 1.6 m cycle named at ``BIAS_LENGTH``."""
+MIN_CURVE_SIGMA = 1e-4
+"""Independent part of the knots' errors, which keeps their covariance regular [m]."""
 URG_RANGE_NOISE = 0.004, 0.0009
 """Range sigma of a URG-04LX at 0 m [m] and its growth per metre, used where it is not estimated."""
 
@@ -91,6 +98,17 @@ class ScanNoise:
         """Range sigma at 0 m [m], its growth per metre, yaw sigma [rad], correlation (4,)."""
         sigmas = [self.range_sigma, self.range_sigma_per_metre, self.yaw_sigma]
         return read_only([*sigmas, self.correlation])
+
+    @property
+    def curve_covariance(self) -> FloatArray:
+        """Covariance (24, 24) of the range error at ``CURVE_RANGES`` [m2].
+
+        linearity^2 / (1 + d^2 / (2 l^2)) + offset^2, with d the difference of two ranges and l
+        ``CURVE_LENGTH``.
+        """
+        apart = (CURVE_RANGES[:, None] - CURVE_RANGES) / CURVE_LENGTH
+        smooth = self.linearity_sigma**2 / (1.0 + apart**2 / 2.0) + self.offset_sigma**2
+        return np.asarray(smooth + MIN_CURVE_SIGMA**2 * np.eye(len(CURVE_RANGES)))
 
     @property
     def tilt_variance(self) -> float:
