@@ -1,4 +1,4 @@
-"""Fit the factor of ``planning.calibration``: how far realised errors exceed predicted ones.
+"""Fit ``planning.calibration`` and ``registration.calibration``: realised errors over predicted.
 
 Closed loops of a preset on random scenes (``random:SEED``, seeds from 1000 on: no test, gate or
 benchmark uses them) give pairs of a step's predicted error, factor left out, and the error that
@@ -117,6 +117,7 @@ def conformal(ratios: Iterable[float], alpha: float) -> float:
 def fit(found: list[Step], epsilon: float) -> dict[str, dict[str, Any]]:
     """Return the factor from the odd seeds and what it is worth on the even ones."""
     known = [s for s in found if math.isfinite(s.predicted) and s.predicted > 0]
+    registered = [s for s in found if math.isfinite(s.reported) and s.reported > 0]
     odd, even = ([s for s in known if s.seed % 2 == k] for k in (1, 0))
     factor = conformal((s.error / s.predicted for s in odd), ALPHA)
     whole = conformal((s.error / s.predicted for s in known), ALPHA)
@@ -124,6 +125,13 @@ def fit(found: list[Step], epsilon: float) -> dict[str, dict[str, Any]]:
         "calibration": (factor, "ratio", len(odd)),
         "all_seeds": (whole, "ratio", len(known)),
         "exceeded": (_share(s.error > factor * s.predicted for s in even), "share", len(even)),
+        "registration_calibration": (
+            conformal((s.error / s.reported for s in registered if s.seed % 2), ALPHA),
+            "ratio", sum(s.seed % 2 for s in registered),
+        ),
+        "registration_all_seeds": (
+            conformal((s.error / s.reported for s in registered), ALPHA), "ratio", len(registered),
+        ),
         "above_epsilon": (_share(s.error > epsilon for s in known), "share", len(known)),
         "pred_over_true": (
             float(np.median([s.predicted / s.error for s in known])), "ratio", len(known),
