@@ -12,8 +12,10 @@ along a wall, are left to prior and edges. The covariance is the inverse of the 
 spurious information and what is lost to yaw jitter; for point-to-plane residuals that is sound
 (Bonnabel et al., arXiv 1410.7632).
 
-The yaw scale is a nuisance parameter, eliminated by its Schur complement. ``native/descend.h``
-computes all of this.
+The yaw scale is a nuisance parameter, eliminated by its Schur complement; along degenerate
+directions the scans say nothing of it, either. Once the iteration has converged, a last step uses
+more surfels and, if ``bias_sigma`` > 0, has the errors that readings share as further unknowns: see
+``shared_errors``. ``native/descend.h`` computes all of this.
 """
 
 from __future__ import annotations

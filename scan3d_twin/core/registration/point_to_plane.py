@@ -31,7 +31,7 @@ import numpy as np
 
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.native import STATE, engine
-from scan3d_twin.core.registration.pose_prior import SIGMA_TILT, SIGMA_Z
+from scan3d_twin.core.registration.shared_errors import combine_shared_errors
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.types import FloatArray
 
@@ -76,8 +76,8 @@ def combine_noise(target: SurfelGrid, source: SurfelGrid) -> native.PairNoise:
 
     ``jitter`` and ``target_jitter`` are the yaw variances of a line [rad2], ``density`` is the
     target's line spacing per spacing of the source, ``share`` the share of the readings that count
-    in spite of a common bias, and ``tilt`` the variance of a surface's tilt by a range error that
-    changes along it [rad2].
+    in spite of a common bias, ``tilt`` the variance of a surface's tilt by a range error that
+    changes along it [rad2]; ``combine_shared_errors`` describes the others.
     """
     return native.PairNoise(
         jitter=source.noise.yaw_sigma**2,
@@ -85,14 +85,7 @@ def combine_noise(target: SurfelGrid, source: SurfelGrid) -> native.PairNoise:
         density=target.line_spacing / source.line_spacing,
         share=2.0 / (source.inflation + target.inflation),
         tilt=(source.noise.tilt_variance + target.noise.tilt_variance) / 4,
-        patch=max(source.noise.bias_sigma, target.noise.bias_sigma),
-        linearity=max(source.noise.linearity_sigma, target.noise.linearity_sigma),
-        offset=max(source.noise.offset_sigma, target.noise.offset_sigma),
-        correlation=(source.noise.correlation + target.noise.correlation) / 2,
-        height=SIGMA_Z,
-        lean=SIGMA_TILT,
-        ahead=source.image.T_base_lidar[0, 3],
-        up=source.image.T_base_lidar[2, 3],
+        **combine_shared_errors(target, source),
     )
 
 

@@ -1,11 +1,12 @@
 """Noise model of a sweep: range noise, its correlation and yaw jitter, from its own readings.
 
-Across five lines, at one beam, the inverse range q of a plane is linear in the yaw up to
-second-order terms. Its fourth difference D is noise of variance 70 s^2 / r^4, and far less of a
-curve than of noise: a wave of 9 lines leaves a seventh of what a second difference leaves. Lines
-are independent of each other, readings of a line are not.
+Across seven lines, at one beam, the inverse range q of a plane is linear in the yaw up to
+second-order terms. Its sixth difference D is noise of variance 924 s^2 / r^4, and far less of a
+curve than of noise: a wave of 9 lines leaves 1 / 57 of what a second difference leaves. Lines
+are independent of each other, readings of a line are not. Uneven yaws bend q, too; the slope of q
+times the sixth difference of the yaws is taken off.
 
-**Range noise.** The median of |D| r^2 / sqrt(70) is taken over each quartile of the readings by
+**Range noise.** The median of |D| r^2 / sqrt(924) is taken over each quartile of the readings by
 range, and a straight line fitted through the four.
 
 **Correlation.** Neighbouring beams share light and a filter, so that a mean along a line is less
@@ -13,8 +14,8 @@ precise than of independent readings by 1 + 2 sum rho_k. The rho_k are those of 
 less what beams ten apart have in common: the yaw error of their lines.
 
 **Yaw jitter.** The yaw error d of a line moves its readings by d times the slope of the range over
-the yaw. The regression of a line's D on its slope has the variance g sigma^2 + 70 c s^2 / sum
-slope^2, with g what the yaw errors of the five lines add up to. The excess over the second term,
+the yaw. The regression of a line's D on its slope has the variance g sigma^2 + 924 c s^2 / sum
+slope^2, with g what the yaw errors of the seven lines add up to. The excess over the second term,
 weighted over all lines, is sigma^2. Where it is not significant, the mean of what is positive of
 its normal distribution stands for it, not zero.
 
@@ -86,6 +87,8 @@ class ScanNoise:
                 raise ConfigError(f"{name} must be >= 0 and finite, got {value:g}")
         if self.range_sigma + self.range_sigma_per_metre == 0:
             raise ConfigError("range_sigma must be > 0 m: readings without noise have no weight")
+        if self.correlation < 1.0:
+            raise ConfigError(f"correlation must be >= 1, got {self.correlation}")
 
     @staticmethod
     def of(found: FloatArray) -> ScanNoise:

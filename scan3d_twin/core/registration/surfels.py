@@ -17,8 +17,11 @@ lines move together along the normal, by l = n . (z x P) per radian, which adds 
 
     n q^2 |m|^2 l^2 sigma_psi^2 (1 + 1.5 sqrt(2 / L)).
 
-The noise of the normal follows from that of m: cov(n) = s^2 / |m|^2 (I - n n^T) A^-1 (I - n n^T);
-its mean variance over the two tangents is kept.
+The noise of the normal follows from that of m: cov(n) = v / |m|^2 (I - n n^T) A^-1 (I - n n^T); its
+mean variance over the two tangents is kept. As noise is correlated along a line, with the factor c
+on the variance of a mean, and the yaw error of a line moves all its n / L readings together,
+
+    v = c s^2 + (n / L) (q |m| l sigma_psi)^2.
 
 ``native/surfels.h`` computes the surfels.
 """
@@ -134,7 +137,8 @@ def fit_surfels(
         sweep: The readings.
         valid: Whether a reading is a distance (n_lines, n_beams).
         keep: Whether a reading gets a surfel (n_lines, n_beams).
-        noise: Range sigma at 0 m [m], its growth per metre, sigma of a line's yaw [rad] (3,).
+        noise: Range sigma at 0 m [m], its growth per metre, sigma of a line's yaw [rad], factor on
+            the variance of a mean of readings correlated along a line (4,).
         windows: Half sizes in lines and beams, largest first (k, 2).
 
     Returns:
