@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from reference.point_to_plane import Equations
 from scan3d_twin.core.types import FloatArray
 
 SIGNAL = 2.0
@@ -50,28 +50,51 @@ def inverse(information: FloatArray, prior: FloatArray) -> FloatArray:
     return result
 
 
-def without_scale(
-    equations: Equations, prior: float, scale: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eliminate the yaw scale by its Schur complement.
+class State(NamedTuple):
+    """Normal equations of the pose, nuisances, and errors that readings share: H (n, n), g (n,)."""
+
+    H: FloatArray
+    g: FloatArray
+
+
+def with_prior(state: State, entry: int, known: float, value: float) -> State:
+    """Return the equations with prior information on an entry that is now ``value``.
+
+    Infinite: the entry stays as it is.
+    """
+    H, g = state.H.copy(), state.g.copy()
+    if math.isinf(known):
+        H[entry], H[:, entry], g[entry] = 0.0, 0.0, 0.0
+        H[entry, entry] = 1.0
+    else:
+        H[entry, entry] += known
+        g[entry] += known * value
+    return State(H, g)
+
+
+def without_directions(state: State, dropped: FloatArray) -> State:
+    """Return the equations as if the data could shift freely along ``dropped`` (j, k).
+
+    That is a free unknown for each direction, of which the data see what they see of the pose, and
+    which is marginalised.
+    """
+    V = np.zeros((len(state.g), len(dropped)))
+    V[: dropped.shape[1]] = dropped.T
+    seen, inside = state.H @ V, np.linalg.pinv(V.T @ state.H @ V, rcond=1e-12, hermitian=True)
+    return State(state.H - seen @ inside @ seen.T, state.g - seen @ inside @ (V.T @ state.g))
+
+
+def eliminated(state: State, k: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Eliminate the entries after the first k.
 
     Returns:
-        Information (k, k) and gradient (k,) of the pose, and the scale's step as an affine function
-        of the pose's (k + 1,), the constant last; 0 when the scale is taken as exact.
+        Information (k, k) and gradient (k,) of the first, and the others' step as an affine
+        function of theirs: matrix (n - k, k) and constant (n - k,).
     """
-    k = len(equations.gradient) - 1
-    H, affine = equations.information - equations.lost, np.zeros(k + 1)
-    own = H[k, k] + prior
-    right = 0.0 if math.isinf(prior) else equations.gradient[k] + prior * scale
-    for i in range(k):
-        affine[i] = -H[i, k] / own
-    affine[k] = -right / own
-    reduced, g = np.empty((k, k)), np.empty(k)
-    for i in range(k):
-        for j in range(k):
-            reduced[i, j] = H[i, j] + affine[i] * H[j, k]
-        g[i] = equations.gradient[i] + affine[i] * right
-    return reduced, g, affine
+    H, g = state
+    by = -np.linalg.solve(H[k:, k:], H[k:, :k])
+    constant = -np.linalg.solve(H[k:, k:], g[k:])
+    return H[:k, :k] + H[:k, k:] @ by, g[:k] + H[:k, k:] @ constant, by, constant
 
 
 def determined(

@@ -1,4 +1,4 @@
-"""Extraction of surfels, range noise and yaw jitter from a sweep, in NumPy."""
+"""Extraction of surfels and noise from a sweep, in NumPy."""
 
 from __future__ import annotations
 
@@ -8,11 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.scan_arrays import Beams
-from reference.scan_noise import (
-    estimate_range_noise,
-    line_residuals,
-    yaw_jitter,
-)
+from reference.scan_noise import estimate_noise
 from reference.surfels import fit_surfels
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray, SmallIntArray
 
@@ -46,7 +42,8 @@ class ScanSurfels(NamedTuple):
         yaws: At which each was measured, from the middle of the sweep (m,) [rad].
         row_of: Row of each reading (n_lines, n_beams), -1 where there is no surfel.
         valid: Readings that are distances (n_lines, n_beams).
-        noise: Range sigma at 0 [m], its growth per metre and the sigma of a line's yaw [rad] (3,).
+        noise: Range sigma at 0 [m], its growth per metre, the sigma of a line's yaw [rad] and the
+            factor for correlated beams (4,).
         line_spacing: Typical angle between two lines [rad].
     """
 
@@ -66,7 +63,7 @@ def extract_surfels(swept: Swept, keep: BoolArray, noise: FloatArray) -> ScanSur
     Args:
         swept: The sweep.
         keep: Readings (n_lines, n_beams) that get a surfel; (0, 0) for all.
-        noise: As in ``ScanSurfels``, NaN where it is to be estimated (3,).
+        noise: As in ``ScanSurfels``, NaN where it is to be estimated (4,).
     """
     valid = (swept.codes == VALID) & (swept.ranges > 0) & (swept.ranges < np.inf)
     l0, l1 = extent(np.sum(valid, axis=1))
@@ -74,21 +71,13 @@ def extract_surfels(swept: Swept, keep: BoolArray, noise: FloatArray) -> ScanSur
     ranges, yaws = swept.ranges[l0:l1, b0:b1], swept.yaws[l0:l1, b0:b1]
     part = valid[l0:l1, b0:b1]
     wanted = part & keep[l0:l1, b0:b1] if keep.size > 0 else part.copy()
-    beams, noise = swept.beams.directions[b0:b1], noise.copy()
-    if np.isnan(noise[0]):
-        noise[0], noise[1] = estimate_range_noise(ranges, part)
+    beams = swept.beams.directions[b0:b1]
+    noise = np.where(np.isnan(noise), estimate_noise(ranges, yaws, part), noise)
     middles = swept.yaws[:, swept.yaws.shape[1] // 2].copy()
     line_spacing = np.median(np.abs(np.diff(middles)))
     windows = half_sizes(line_spacing, swept.beams.spacing)
-    jittery = np.isnan(noise[2])
-    noise[2] = 0.0 if jittery else noise[2]
     lever = swept.beams.lever
     rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
-    if jittery:
-        noise[2] = yaw_jitter(line_residuals(ranges, yaws, lever, rows, found))
-    if jittery and noise[2] > 0.0:  # with a known jitter larger windows fit
-        rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
-        noise[2] = max(noise[2], yaw_jitter(line_residuals(ranges, yaws, lever, rows, found)))
     row_of = np.full(valid.shape, -1, dtype=np.int32)
     row_of[l0:l1, b0:b1] = found
     of_rows -= np.mean(middles)

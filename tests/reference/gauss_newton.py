@@ -8,9 +8,12 @@ tightened from step to step, the odometry as prior about the viewpoint and verti
 H_kept holds those eigenvectors v of the scans' information H whose information exceeds twice what
 noise of the normals fakes, v^T H v >= 2 v^T H_faked v (Hatleskog and Alexis, arXiv 2410.10784): on
 a wall the rest would be a slide that looks like knowledge, so it is left to prior and edges. Twice
-means: as much signal as noise. The covariance is the inverse of the left side, less what is
-spurious and what yaw jitter hides; for point to plane that is sound (Bonnabel et al., arXiv
-1410.7632).
+means: as much signal as noise. Along the rest the data say nothing of the nuisances, either. The
+covariance is the inverse of the left side, less what is spurious and what yaw jitter hides; for
+point to plane that is sound (Bonnabel et al., arXiv 1410.7632).
+
+The last step has the errors that readings share as unknowns: see ``shared_errors``. Where the
+patches' turn out larger than assumed, it is solved once more with all of them enlarged.
 """
 
 from __future__ import annotations
@@ -21,17 +24,19 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from reference.algebra import (
+    State,
     block,
     determined,
+    eliminated,
     inverse,
     picked,
     projected,
     quadratic,
-    without_scale,
+    with_prior,
+    without_directions,
 )
 from reference.edges import edge_sums
 from reference.point_to_plane import (
-    Equations,
     Gate,
     PairNoise,
     normal_equations,
@@ -44,6 +49,7 @@ from reference.pose_prior import (
     displacement,
 )
 from reference.scan_arrays import Sample, Target
+from reference.shared_errors import shared_errors
 from scan3d_twin.core.types import FloatArray, read_only
 
 Dof = Literal["planar", "se3"]
@@ -60,6 +66,8 @@ FIRST_ROBUST = 4.0
 """The kernel of the first step [sigma]."""
 SAME_BASIN = 0.010
 """Poses that displace the source by less than this from each other are one basin [m]."""
+MOST_SPREAD = 1.1
+"""Of the patches' errors, in assumed ones, that is no larger than assumed."""
 EDGE_ROBUST = 2.0
 """The kernel of edges, in kernels of surfels: their errors are uniform, not normal."""
 
@@ -117,7 +125,7 @@ class Prior(NamedTuple):
     yaw_scale: float
 
 
-class State(NamedTuple):
+class Current(NamedTuple):
     """State of the iteration: ``T_target_source`` (4, 4) and the yaw scale error."""
 
     T: FloatArray
@@ -133,7 +141,8 @@ class Solution(NamedTuple):
         information: Left side of the equation, less what is spurious (k, k).
         dropped: Directions (j, k) that the surfels do not determine.
         edges: Information of the edges (k, k).
-        equations: Of the surfels.
+        pairs: Number of correspondences.
+        spread: Of the patches' errors, in assumed ones.
     """
 
     step: FloatArray
@@ -141,7 +150,8 @@ class Solution(NamedTuple):
     information: FloatArray
     dropped: FloatArray
     edges: FloatArray
-    equations: Equations
+    pairs: int
+    spread: float
 
 
 class Knowledge(NamedTuple):
@@ -173,7 +183,7 @@ class RunResult(NamedTuple):
         overlap: Whether enough surfels found a partner.
     """
 
-    state: State
+    state: Current
     solution: Solution
     knowledge: Knowledge
     surfels: int
@@ -191,14 +201,14 @@ def descend(
     """
     beforehand, ends, n = prior_information(prior), np.empty_like(starts), 0
     for start in range(len(starts)):
-        state, settled = State(starts[start].copy(), 0.0), False
+        state, settled = Current(starts[start].copy(), 0.0), False
         for iteration in range(criteria.max_iterations):
             gate = tightened(iteration, criteria.max_correspondence_distance)
             final = gate.distance <= LAST_GATE and gate.robust <= LAST_ROBUST
             sample = scans.every if settled else (scans.fine if final else scans.coarse)
-            solution = solve(scans, prior, beforehand, state, sample, gate)
-            state = State(displaced(state.T, solution.step), state.scale + solution.scale_step)
-            overlap = solution.equations.pairs >= MIN_PAIRS
+            solution = solve_step(scans, prior, beforehand, state, sample, gate, last=settled)
+            state = Current(displaced(state.T, solution.step), state.scale + solution.scale_step)
+            overlap = solution.pairs >= MIN_PAIRS
             if settled or not overlap:
                 break
             shift, turn = length(solution.step[:3]), length(solution.step[3:])
@@ -256,20 +266,62 @@ def tightened(iteration: int, widest: float) -> Gate:
     return Gate(max(min(LAST_GATE, widest), tight * widest), max(LAST_ROBUST, FIRST_ROBUST * tight))
 
 
+def solve_step(
+    scans: Scans,
+    prior: Prior,
+    beforehand: FloatArray,
+    state: Current,
+    sample: Sample,
+    gate: Gate,
+    *,
+    last: bool,
+) -> Solution:
+    """Return the step at ``state``; the ``last`` with the errors that readings share."""
+    shared = last and scans.both.patch > 0
+    solution = solve(scans, prior, beforehand, state, sample, gate, shared=shared)
+    if solution.spread <= MOST_SPREAD:
+        return solution
+    both, k = scans.both, solution.spread
+    larger = both._replace(
+        patch=k * both.patch, linearity=k * both.linearity, offset=k * both.offset,
+        height=k * both.height, lean=k * both.lean,
+    )  # fmt: skip
+    return solve(scans._replace(both=larger), prior, beforehand, state, sample, gate, shared=shared)
+
+
 def solve(
-    scans: Scans, prior: Prior, beforehand: FloatArray, state: State, sample: Sample, gate: Gate
+    scans: Scans,
+    prior: Prior,
+    beforehand: FloatArray,
+    state: Current,
+    sample: Sample,
+    gate: Gate,
+    *,
+    shared: bool,
 ) -> Solution:
     """Return the Gauss-Newton step at ``state``; the equation is at the module's head.
 
     ``beforehand`` is its L0, see ``prior_information``.
     """
-    rows = prior.rows
-    equations = normal_equations(scans.target, sample, state.T, state.scale, gate, scans.both, rows)
-    H, g, per_step = without_scale(equations, prior.yaw_scale, state.scale)
-    k = len(rows)
-    kept, honest, dropped = determined(
-        equations.information[:k, :k], equations.spurious, reach(scans.moments)
-    )
+    rows, k = prior.rows, len(prior.rows)
+    at = (scans.target, sample, state.T, state.scale, gate, scans.both, rows)
+    if shared:
+        found = shared_errors(*at)
+        data = State(*found.reduced())
+        tested, spurious, pairs = data.H[:k, :k], found.spurious, found.pairs
+    else:
+        equations = normal_equations(*at)
+        data = State(equations.information - equations.lost, equations.gradient)
+        tested = equations.information[:k, :k]
+        spurious, pairs = equations.spurious, equations.pairs
+
+    # degenerate directions and nuisances
+    kept, honest, dropped = determined(tested, spurious, reach(scans.moments))
+    data = without_directions(data, dropped)
+    data = with_prior(data, k, prior.yaw_scale, state.scale)
+    H, g, by, constant = eliminated(data, k)
+
+    # the equation
     H_edges, g_edges = edge_sums(
         scans.target_edges, scans.source_edges, state.T, gate.distance, EDGE_ROBUST * gate.robust
     )
@@ -278,16 +330,18 @@ def solve(
     right = kept @ g + picked(g_edges, rows) + beforehand @ off
     left = projected(kept, H) + H_edges + beforehand
     small = -(inverse(left, beforehand) @ right)
-    step, scale_step = np.zeros(6), per_step[k]
-    for i in range(k):
-        step[rows[i]] = small[i]
-        scale_step += per_step[i] * small[i]
+
+    # the step
+    step = np.zeros(6)
+    step[list(rows)] = small
+    rest = by @ small + constant
+    spread = found.spread(np.concatenate([small, rest])) if shared else 1.0
     information = projected(honest, H) + H_edges + beforehand
-    return Solution(step, scale_step, information, dropped, H_edges, equations)
+    return Solution(step, rest[0], information, dropped, H_edges, pairs, spread)
 
 
 def knowledge(
-    scans: Scans, prior: Prior, beforehand: FloatArray, state: State, solution: Solution
+    scans: Scans, prior: Prior, beforehand: FloatArray, state: Current, solution: Solution
 ) -> Knowledge:
     """Return what is known of ``state`` by the ``solution`` whose step led to it."""
     small = inverse(solution.information, beforehand)

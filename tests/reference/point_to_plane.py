@@ -63,6 +63,14 @@ class PairNoise(NamedTuple):
         density: Target line spacing in source line spacings.
         share: Of the readings, those that count in spite of a common bias.
         tilt: Variance of a surface's tilt by a range error that changes along it [rad2].
+        patch: Sigma of the range error that a patch of readings shares [m].
+        linearity: Sigma of the range error that depends on the range [m].
+        offset: Sigma of the range error that all readings share [m].
+        correlation: Factor on the variance of a mean of readings correlated along a line.
+        height: Sigma of z of a robot on an uneven floor [m].
+        lean: Sigma of its roll and pitch [rad].
+        ahead: Place of the source's lidar ahead of the yaw axis [m].
+        up: Its height [m].
     """
 
     jitter: float
@@ -70,6 +78,14 @@ class PairNoise(NamedTuple):
     density: float
     share: float
     tilt: float
+    patch: float
+    linearity: float
+    offset: float
+    correlation: float
+    height: float
+    lean: float
+    ahead: float
+    up: float
 
 
 class Equations(NamedTuple):
@@ -92,26 +108,36 @@ class Equations(NamedTuple):
     square: float
 
 
-def normal_equations(
-    target: Target,
-    sample: Sample,
-    T: FloatArray,
-    scale: float,
-    gate: Gate,
-    both: PairNoise,
-    entries: tuple[int, ...],
-) -> Equations:
-    """Return the normal equations; the method is at the module's head.
+class Pairs(NamedTuple):
+    """Pairs of surfels, linearised.
 
-    Args:
-        target: What the sample is laid on.
-        sample: Surfels of the source.
-        T: ``T_target_source`` (4, 4).
-        scale: Relative error of the yaws of both sweeps.
-        gate: Which pairs count.
-        both: What the sweeps err by.
-        entries: Of x y z rx ry rz, those that are wanted, ascending.
+    Attributes:
+        J: Derivatives by x y z rx ry rz and the yaw scale (n, 7).
+        e: Residuals (n,) [m].
+        w: Weights (n,) [1/m2].
+        own: Error by the yaw of the source line per its sigma (n,) [m].
+        nu: Variance of the mean normal (n,) [rad2].
+        a: Lever arms (n, 3) [m].
+        p: Source points, in the source's frame (n, 3) [m].
+        q: Target points (n, 3) [m].
+        lines: Source line of each (n,).
     """
+
+    J: FloatArray
+    e: FloatArray
+    w: FloatArray
+    own: FloatArray
+    nu: FloatArray
+    a: FloatArray
+    p: FloatArray
+    q: FloatArray
+    lines: IntArray
+
+
+def linearised(
+    target: Target, sample: Sample, T: FloatArray, scale: float, gate: Gate, both: PairNoise
+) -> Pairs:
+    """Return the pairs within the gate; arguments as of ``normal_equations``."""
     rows, area = sample.rows, float(sample.stride**2)
     a, n_s = rows[:, X] @ T[:3, :3].T, rows[:, N] @ T[:3, :3].T
     moved = a + T[:3, 3]
@@ -135,17 +161,45 @@ def normal_equations(
     k = _lines_per_line(n, a, q, both.density)
     own = np.sqrt(both.jitter * swing**2 + both.target_jitter * k * turn**2) * np.sign(swing)
     w = both.share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
+    nu = (rows[paired, NORMAL_VARIANCE] + met[paired, NORMAL_VARIANCE]) / 4 + both.tilt
     J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
-    J = J[:, (*entries, 6)]
+    return Pairs(J, e, w, own, nu, a, rows[paired, X], q, sample.lines[paired])
+
+
+def normal_equations(
+    target: Target,
+    sample: Sample,
+    T: FloatArray,
+    scale: float,
+    gate: Gate,
+    both: PairNoise,
+    entries: tuple[int, ...],
+) -> Equations:
+    """Return the normal equations; the method is at the module's head.
+
+    Args:
+        target: What the sample is laid on.
+        sample: Surfels of the source.
+        T: ``T_target_source`` (4, 4).
+        scale: Relative error of the yaws of both sweeps.
+        gate: Which pairs count.
+        both: What the sweeps err by.
+        entries: Of x y z rx ry rz, those that are wanted, ascending.
+    """
+    pairs, area = linearised(target, sample, T, scale, gate, both), float(sample.stride**2)
+    J, w, e = pairs.J[:, (*entries, 6)], pairs.w, pairs.e
     information, gradient = (J * w[:, None]).T @ J, J.T @ (w * e)
     lost = np.zeros_like(information)
     if both.jitter > 0 or both.target_jitter > 0:
-        lost, taken = _lost(_per_line(w, own, J, e, sample.lines[paired]), area)
+        lost, taken = _lost(_per_line(w, pairs.own, J, e, pairs.lines), area)
         gradient -= taken
-    nu = (rows[paired, NORMAL_VARIANCE] + met[paired, NORMAL_VARIANCE]) / 4 + both.tilt
-    spurious = swung(w * nu, a)[np.ix_(entries, entries)]
-    spurious -= (J[:, :-1] * (w * nu)[:, None]).T @ J[:, :-1]
-    return Equations(information, lost, gradient, spurious, len(e), float(e @ e))
+    return Equations(information, lost, gradient, faked(pairs, entries), len(e), float(e @ e))
+
+
+def faked(pairs: Pairs, entries: tuple[int, ...]) -> FloatArray:
+    """Return the information on ``entries`` that noise of the normals adds (k, k)."""
+    weights, J = pairs.w * pairs.nu, pairs.J[:, entries]
+    return swung(weights, pairs.a)[np.ix_(entries, entries)] - (J * weights[:, None]).T @ J
 
 
 def _lines_per_line(n: FloatArray, a: FloatArray, q: FloatArray, density: float) -> FloatArray:

@@ -1,4 +1,8 @@
-"""Range noise and yaw jitter of a sweep, estimated from its own readings, in NumPy."""
+"""Range noise, its correlation and yaw jitter of a sweep, from its own readings, in NumPy.
+
+At one beam the inverse range q of a plane is linear in the yaw but for terms of second order, so
+that its sixth difference D across seven lines is noise, of variance 924 s^2 / r^4.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,17 @@ import math
 
 import numpy as np
 
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 
-LAG = 2
-"""Beams between the three readings of a second difference; next ones may share light."""
+SIXTH = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0])
+SQUARES = 924.0
+"""Sum of the squares of ``SIXTH``."""
+REACH, SLOPE_REACH = 3, 2
+"""Lines to each side that a sixth difference and a slope take."""
+BEAM_REACH = 4
+"""Beams to each side, where lines have elevations of their own."""
 MIN_READINGS = 200
-"""Least number of second differences for an estimate."""
+"""Least number of differences for an estimate."""
 MOST_READINGS = 1200
 """More are thinned out: the estimate is good to 4 % then."""
 BINS = 256
@@ -20,60 +29,103 @@ LEAST_SPREAD = 2.5e-4
 """Variance of the quarters' mean ranges [m2] from which on the noise may grow with them."""
 MAD = 1.4826
 """Standard deviation per median absolute deviation of a normal distribution."""
-BIAS_PATCH = np.radians(10.0)
-"""Side of a patch of readings that share a range error [rad]: about one face of a thing."""
-BIAS_LENGTH = 0.15
-"""Way along which a range error changes by itself [m]: 0.26 m for the cycle of 1.6 m of a 46.55 MHz
-phase measurement, less at edges and changes of material."""
-MIN_LINES = 10
-"""Least number of triples of lines for an estimate of the jitter."""
-LIKELY_JITTER = np.radians(0.1)
-"""Yaw jitter at which the estimate starts [rad]: about that of a Create's wheels."""
-OUTLIER, LEFT = 4.0, 0.92
-"""Cap of a squared difference, in expected ones, beyond which it is a corner, not jitter; and the
-share of the mean square of normal errors that this leaves."""
-ROUNDS = 3
-"""Iterations of the jitter's estimate; from 0.1 deg these are enough for 0.02 to 0.3 deg."""
-APART, FLAT = 3, 0.97
-"""Lines to either side, and the least cosine of the normals there, of a flat surface (14 deg)."""
-SIGNIFICANT = 3.0
-"""Jitter counts if its square is this many times the square's error."""
 LEAST_SIGMA = 0.0005
 """Readings are never believed to be better than this [m]: half of the usual 1 mm resolution."""
 USUAL = 0.004, 0.0009
 """Range sigma at 0 [m] and its growth per metre of a URG-04LX, where nothing else is known."""
+BOUND = 3.0
+"""Of a difference, in standard deviations: beyond is an edge."""
+LAGS, FAR_LAG = 6, 10
+"""Beams within which noise is correlated, and beams apart at which it is not."""
+MOST_CORRELATION = 8.0
+MIN_SLOPE = 0.1
+"""Of the range over the yaw, for the jitter [m/rad]."""
+MIN_LINES = 10
+"""Least number of lines for an estimate of the jitter."""
+LIKELY_JITTER = np.radians(0.1)
+"""Yaw jitter at which the estimate starts [rad]."""
+OUTLIER, LEFT = 4.0, 0.92
+"""Cap of a squared difference, in expected ones, and the share of the mean square it leaves."""
+ROUNDS = 3
+INDEPENDENT = 400.0
+"""Of 924: the share of the lines' squares that are as good as independent."""
+TRUNCATED = 2.5465
+"""8 / pi: the mean of the positive half of a normal distribution about 0, nearly."""
 
 
-def estimate_range_noise(
-    ranges: FloatArray, valid: BoolArray, rays: FloatArray | None = None
-) -> tuple[float, float]:
-    """Return ``range_sigma`` and ``range_sigma_per_metre`` of a sweep; as usual if it is too small.
-
-    Along a line the inverse range of a plane is linear but for terms of second order in the beam
-    angle, so that its second difference is noise: the median of |d2 q| r^2 / sqrt(6) over each
-    quarter of the readings by range, and a straight line through the four.
+def estimate_noise(
+    ranges: FloatArray, yaws: FloatArray, valid: BoolArray, rays: FloatArray | None = None
+) -> FloatArray:
+    """Return range sigma at 0, its growth, sigma of a line's yaw, factor for correlation (4,).
 
     Args:
         ranges: (n_lines, n_beams) [m].
+        yaws: (n_lines, n_beams) [rad].
         valid: Readings that are distances (n_lines, n_beams).
-        rays: Directions of unevenly spaced beams (n_lines, n_beams, 3).
+        rays: Directions in ``base`` of lines with elevations of their own (n_lines, n_beams, 3).
     """
-    n_beams = ranges.shape[1] - 2 * LAG
-    whole = valid[:, LAG:-LAG] & valid[:, 2 * LAG :] & valid[:, : -2 * LAG]
-    every = np.flatnonzero(whole)
+    D, slope = differences(ranges, yaws, valid, rays)
+    at_zero, growth = range_noise(ranges, valid, D)
+    sigma = at_zero + growth * ranges
+    c = correlation(D, sigma)
+    return np.array([at_zero, growth, yaw_jitter(D, slope, sigma, c), c])
+
+
+def differences(
+    ranges: FloatArray, yaws: FloatArray, valid: BoolArray, rays: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return r^2 times the sixth difference of 1 / r, and the slope of r over the yaw.
+
+    Both (n_lines, n_beams), NaN where one of the seven readings is missing or the line has not
+    turned. Uneven yaws bend the inverse range of a plane, which the slope allows for.
+    """
+    D, slope = np.full(ranges.shape, np.nan), np.full(ranges.shape, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        q = np.where(valid, 1.0 / ranges, np.nan)
+    middle = yaws[:, yaws.shape[1] // 2]
+    for i in range(REACH, len(ranges) - REACH):
+        lines = slice(i - REACH, i + REACH + 1)
+        turn, bend = middle[i + SLOPE_REACH] - middle[i - SLOPE_REACH], SIXTH @ middle[lines]
+        if turn == 0:
+            continue
+        whole = valid[lines].all(axis=0)
+        per_yaw = (q[i + SLOPE_REACH] - q[i - SLOPE_REACH])[whole] / turn
+        square = ranges[i, whole] ** 2
+        slope[i, whole] = square * per_yaw
+        D[i, whole] = square * (SIXTH @ q[lines][:, whole] - per_yaw * bend)
+        if rays is not None:
+            D[i] -= ranges[i] ** 2 * _by_elevation(q[i], rays[lines])
+    return D, slope
+
+
+def _by_elevation(q: FloatArray, rays: FloatArray) -> FloatArray:
+    """Return what the sixth difference (n_beams,) owes to the elevations of seven lines' rays."""
+    owed = np.full(len(q), np.nan)
+    here, inner = rays[REACH], slice(BEAM_REACH, -BEAM_REACH)
+    along = here[2 * BEAM_REACH :] - here[: -2 * BEAM_REACH]
+    off = np.einsum("k,kjm->jm", SIXTH, rays - here)[inner]
+    rise = q[2 * BEAM_REACH :] - q[: -2 * BEAM_REACH]
+    owed[inner] = rise * np.sum(off * along, axis=1) / np.sum(along**2, axis=1)
+    return owed
+
+
+def range_noise(ranges: FloatArray, valid: BoolArray, D: FloatArray) -> tuple[float, float]:
+    """Return range sigma at 0 and its growth per metre; as usual if the sweep is too small.
+
+    The median of |D| r^2 / sqrt(924) over each quarter of the readings by range, and a straight
+    line through the four.
+    """
+    every = np.flatnonzero(valid[REACH:-REACH])
     if len(every) < MIN_READINGS:
         return USUAL
     some = every[:: max(1, len(every) // MOST_READINGS)]
-    line = some // n_beams
-    beam = some - line * n_beams
-    before, r, after = ranges[line, beam], ranges[line, beam + LAG], ranges[line, beam + 2 * LAG]
-    a, b = np.ones((2, len(r)))
-    if rays is not None:
-        middle = rays[line, beam + LAG]
-        a = np.linalg.norm(middle - rays[line, beam], axis=1)
-        b = np.linalg.norm(rays[line, beam + 2 * LAG] - middle, axis=1)
-    second = (b / before - (a + b) / r + a / after) / np.sqrt(a**2 + b**2 + (a + b) ** 2)
-    deviation = np.abs(second) * r * r * MAD
+    some = some[np.isfinite(D[REACH:-REACH].reshape(-1)[some])]
+    if len(some) < MIN_READINGS / 2:
+        return USUAL
+    r = ranges[REACH:-REACH].reshape(-1)[some]
+    deviation = np.abs(D[REACH:-REACH].reshape(-1)[some]) * (MAD / math.sqrt(SQUARES))
+
+    # median of each quarter by range
     quarter, share = quarters(r), np.zeros(4)
     x, y = np.zeros(4), np.zeros(4)
     for k in range(4):
@@ -81,7 +133,9 @@ def estimate_range_noise(
         if len(part) > 0:
             share[k] = len(part) / len(r)
             x[k] = np.sum(r[part]) / len(part)
-            y[k] = np.partition(deviation[part], len(part) // 2)[len(part) // 2]
+            y[k] = np.sort(deviation[part])[len(part) // 2]
+
+    # a straight line through the four
     x_mean, y_mean = np.sum(share * x), np.sum(share * y)
     off = share * (x - x_mean)
     spread = np.sum(off * (x - x_mean))
@@ -102,66 +156,63 @@ def quarters(values: FloatArray) -> IntArray:
     return result
 
 
-def line_residuals(
-    ranges: FloatArray,
-    yaws: FloatArray,
-    lever: FloatArray,
-    rows: FloatArray,
-    index: SmallIntArray,
-) -> FloatArray:
-    """Return sum w l e and sum w l^2 of each line (n_lines, 2) over its surfels.
+def correlation(D: FloatArray, sigma: FloatArray) -> float:
+    """Return 1 + 2 sum rho_k: the factor on the variance of a mean along a line.
 
-    e is the reading's distance from its surfel along the normal n, l = n . (e_z x P) what a yaw
-    error of the line makes of it per radian, w the inverse variance by range noise. Only surfels
-    count that are ``FLAT`` across lines: where the surface bends, its planes are off by themselves.
-
-    Args:
-        ranges: (n_lines, n_beams) [m].
-        yaws: (n_lines, n_beams) [rad].
-        lever: Place of the lidar in ``base`` (3,) [m].
-        rows: Surfels (m, 8).
-        index: Row of each reading (n_lines, n_beams), or -1.
+    What beams ``FAR_LAG`` apart have in common is the yaw error of their lines.
     """
-    flat = index >= 0
-    normals = np.where(flat[..., None], rows[index, 3:6], 0.0)
-    alike = np.sum(normals[APART:] * normals[:-APART], axis=2) > FLAT
-    flat[:APART], flat[-APART:] = False, False
-    flat[APART:] &= alike
-    flat[:-APART] &= alike
-    line, beam = np.nonzero(flat)
-    rows, yaw = rows[index[line, beam]], yaws[line, beam]
-    c, s = np.cos(yaw), np.sin(yaw)
-    ray = rows[:, :3].copy()
-    ray[:, 0] -= c * lever[0] - s * lever[1]
-    ray[:, 1] -= s * lever[0] + c * lever[1]
-    ray[:, 2] -= lever[2]
-    share = ranges[line, beam] / np.sqrt(np.sum(ray * ray, axis=1)) - 1.0
-    e = share * np.sum(ray * rows[:, 3:6], axis=1)
-    swing = rows[:, 4] * rows[:, 0] - rows[:, 3] * rows[:, 1]
-    weighted = swing / rows[:, 6]
-    return np.stack([np.bincount(line, weighted * v, len(ranges)) for v in (e, swing)], axis=1)
+    step = max(1, D.size // (16 * MOST_READINGS))
+    z = (D / (math.sqrt(SQUARES) * sigma))[REACH:-REACH:step]
+    z = np.where(np.abs(z) <= BOUND, z, np.nan)
+    n = z.shape[1]
+    products = [z[:, : n - lag] * z[:, lag:] for lag in range(min(n, FAR_LAG + 1))]
+    if n <= FAR_LAG or np.count_nonzero(np.isfinite(products[FAR_LAG])) < MIN_READINGS:
+        return 1.0
+    means = np.array([np.nanmean(product) for product in products])
+    own = means - means[FAR_LAG]
+    factor = 1.0 + 2.0 * np.sum(own[1:LAGS]) / own[0]
+    return float(min(max(factor, 1.0), MOST_CORRELATION))
 
 
-def yaw_jitter(sums: FloatArray) -> float:
-    """Return the standard deviation [rad] of the lines' yaws from ``line_residuals``; 0 if none.
+def yaw_jitter(D: FloatArray, slope: FloatArray, sigma: FloatArray, c: float) -> float:
+    """Return the standard deviation [rad] of the lines' yaws.
 
-    The error d of a line by itself is sum w l e / sum w l^2, of variance 1 / sum w l^2. Of three
-    neighbours d1 - 2 d2 + d3 has 6 sigma^2 more than follows from that.
+    The regression of a line's D on its slope is the sum of the yaw errors of seven lines, weighted
+    by ``SIXTH`` and by how alike their slopes are, and noise of variance 924 c / sum w slope^2.
     """
-    known = sums[:, 1] > 0
-    three = np.flatnonzero(known[:-2] & known[1:-1] & known[2:])
-    if len(three) < MIN_LINES:
+    square, expected = [], []
+    for at in range(2 * REACH, len(D) - 2 * REACH):
+        near = slope[at - REACH : at + REACH + 1]
+        limit = math.sqrt(SQUARES) * (BOUND * sigma[at] + 3 * LIKELY_JITTER * np.abs(slope[at]))
+        with np.errstate(invalid="ignore"):
+            good = (np.abs(D[at]) < limit) & (np.abs(slope[at]) > MIN_SLOPE)
+        good &= np.isfinite(near).all(axis=0)
+        w = 1.0 / sigma[at, good] ** 2
+        own = np.sum(w * slope[at, good] ** 2)
+        if not own > 0:
+            continue
+        d = np.sum(w * slope[at, good] * D[at, good]) / own
+        alike = near[:, good] @ (w * slope[at, good]) / own
+        gain = np.sum((SIXTH * alike) ** 2)
+        square.append(d * d / gain)
+        expected.append(SQUARES * c / own / gain)
+    return jitter_of(np.array(square), np.array(expected))
+
+
+def jitter_of(square: FloatArray, expected: FloatArray) -> float:
+    """Return the root of what ``square`` (n,) exceeds ``expected`` (n,) by; 0 for few lines.
+
+    Where it is not significant, the mean of the positive half of its distribution stands for it.
+    """
+    if len(square) < MIN_LINES:
         return 0.0
-    weight = np.where(known, sums[:, 1], 1.0)
-    own, d = 1.0 / weight, sums[:, 0] / weight
-    square = (d[three] - 2 * d[three + 1] + d[three + 2]) ** 2 / 6
-    expected = (own[three] + 4 * own[three + 1] + own[three + 2]) / 6
     jitter = LIKELY_JITTER**2
     for _ in range(ROUNDS):
         likely = expected + jitter
         weights = 1.0 / likely**2
         excess = np.sum(weights * (np.minimum(square, OUTLIER * likely) / LEFT - expected))
         excess /= np.sum(weights)
-        jitter = max(excess, 0.0)
-    error = math.sqrt(4.0 * np.sum((weights * expected) ** 2)) / np.sum(weights)
-    return math.sqrt(excess) if excess > SIGNIFICANT * error else 0.0
+        error = math.sqrt(SQUARES / INDEPENDENT * 2 * np.sum((weights * likely) ** 2))
+        error /= np.sum(weights)
+        jitter = (excess + math.sqrt(excess * excess + TRUNCATED * error * error)) / 2
+    return math.sqrt(jitter)

@@ -17,8 +17,11 @@ of L lines move together along the normal, by l = n . (z x P) per radian, which 
 
     n q^2 |m|^2 l^2 sigma_psi^2 (1 + 1.5 sqrt(2 / L)).
 
-The noise of the normal is that of m: cov(n) = s^2 / |m|^2 (I - n n^T) A^-1
-(I - n n^T), of which the mean variance over the two tangents is kept.
+The noise of the normal is that of m: cov(n) = v / |m|^2 (I - n n^T) A^-1 (I - n n^T), of which the
+mean variance over the two tangents is kept. With c the factor on the variance of a mean of readings
+correlated along a line, and all n / L readings of a line moved together by its yaw error,
+
+    v = c s^2 + (n / L) q^2 |m|^2 l^2 sigma_psi^2.
 """
 
 from __future__ import annotations
@@ -65,7 +68,8 @@ def fit_surfels(
         lever: Place of the lidar in ``base`` (3,) [m].
         valid: Readings that count (n_lines, n_beams).
         keep: Readings that get a surfel (n_lines, n_beams).
-        noise: Range sigma at 0 [m], its growth per metre and the sigma of a line's yaw [rad] (3,).
+        noise: Range sigma at 0 [m], its growth per metre, the sigma of a line's yaw [rad] and the
+            factor for correlated beams (4,).
         windows: Half sizes in lines and beams, largest first (k, 2).
 
     Returns:
@@ -183,7 +187,8 @@ def _planes(
         scatter = q * q * by_range
         rss = qq - mx * bx - my * by - mz * bz
         by_yaw = q * (my * points[:, 0] - mx * points[:, 1]) * noise[2]
-        most = n * by_yaw * by_yaw * (1 + TOLERANCE * np.sqrt(2 / lines))
+        by_yaw = n * by_yaw * by_yaw
+        most = by_yaw * (1 + TOLERANCE * np.sqrt(2 / lines))
         most += scatter * (n - 3) * (1 + TOLERANCE * np.sqrt(2 / (n - 3)))
         trace = i_xx + i_yy + i_zz
         normal_part = mx * (i_xx * mx + 2 * (i_xy * my + i_xz * mz)) + my * (
@@ -194,7 +199,8 @@ def _planes(
         fits &= (along * along > MIN_COSINE**2 * square) & (r > 0)
         fits &= rss <= most
         normals = -np.sign(along)[:, None] * m / np.sqrt(square)[:, None]
-        rest = np.stack([by_range / square, tangents * scatter / (2 * square)], axis=1)
+        of_normal = tangents * (scatter * noise[3] + by_yaw / lines) / (2 * square)
+        rest = np.stack([by_range / square, of_normal], axis=1)
     return np.concatenate([points, normals, rest], axis=1), fits
 
 

@@ -9,7 +9,7 @@ import pytest
 import synthetic
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
+from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
 from scan3d_twin.core.registration.surfel_grid import extract_surfels
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N
 from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
@@ -56,8 +56,8 @@ def test_smoothing_leaves_a_fraction_of_the_noise() -> None:
 @pytest.mark.parametrize("sigma", [0.003, 0.010])
 def test_range_noise_is_estimated_from_the_scan(sigma: float) -> None:
     image = wall(sigma)
-    found = estimate_range_noise(image.ranges, np.isfinite(image.ranges))
-    assert found[0] + found[1] == pytest.approx(sigma, rel=0.15)
+    found = estimate_noise(image, np.isfinite(image.ranges))
+    assert found.range_sigma + found.range_sigma_per_metre == pytest.approx(sigma, rel=0.15)
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.002])
