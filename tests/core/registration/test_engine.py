@@ -702,12 +702,16 @@ def test_the_noise_of_each_reading_can_be_handed_in() -> None:
 def fingerprint() -> tuple[bytes, ...]:
     """Return the bytes of what a registration and its parts come to."""
     target, source = (extract_surfels(image(seed, 0.001)) for seed in (1, 2))
+    shared = {"bias_sigma": 0.002, "linearity_sigma": 0.004, "offset_sigma": 0.003}
+    pair = [replace(grid, noise=replace(grid.noise, **shared)) for grid in (target, source)]
     prior = PosePrior.planar(MOVE, 0.02, 0.035)
     result = align(Problem(target, source, prior, "se3"), prior.T)
+    planar = align(Problem(*pair, prior), prior.T)
     cloud = prepare_cloud(target.rows[:2000, :3]).levels[0]
     parts = (
         target.rows, target.index, target.edge_rows, target.ray_states, target.projection.lines,
-        result.T, result.covariance, result.information, cloud.patches, cloud.flat,
+        target.noise.values, result.T, result.covariance, result.information, planar.T,
+        planar.covariance, cloud.patches, cloud.flat,
     )  # fmt: skip
     return tuple(np.ascontiguousarray(part).tobytes() for part in parts)
 
