@@ -49,10 +49,12 @@ from reference.pose_prior import (
     displacement,
 )
 from reference.scan_arrays import Sample, Target
-from reference.shared_errors import shared_errors
+from reference.shared_errors import shared_errors, state_prior, state_spread
 from scan3d_twin.core.types import FloatArray, read_only
 
 Dof = Literal["planar", "se3"]
+DAMPED_FROM = 15
+"""Iteration from which on steps are halved."""
 MIN_PAIRS = 12
 """Least number of correspondences for a reliable step."""
 WANTED, WANTED_LAST = 3000, 12000
@@ -142,7 +144,8 @@ class Solution(NamedTuple):
         dropped: Directions (j, k) that the surfels do not determine.
         edges: Information of the edges (k, k).
         pairs: Number of correspondences.
-        spread: Of the patches' errors, in assumed ones.
+        patch_spread: Of the patches' errors, in assumed ones.
+        spread: Of the errors that all readings share, in assumed ones.
     """
 
     step: FloatArray
@@ -151,6 +154,7 @@ class Solution(NamedTuple):
     dropped: FloatArray
     edges: FloatArray
     pairs: int
+    patch_spread: float
     spread: float
 
 
@@ -207,11 +211,13 @@ def descend(
             final = gate.distance <= LAST_GATE and gate.robust <= LAST_ROBUST
             sample = scans.every if settled else (scans.fine if final else scans.coarse)
             solution = solve_step(scans, prior, beforehand, state, sample, gate, last=settled)
-            state = Current(displaced(state.T, solution.step), state.scale + solution.scale_step)
+            share = 0.5 if iteration >= DAMPED_FROM and not settled else 1.0
+            step = share * solution.step
+            state = Current(displaced(state.T, step), state.scale + share * solution.scale_step)
             overlap = solution.pairs >= MIN_PAIRS
             if settled or not overlap:
                 break
-            shift, turn = length(solution.step[:3]), length(solution.step[3:])
+            shift, turn = length(step[:3]), length(step[3:])
             small = shift < criteria.translation_epsilon and turn < criteria.rotation_epsilon
             settled = final and small
         if overlap and new_basin(state.T, ends[:n], reach(scans.moments)):
@@ -279,11 +285,12 @@ def solve_step(
     """Return the step at ``state``; the ``last`` with the errors that readings share."""
     shared = last and scans.both.patch > 0
     solution = solve(scans, prior, beforehand, state, sample, gate, shared=shared)
-    if solution.spread <= MOST_SPREAD:
+    j, k = max(solution.patch_spread, 1.0), max(solution.spread, 1.0)
+    if max(j, k) <= MOST_SPREAD:
         return solution
-    both, k = scans.both, solution.spread
+    both = scans.both
     larger = both._replace(
-        patch=k * both.patch, linearity=k * both.linearity, offset=k * both.offset,
+        patch=j * both.patch, linearity=k * both.linearity, offset=k * both.offset,
         height=k * both.height, lean=k * both.lean,
     )  # fmt: skip
     return solve(scans._replace(both=larger), prior, beforehand, state, sample, gate, shared=shared)
@@ -335,9 +342,16 @@ def solve(
     step = np.zeros(6)
     step[list(rows)] = small
     rest = by @ small + constant
-    spread = found.spread(np.concatenate([small, rest])) if shared else 1.0
     information = projected(honest, H) + H_edges + beforehand
-    return Solution(step, rest[0], information, dropped, H_edges, pairs, spread)
+    patch_spread = spread = 1.0
+    if shared:
+        patch_spread = found.spread(np.concatenate([small, rest]))
+        known = State(state_prior(scans.both, rows), np.zeros(len(data.g)))
+        known = with_prior(known, k, prior.yaw_scale, state.scale)
+        values = rest + np.eye(len(rest))[0] * state.scale
+        spread = state_spread(data.H[k:, k:], known.H[k:, k:], values)
+    spreads = patch_spread, spread
+    return Solution(step, rest[0], information, dropped, H_edges, pairs, *spreads)
 
 
 def knowledge(

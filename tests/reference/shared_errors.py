@@ -29,8 +29,8 @@ KNOTS, SPACING, LENGTH = 24, 0.25, 0.25
 """Of the range error's curve over the range, and the range over which it changes [m]."""
 LEAST_CURVE_SIGMA = 1e-4
 """[m]."""
-ASSUMED_PATCHES = 10
-"""What the assumption counts like, in patches, in the estimate of their spread."""
+ASSUMED = 4
+"""What the assumption counts like, in errors, in the estimate of their spread."""
 
 
 class SharedErrors(NamedTuple):
@@ -69,8 +69,21 @@ class SharedErrors(NamedTuple):
         n = self.patches
         errors = -np.linalg.solve(H[:n, :n], g[:n] + H[:n, n:] @ step)
         pivots = np.diagonal(np.linalg.cholesky(H[:n, :n])) ** 2
-        square = ASSUMED_PATCHES + np.sum(errors[::3] ** 2)
-        return math.sqrt(square / (ASSUMED_PATCHES + np.sum(1.0 - 1.0 / pivots[::3])))
+        square = ASSUMED + np.sum(errors[::3] ** 2)
+        return math.sqrt(square / (ASSUMED + np.sum(1.0 - 1.0 / pivots[::3])))
+
+
+def state_spread(H: FloatArray, known: FloatArray, values: FloatArray) -> float:
+    """Return the spread of the nuisances' ``values`` (m,), in units of what was ``known`` (m, m).
+
+    ``H`` is their information (m, m) by the scans, too.
+    """
+
+    def pivots(M: FloatArray) -> FloatArray:
+        return np.diagonal(np.linalg.cholesky(M[::-1, ::-1])) ** 2
+
+    count = ASSUMED + np.sum(1.0 - pivots(known) / pivots(H))
+    return math.sqrt((ASSUMED + values @ known @ values) / count)
 
 
 def _schur(H: FloatArray, g: FloatArray, gone: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -105,12 +118,20 @@ def shared_errors(
     # priors
     n_patch, n_line = patch.shape[1], of_line.shape[1]
     prior = np.concatenate([np.ones(n_patch), np.full(n_line, sample.stride), np.zeros(7 + KNOTS)])
-    for k in range(len(entries) + 1, 7):
-        prior[n_patch + n_line + k] = 1.0 / (both.height if order[k] == 2 else both.lean) ** 2
     H += np.diag(prior)
-    H[-KNOTS:, -KNOTS:] += np.linalg.inv(curve_covariance(both.linearity, both.offset))
+    H[-7 - KNOTS :, -7 - KNOTS :] += state_prior(both, entries)
     square = float(pairs.e @ pairs.e)
     return SharedErrors(H, g, n_patch, faked(pairs, entries), len(pairs.e), square)
+
+
+def state_prior(both: PairNoise, entries: tuple[int, ...]) -> FloatArray:
+    """Return what is known of the state (31, 31) without the pose and the yaw scale."""
+    order = (*entries, 6, *(k for k in range(6) if k not in entries))
+    prior = np.zeros((7 + KNOTS, 7 + KNOTS))
+    for k in range(len(entries) + 1, 7):
+        prior[k, k] = 1.0 / (both.height if order[k] == 2 else both.lean) ** 2
+    prior[-KNOTS:, -KNOTS:] = np.linalg.inv(curve_covariance(both.linearity, both.offset))
+    return prior
 
 
 def curve_covariance(linearity: float, offset: float) -> FloatArray:

@@ -34,6 +34,8 @@ FILLED = 0.6
 """A window counts when this share of its readings is there."""
 TOLERANCE = 1.5
 """Largest residual sum of squares of a fit, in sigma above that of noise alone."""
+MOST_TILT = 0.25
+"""Standard deviation of a normal [rad] from which on it tells nothing."""
 MIN_COSINE = 0.05
 """Flatter than this (87 deg from the normal) no plane is believed."""
 X, N, VARIANCE, NORMAL_VARIANCE = np.s_[0:3], np.s_[3:6], 6, 7
@@ -200,6 +202,7 @@ def _planes(
         fits &= rss <= most
         normals = -np.sign(along)[:, None] * m / np.sqrt(square)[:, None]
         of_normal = tangents * (scatter * noise[3] + by_yaw / lines) / (2 * square)
+        fits &= of_normal < MOST_TILT**2
         rest = np.stack([by_range / square, of_normal], axis=1)
     return np.concatenate([points, normals, rest], axis=1), fits
 

@@ -36,13 +36,15 @@ them freely (so that no unknown takes up the prior's error there), and last curv
 scale. What is left is the equation of ``gauss_newton``.
 
 **Spread.** Assumptions may be wrong. By substitution the step gives the patches' means p_k in
-assumed standard deviations; their mean square is 1 less their remaining variance. The spread is the
-root of
+assumed standard deviations; their mean square is 1 less their remaining variance v_k. The spread of
+the patches is the root of
 
-    (10 + sum p_k^2) / (10 + sum (1 - v_k)),
+    (4 + sum p_k^2) / (4 + sum (1 - v_k)),
 
-in which the assumption counts like ten patches. If it exceeds 1.1, the step is solved once more
-with all these standard deviations multiplied by it.
+in which the assumption counts like four errors, and that of curve, floor and yaw scale is the same
+of their values y with the prior information P: y^T P y, and the share of each that the scans
+determine. If one exceeds 1.1, the step is solved once more with these standard deviations
+multiplied by it.
 
 ``native/shared_errors.h`` and ``native/descend.h`` compute this.
 """

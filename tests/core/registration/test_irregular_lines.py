@@ -15,9 +15,9 @@ from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.registration import register
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.pose_prior import PosePrior
-from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_range_noise
+from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
 from scan3d_twin.core.registration.surfel_grid import extract_surfels
-from scan3d_twin.core.registration.surfels import Beams, N
+from scan3d_twin.core.registration.surfels import N
 from scan3d_twin.core.types import (
     UNMEASURED,
     VALID,
@@ -205,11 +205,10 @@ def test_range_noise_is_estimated_of_unevenly_spaced_beams(shift: Shift, sigma: 
     image = synthetic.observe(
         Pose2(0.0, 0.0, -0.9), WALL, room=False, sigma=sigma, rng=rng, shift=shift
     ).image
-    found = estimate_range_noise(
-        image.ranges, np.isfinite(image.ranges), Beams.of(image).directions
-    )
+    found = estimate_noise(image, np.isfinite(image.ranges))
     far = float(np.nanmedian(image.ranges))
-    assert found[0] + found[1] * far == pytest.approx(sigma, rel=0.15)
+    at_median = found.range_sigma + found.range_sigma_per_metre * far
+    assert at_median == pytest.approx(sigma, rel=0.15)
 
 
 @pytest.mark.parametrize("shift", [interleaved, irregular])

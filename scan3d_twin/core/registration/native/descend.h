@@ -11,7 +11,10 @@
 #define MAX_SPREAD 1.1          /* of shared errors, in assumed ones, that is no larger than assumed */
 #define EDGE_KERNEL_FACTOR 2.0  /* kernel of edges per kernel of surfels: their errors are uniform */
 
-enum { MIN_PAIRS = 12 };        /* correspondences that a reliable step needs */
+enum {
+    MIN_PAIRS = 12,             /* correspondences that a reliable step needs */
+    DAMPED_FROM = 15,           /* iteration; 6 to 10 are usual */
+};
 
 /* One Gauss-Newton step, and the equations that it solves. */
 typedef struct {
@@ -270,16 +273,18 @@ static int64_t follow_starts(const Target *target, const Source *source, const P
                 return -1;
             }
 
-            /* move by the step */
-            displace(last->T, solution.step, last->T);
+            /* move by the step, by half of it where pairs change to and fro */
+            double share = iteration >= DAMPED_FROM && !last->settled ? 0.5 : 1, step[POSE];
+            for (int k = 0; k < POSE; k++) step[k] = share * solution.step[k];
+            displace(last->T, step, last->T);
             for (int k = 0; k < prior->n_nuisances; k++)
-                last->nuisances[k] += solution.nuisance_step[k];
+                last->nuisances[k] += share * solution.nuisance_step[k];
             last->iterations = iteration + 1;
             last->overlap = solution.equations.pairs >= MIN_PAIRS;
             if (last->settled || !last->overlap) break;
 
             /* converged? */
-            const double *d = solution.step;
+            const double *d = step;
             double shift = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
             double turn = sqrt(d[3] * d[3] + d[4] * d[4] + d[5] * d[5]);
             last->settled = final && shift < criteria->translation_epsilon

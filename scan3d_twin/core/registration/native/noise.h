@@ -145,9 +145,10 @@ static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, doubl
         double bend = 0, slope, turn = middle[(i + SLOPE_REACH) * sweep->stride]
                                      - middle[(i - SLOPE_REACH) * sweep->stride];
         for (int k = -REACH; k <= REACH; k++) bend += SIXTH[REACH + k] * middle[(i + k) * sweep->stride];
-        for (int64_t j = 0; j < n_beams && turn != 0; j++) {
+        for (int64_t j = 0; j < n_beams; j++) {
             if (!valid[i * sweep->stride + j] || --next > 0) continue;
             next = step;
+            if (turn == 0) continue;
             double found = difference_across(sweep, valid, i, j, bend, turn, &slope);
             if (isnan(found)) continue;
             r[n] = sweep->ranges[i * sweep->stride + j];
