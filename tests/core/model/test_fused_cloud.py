@@ -96,6 +96,7 @@ def test_fusing_brings_the_model_nearer_to_the_surface(session):
     def error(model):
         side = (model.points[:, 1] > -1.1) & (model.points[:, 1] < -0.3)
         side &= (np.abs(model.points[:, 0] - 0.65) < 0.05) & (model.points[:, 2] < 0.6)
+        side &= model.points[:, 2] > 0.05  # cells on the floor hold few points
         return np.std(model.points[side & (np.abs(model.normals[:, 0]) > 0.9), 0])
 
     assert error(fused) < 0.7 * error(raw)

@@ -185,10 +185,11 @@ def test_what_is_too_far_to_register_is_approached(
 ) -> None:
     """No view of hidden surface registers on the latest one, but others on the way to it do."""
     context = blocked(seen, monkeypatch)
-    candidates = PoseCandidates(context)
-    areas = HiddenSurface(context.session).measure_areas(candidates.poses)
-    goal = candidates.poses[int(np.argmax(areas))]
-    here = context.view.T_world_scan
+    candidates, here = PoseCandidates(context), context.view.T_world_scan
+    farthest = int(np.argmax([pose.distance(here) for pose in candidates.poses]))
+    goal, areas = candidates.poses[farthest], np.zeros(len(candidates.poses))
+    areas[farthest] = 0.1
+    monkeypatch.setattr(HiddenSurface, "measure_areas", lambda self, poses: areas)
 
     def error(prediction: object, step: Pose2) -> float:
         return math.inf if (here @ step).distance(goal) < 0.8 else 0.001

@@ -273,7 +273,7 @@ static int64_t follow_starts(const Target *target, const Source *source, const P
                 return -1;
             }
 
-            /* move by the step, by half of it where pairs change to and fro */
+            /* move by the step, by half of it where pairs change back and forth */
             double share = iteration >= DAMPED_FROM && !last->settled ? 0.5 : 1, step[POSE];
             for (int k = 0; k < POSE; k++) step[k] = share * solution.step[k];
             displace(last->T, step, last->T);

@@ -211,14 +211,13 @@ static double estimate_correlation(const Sweep *sweep, const uint8_t *valid, con
 }
 
 /* Return the yaw jitter of the lines, a standard deviation: see scan_noise.py. `lines` has room for the
- * differences and slopes of 2 REACH + 1 lines. */
+ * differences and slopes of 2 REACH + 1 lines, `square` for 2 numbers per line. */
 static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, const double noise[3],
-                                  Across *lines) {
+                                  Across *lines, double *square) {
     enum { N = 2 * REACH + 1 };
-    double *square = malloc(sizeof *square * 2 * (size_t)sweep->n_lines);
     double *expected = square + sweep->n_lines;
     int64_t n = 0;
-    for (int64_t i = REACH; square && i < sweep->n_lines - REACH; i++) {
+    for (int64_t i = REACH; i < sweep->n_lines - REACH; i++) {
         difference_line(sweep, valid, i, lines[i % N]);
         int64_t at = i - REACH;     /* the line in work: its neighbours' slopes are known */
         if (at < 2 * REACH) continue;
@@ -265,7 +264,6 @@ static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, cons
         error = sqrt(SQUARES / 400 * variance) / weights;
         jitter = (excess + sqrt(excess * excess + TRUNCATED * error * error)) / 2;
     }
-    free(square);
     return n < MIN_LINES ? 0 : sqrt(jitter);
 }
 
@@ -274,14 +272,14 @@ static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, cons
 static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise[NOISES]) {
     enum { N = 2 * REACH + 1 };
     size_t beams = (size_t)sweep->n_beams;
-    double *room = malloc(sizeof *room * 2 * N * beams);
+    double *room = malloc(sizeof *room * 2 * (N * beams + (size_t)sweep->n_lines));
     if (!room) return -1;
     Across lines[N];
     for (size_t k = 0; k < N; k++) lines[k] = (Across){room + 2 * k * beams, room + (2 * k + 1) * beams};
     if (isnan(noise[RANGE_SIGMA])) estimate_range_noise(sweep, valid, noise);
     if (isnan(noise[CORRELATION])) noise[CORRELATION] = estimate_correlation(sweep, valid, noise, lines[0]);
     const double known[3] = {noise[RANGE_SIGMA], noise[RANGE_GROWTH], noise[CORRELATION]};
-    if (isnan(noise[YAW_SIGMA])) noise[YAW_SIGMA] = estimate_yaw_jitter(sweep, valid, known, lines);
+    if (isnan(noise[YAW_SIGMA])) noise[YAW_SIGMA] = estimate_yaw_jitter(sweep, valid, known, lines, room + 2 * N * beams);
     free(room);
     return 0;
 }
