@@ -146,13 +146,13 @@ class RegistrationConfig:
     """Largest distance of two points that correspond [m]."""
     engine: Engine = "grid"
     """Method: the paper's point-to-point ICP, or point-to-plane on a grid of surfels."""
-    bias_sigma: float = number(0.002, 0.0, 0.1)
+    bias_sigma: float = number(0.0015, 0.0, 0.1)
     """Standard deviation of the range error that neighbouring readings share, for the grid engine
     [m]; within the +-10 mm of the URG-04LX's data sheet."""
-    linearity_sigma: float = number(0.004, 0.0, 0.1)
+    linearity_sigma: float = number(0.0035, 0.0, 0.1)
     """Standard deviation of the range error that depends on the range only, for the grid engine
     [m]; with those beside it within the +-10 mm of the URG-04LX's data sheet."""
-    offset_sigma: float = number(0.003, 0.0, 0.1)
+    offset_sigma: float = number(0.002, 0.0, 0.1)
     """Standard deviation of the range error that all readings share, for the grid engine [m]; a
     cold sensor drifts by several millimetres (Kneip et al. 2009)."""
     starts: int = number(16, 1, 1000)
