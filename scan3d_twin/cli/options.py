@@ -43,7 +43,7 @@ class SceneOptions:
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
     """Name of the lidar (`twin devices`)."""
     world: Annotated[str | None, env("WORLD", "{run.world}")] = None
-    """Level of the twin's errors: ideal, typical, harsh or unfiltered."""
+    """Twin's errors: ideal, typical, harsh, unfiltered."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from contextlib import ExitStack
 from dataclasses import replace
@@ -13,6 +14,7 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import find_path
 from scan3d_twin.core.model.evaluation import Truth
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extend_costmap
+from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.navigation.motion_control import follow_path
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.session import Session
@@ -54,8 +56,12 @@ class EpisodeScanSource(ABC):
         """Take a panorama."""
 
     @abstractmethod
-    def _go(self, path: FloatArray, yaw: float) -> Observation:
-        """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep about ``yaw``."""
+    def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:
+        """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep about ``yaw``.
+
+        Returns:
+            The sweep, and the poses by odometry on the way.
+        """
 
     @abstractmethod
     def close(self) -> None:
@@ -67,11 +73,17 @@ class EpisodeScanSource(ABC):
 
     def observe(self, viewpoint: Pose2, session: Session) -> Observation:
         """See ``ScanSource``."""
+        # Drive and sweep
         path = find_path(self.costmap_from(self.here), viewpoint)
         here = self.here
         places = [np.array([here.x, here.y]), *path]
         self.driven += sum(float(np.linalg.norm(b - a)) for a, b in pairwise(places))
-        return self._update_costmap(self._go(path, viewpoint.yaw))
+        seen, poses = self._go(path, viewpoint.yaw)
+
+        # Keep how the wheels moved since the latest view
+        before = session.views[-1].observation.T_odom_scan if session.views else poses[0]
+        legs = measure_legs(before, poses, seen.T_odom_scan.yaw)
+        return self._update_costmap(replace(seen, legs=legs))
 
     def costmap_from(self, start: Pose2) -> Costmap:
         """Return the costmap with the robot at ``start`` in ``odom``."""
@@ -125,9 +137,11 @@ class PhysicsScanSource(EpisodeScanSource):
     def _take_panorama(self) -> Observation:
         return take_panorama(self._robot, self.config, _ignore_line)
 
-    def _go(self, path: FloatArray, yaw: float) -> Observation:
+    def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:
+        started = self.time
         follow_path(self._robot, path, self.config.motion)
-        return sweep(self._robot, yaw, self.config, _ignore_line)
+        seen = sweep(self._robot, yaw, self.config, _ignore_line)
+        return seen, [each.T_odom_base for each in self._robot.base.odometry_since(started)]
 
 
 def _ignore_line(line: ScanLine) -> None:
@@ -165,5 +179,9 @@ class KinematicScanSource(EpisodeScanSource):
     def _take_panorama(self) -> Observation:
         return self._robot.take_panorama()
 
-    def _go(self, path: FloatArray, yaw: float) -> Observation:
-        return self._robot.observe(path, yaw)
+    def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:
+        poses = [self.here]
+        for x, y in path.tolist():
+            heading = math.atan2(y - poses[-1].y, x - poses[-1].x)
+            poses += [Pose2(poses[-1].x, poses[-1].y, heading), Pose2(x, y, heading)]
+        return self._robot.observe(path, yaw), poses

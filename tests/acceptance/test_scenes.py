@@ -19,7 +19,7 @@ from scan3d_twin.sim.config import LidarModelConfig, TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 
-SCENES = {"three_boxes": 20, "sine_box": 20, "plain_wall": 6, "shiny_cylinder": 20}
+SCENES = {"three_boxes": 20, "sine_box": 20, "plain_wall": 5, "shiny_cylinder": 20}
 """Scenes and the most views to take; the wall is the same for 10 m."""
 
 

@@ -123,7 +123,10 @@ def test_a_section_is_listed_alone(twin):
     flags = [line.split()[0] for line in page.splitlines() if line.startswith("  --")]
     names = [option_key(field.name) for field in fields(type(Config().planning))]
     assert flags == [f"--planning.{name.replace('_', '-')}" for name in names]
-    assert "--planning.calibration FLOAT [default: 2.67] [> 0, <= 100]" in page
+    assert (
+        f"--planning.calibration FLOAT [default: {Config().planning.calibration:g}] [> 0, <= 100]"
+        in page
+    )
     assert "--planning.closing CHOICE [choices: none, hidden] [default: hidden]" in page
     assert "Smallest overlap tried" in page
     assert max(map(len, page.splitlines())) <= SCREEN[0]

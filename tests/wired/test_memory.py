@@ -24,6 +24,7 @@ tour = "full"
 max_views = 20
 planner = "fixed"
 baselines.fixed_overlap = 0.85
+planning.closing = "none"
 """
 
 

@@ -66,7 +66,7 @@ class BenchOptions:
     max_views: Annotated[int | None, _shown("{config.max_views}")] = None
     """Stop each run after this number of views."""
     world: Annotated[str | None, _shown("{run.world}")] = None
-    """Level of the twin's errors: ideal, typical, harsh or unfiltered."""
+    """Twin's errors: ideal, typical, harsh, unfiltered."""
     jobs: Annotated[int | None, _shown("one per processor")] = None
     """Workers on this computer."""
     timeout: float = 900.0

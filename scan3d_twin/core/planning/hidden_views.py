@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,7 +24,7 @@ from scan3d_twin.core.planning.hidden_surface import HiddenSurface
 from scan3d_twin.core.planning.overlap_or_default import expect_accuracy, list_overlaps
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Plan, Pose2, wrap
+from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap
 from scan3d_twin.core.viewpoints import sum_turns
 
 BLOCKED_REASON = "no viewpoint left: none that shows the next segment can be reached"
@@ -65,16 +66,19 @@ def termination_plan(context: PlanningContext) -> Plan | None:
             return None
         if was_blocked(context):
             return (
-                _plan_hidden_view(context) or _plan_approach(context) or stop_plan(BLOCKED_REASON)
+                _plan_hidden_view(context)
+                or _plan_approach(context)
+                or _plan_halfway(context)
+                or stop_plan(BLOCKED_REASON)
             )
         if shows_nothing_new(context.session):
-            return _plan_hidden_view(context) or stop_plan(STALE_REASON)
+            return _plan_hidden_view(context) or _plan_halfway(context) or stop_plan(STALE_REASON)
         return None
 
     # Add views of hidden surface
     if not (wanted and context.is_ongoing and context.is_contour_done):
         return stop_plan(reason)
-    return _plan_hidden_view(context) or stop_plan(reason)
+    return _plan_hidden_view(context) or _plan_halfway(context) or stop_plan(reason)
 
 
 def shows_nothing_new(session: Session) -> bool:
@@ -123,39 +127,68 @@ def _is_blocked(context: PlanningContext) -> bool:
     return all(context.find_placement(eta).viewpoint is None for eta in overlaps)
 
 
-def _plan_hidden_view(context: PlanningContext) -> Plan | None:
-    """Return the plan for the view of the most hidden surface; None if none is worth a view.
+class _Ranked(NamedTuple):
+    """Viewpoints from which hidden surface shows, most of it first.
 
-    Where the error of all viewpoints from which it shows exceeds the accuracy that the run keeps
-    (``expect_accuracy``), it goes part of the way: the next view is then registered on the one that
-    is taken there.
+    Attributes:
+        candidates: All viewpoints.
+        areas: Hidden surface that each shows (n,) [m2].
+        wanted: Indices of those worth a view.
+        prediction: Of their errors.
     """
-    # Rank viewpoints by hidden surface
+
+    candidates: PoseCandidates
+    areas: FloatArray
+    wanted: list[int]
+    prediction: ErrorPrediction
+
+
+def _rank_hidden(context: PlanningContext) -> _Ranked | None:
+    """Return the ranked viewpoints; None where no error can be predicted."""
     session, config = context.session, context.session.config.planning
     candidates = PoseCandidates(context)
     areas = HiddenSurface(session).measure_areas(candidates.poses)
-
-    # Take the first that meets epsilon
     try:
         prediction = ErrorPrediction.of(context)
     except RegistrationError:
         return None
-    here, accuracy = context.view.T_world_scan, expect_accuracy(session)
     order = np.argsort(-areas, kind="stable")
     wanted = [int(i) for i in order[areas[order] >= config.least_hidden][:MAX_TRIED]]
-    for i in wanted:
-        pose = candidates.poses[i]
-        if prediction.error(here.inverse() @ pose) <= accuracy:
-            return _go(candidates, pose, f"contour done: {1e4 * areas[i]:.0f} cm2 more may show")
+    return _Ranked(candidates, areas, wanted, prediction)
 
-    # Else go part of the way to one
-    for i in wanted:
-        for pose in _iterate_halfway(here, candidates.poses[i]):
+
+def _plan_hidden_view(context: PlanningContext) -> Plan | None:
+    """Return the plan for the view of the most hidden surface; None if none is worth a view.
+
+    Its predicted error meets the accuracy that the run keeps (``expect_accuracy``).
+    """
+    if (ranked := _rank_hidden(context)) is None:
+        return None
+    here, accuracy = context.view.T_world_scan, expect_accuracy(context.session)
+    for i in ranked.wanted:
+        pose = ranked.candidates.poses[i]
+        if ranked.prediction.error(here.inverse() @ pose) <= accuracy:
+            reason = f"contour done: {1e4 * ranked.areas[i]:.0f} cm2 more may show"
+            return _go(ranked.candidates, pose, reason)
+    return None
+
+
+def _plan_halfway(context: PlanningContext) -> Plan | None:
+    """Return the plan for a view part of the way to one of hidden surface; None if there is none.
+
+    Where the errors of all those exceed the accuracy that the run keeps, the next view is
+    registered on the one that is taken on the way.
+    """
+    if (ranked := _rank_hidden(context)) is None:
+        return None
+    here, accuracy = context.view.T_world_scan, expect_accuracy(context.session)
+    for i in ranked.wanted:
+        for pose in _iterate_halfway(here, ranked.candidates.poses[i]):
             step = here.inverse() @ pose
-            is_possible = candidates.is_allowed(pose) and context.is_feasible(step)
-            if is_possible and prediction.error(step) <= accuracy:
-                reason = f"contour done: on the way to {1e4 * areas[i]:.0f} cm2 more"
-                return _go(candidates, pose, reason)
+            is_possible = ranked.candidates.is_allowed(pose) and context.is_feasible(step)
+            if is_possible and ranked.prediction.error(step) <= accuracy:
+                reason = f"contour done: on the way to {1e4 * ranked.areas[i]:.0f} cm2 more"
+                return _go(ranked.candidates, pose, reason)
     return None
 
 
