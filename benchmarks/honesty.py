@@ -1,10 +1,13 @@
 """How honest the reported errors of registration are, over closed loops on random scenes.
 
 Each pair is a view registered on the one before it, in a closed loop of the preset ``best`` on
-``random:SEED``. Nothing was tuned on seeds from 6000 on: development and ``calibrate_error.py`` use
-1000 to 2999. With e the error of the planar pose (x, y, yaw about the target's origin), C its
-reported covariance, ``error`` the RMS displacement of the target's points by e, ``predicted`` the
-reported ``predicted_rmse`` and ``calibrated`` that times ``registration.calibration``:
+``random:SEED``. Development and ``calibrate_error.py`` use seeds 1000 to 2999. The NEES of 6000 to
+6299 was too small and led to smaller assumptions of the shared errors, chosen on 1100 to 1139;
+nothing was changed after 6300 to 6599 were run.
+
+With e the error of the planar pose (x, y, yaw about the target's origin), C its reported
+covariance, ``error`` the RMS displacement of the target's points by e, ``predicted`` the reported
+``predicted_rmse`` and ``calibrated`` that times ``registration.calibration``:
 
 * ``nees_median``, ``nees_above_95``: median of e^T C^-1 e (ideal 2.37), and the share above 7.81,
   the 95 % quantile of chi2 with 3 degrees of freedom (ideal .05);
@@ -51,8 +54,8 @@ from scan3d_twin.run.settings import build_settings, read_settings, world_option
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 
-FIRST_SEED = 6000
-"""First of the seeds that nothing was tuned on."""
+FIRST_SEED = 6300
+"""First of the seeds after which nothing was changed."""
 MOST_VIEWS = 7
 """Views of a loop: enough for a small target's tour, and no more time than needed."""
 QUANTILE_95 = float(stats.chi2.ppf(0.95, 3))

@@ -283,7 +283,7 @@ def solve_step(
     last: bool,
 ) -> Solution:
     """Return the step at ``state``; the ``last`` with the errors that readings share."""
-    shared = last and scans.both.patch > 0
+    shared = last and max(scans.both.patch, scans.both.linearity, scans.both.offset) > 0
     solution = solve(scans, prior, beforehand, state, sample, gate, shared=shared)
     j, k = max(solution.patch_spread, 1.0), max(solution.spread, 1.0)
     if max(j, k) <= MOST_SPREAD:

@@ -149,8 +149,8 @@ def test_extract_surfels(jitter: float) -> None:
     assert np.mean((found.index >= 0) != (plain.row_of >= 0)) < 1e-4
     both = (found.index >= 0) & (plain.row_of >= 0)
     differ = np.abs(found.rows[found.index[both]] - plain.rows[plain.row_of[both]])[:, :6]
-    # A window that fits but for rounding makes another surfel of one in some thousands.
-    assert np.mean(differ.max(axis=1) > 1e-5) < 2e-4
+    # A window that fits but for rounding makes another surfel of one in many thousands.
+    assert np.mean(differ.max(axis=1) > 1e-5) < 1e-4
     yaws = found.yaws[found.index[both]] - plain.yaws[plain.row_of[both]]
     assert np.abs(yaws).max() < 1e-12
     assert found.noise.values == pytest.approx(plain.noise, rel=1e-6)
@@ -217,6 +217,7 @@ def test_edges() -> None:
             grid.image.ranges, grid.image.yaws, beams.directions, beams.lever, grid.rows,
             grid.index, grid.valid, grid.noise.yaw_sigma,
         )  # fmt: skip
+        assert len(plain) >= 4
         assert near(grid.edge_rows, plain, 1e-9)
     assert len(np.unique(np.round(plain[:, 4] / np.sum(plain[:, :2] ** 2, axis=1), 12))) > 1
 

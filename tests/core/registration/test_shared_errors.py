@@ -141,3 +141,14 @@ def test_the_curve_of_the_range_error_is_a_priori_smooth() -> None:
     assert C[0, 1] == pytest.approx(CYCLIC**2 / 1.5 + OFFSET**2)
     assert C[0, 23] == pytest.approx(OFFSET**2, rel=0.01)
     assert np.linalg.eigvalsh(C).min() > 0
+
+
+def test_the_curve_counts_without_errors_of_patches() -> None:
+    """Each kind of shared error works alone: no patch error does not switch off the others."""
+    *images, true = sweeps(1, 0.0)
+    prior = PosePrior.planar(true, 0.02, 0.035)
+    expected = []
+    for noise in (ScanNoise(SIGMA), ScanNoise(SIGMA, linearity_sigma=CYCLIC)):
+        target, source = (grid(image, noise) for image in images)
+        expected.append(register_grids(target, source, prior=prior).predicted_rmse)
+    assert expected[1] > 1.2 * expected[0]

@@ -13,7 +13,7 @@
 
 enum {
     MIN_PAIRS = 12,             /* correspondences that a reliable step needs */
-    DAMPED_FROM = 15,           /* iteration; 6 to 10 are usual */
+    DAMPED_FROM = 15,           /* iteration from which half steps are taken, and must be small enough */
 };
 
 /* One Gauss-Newton step, and the equations that it solves. */
@@ -175,7 +175,7 @@ static int solve(const Target *target, const Source *source, const PairNoise *no
 static int solve_step(const Target *target, const Source *source, const PairNoise *noise,
                       const Prior *prior, const double *L0, const double *T, const double *nuisances,
                       const Sample *sample, Gate gate, int64_t last, Chunk *scratch, Solution *out) {
-    int shared = last && noise->patch > 0;
+    int shared = last && (noise->patch > 0 || noise->linearity > 0 || noise->offset > 0);
     if (solve(target, source, noise, prior, L0, T, nuisances, sample, gate, shared, scratch, out) < 0)
         return -1;
     double patch = out->patch_spread > 1 ? out->patch_spread : 1, spread = out->spread > 1 ? out->spread : 1;
