@@ -56,6 +56,13 @@ install_uv() {
     .venv/bin/python -m pip install --quiet "uv==$UV_VERSION" >"$log" 2>&1 || download_failed "uv $UV_VERSION"
 }
 
+# On a terminal uv shows its progress itself, and what it says is gone; a failure is then tried again
+# in silence, for its reason.
+run_uv_sync() {
+    [ -t 2 ] && .venv/bin/uv sync --locked "$@" && return
+    .venv/bin/uv sync --locked --quiet "$@" >"$log" 2>&1
+}
+
 own_uv_index() {
     env | grep -qE '^UV_(DEFAULT_INDEX|INDEX|INDEX_URL|EXTRA_INDEX_URL|FIND_LINKS|NO_INDEX|CONFIG_FILE)='
 }
@@ -75,9 +82,9 @@ install_from_own_index() {
 
 install_locked() {
     step "installing the packages of uv.lock" "about 20 s, longer for what has to be downloaded"
-    .venv/bin/uv sync --locked --quiet --no-install-project >"$log" 2>&1 || return
+    run_uv_sync --no-install-project || return
     step "compiling the engine of the registration" "about 7 s"
-    .venv/bin/uv sync --locked --quiet >"$log" 2>&1
+    run_uv_sync
 }
 
 install_project() {

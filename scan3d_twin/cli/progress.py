@@ -23,7 +23,7 @@ from scan3d_twin.core.types import ScanLine
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.status import Status
+    from rich.progress import Progress, TaskID
 
 _OUTLINES = {"front": "front outline", "full": "outline all round"}
 
@@ -40,8 +40,19 @@ def make_progress() -> Iterator[Observer]:
     if not console.is_terminal or console.is_dumb_terminal:
         yield PlainProgress()
         return
-    with console.status("opening the robot") as status:
-        yield LiveProgress(console, status)
+    with make_bar(console) as bar:
+        yield LiveProgress(bar, bar.add_task("opening the robot", total=None, left=""))
+
+
+def make_bar(console: Console) -> Progress:
+    """Return the live line: what is done now, how far the run is, and how long it will take."""
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
+    columns = (
+        SpinnerColumn(), BarColumn(bar_width=20), TextColumn("{task.fields[left]}", markup=False),
+        TextColumn("{task.description}", markup=False),
+    )  # fmt: skip
+    return Progress(*columns, console=console, transient=True)
 
 
 class Pace:
@@ -51,8 +62,9 @@ class Pace:
         self._clock = clock
         self._began = clock()
         self._views = 0
+        self.left = ""
 
-    def words(self, session: Session) -> str:
+    def view(self, session: Session) -> str:
         """Return the views taken, the robot's time, the computer's and how much is left at most.
 
         The time left is that of a run of ``max_views`` at the pace of the views taken; most runs
@@ -62,10 +74,10 @@ class Pace:
         self._views += 1
         left = elapsed / self._views * (session.config.max_views - done)
         stamp = float(session.views[-1].observation.image.stamps.max())
+        self.left = _time_left(left, "at most ")
         return (
             f"; {count(done, 'view')} of at most {session.config.max_views}, "
-            f"{stamp:.0f} s on the robot's clock, {elapsed:.0f} s elapsed"
-            + _time_left(left, "at most ")
+            f"{stamp:.0f} s on the robot's clock, {elapsed:.0f} s elapsed{self.left}"
         )
 
 
@@ -103,7 +115,7 @@ class PlainProgress(Unobserved):
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
-        self.on_event(view_words(session) + self._pace.words(session))
+        self.on_event(view_words(session) + self._pace.view(session))
 
     def on_plan(self, session: Session) -> None:
         """See ``Observer``."""
@@ -111,33 +123,35 @@ class PlainProgress(Unobserved):
 
 
 class LiveProgress(Unobserved):
-    """One line per view and plan, and below them a live line."""
+    """One line per view and plan, and below them a bar: the views taken of those allowed."""
 
-    def __init__(self, console: Console, status: Status) -> None:
-        self._console = console
-        self._status = status
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        self._bar, self._task = bar, task
         self._doing, self._lines = "", 0
         self._pace = Pace()
 
     def on_event(self, text: str) -> None:
         """See ``Observer``."""
         self._doing, self._lines = text, 0
-        self._status.update(text)
+        self._bar.update(self._task, description=text)
 
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``."""
         self._lines += 1
-        self._status.update(f"{self._doing}: {self._lines} lines")
+        self._bar.update(self._task, description=f"{self._doing}: {self._lines} lines")
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
-        words = view_words(session) + self._pace.words(session)
-        self._console.print(words, markup=False)
+        words = view_words(session) + self._pace.view(session)
+        self._bar.console.print(words, markup=False)
+        done, allowed = len(session.views), session.config.max_views
+        left = f"{done}/{allowed}{self._pace.left}"
+        self._bar.update(self._task, total=allowed, completed=done, left=left)
         self.on_event("planning")
 
     def on_plan(self, session: Session) -> None:
         """See ``Observer``."""
-        self._console.print(plan_words(session), markup=False)
+        self._bar.console.print(plan_words(session), markup=False)
 
 
 def view_words(session: Session) -> str:

@@ -10,7 +10,7 @@ from scan3d_twin.api.run import raise_if_failed, run_in_folder
 from scan3d_twin.api.watch import UNWATCHED, WatchOptions
 from scan3d_twin.cli.output import say
 from scan3d_twin.cli.progress import make_progress
-from scan3d_twin.cli.summary import summary
+from scan3d_twin.cli.summary import next_steps, summary
 from scan3d_twin.recording.recorder import SerialTaps
 from scan3d_twin.run.closed_loop import RobotContext
 from scan3d_twin.run.report import report_json
@@ -41,3 +41,5 @@ def run(
     report = outcome.report
     say(report_json(report) if as_json else summary(report, folder), sys.stdout, end="")
     raise_if_failed(outcome)
+    if not as_json:
+        say(next_steps(folder))

@@ -39,6 +39,17 @@ def summary(report: Report, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
+def next_steps(folder: Path) -> str:
+    """Return three commands that a finished run in ``folder`` leads to, and what each does."""
+    steps = {
+        f"twin view {folder}": "look at it in a browser",
+        f"twin mesh {folder}": "make a surface of it, to print or to measure",
+        "twin sim --scene YOUR.stl": "digitise a thing of your own (docs/tutorial.md)",
+    }
+    width = max(map(len, steps))
+    return "\n".join(["next:", *(f"  {step:<{width}}  {what}" for step, what in steps.items())])
+
+
 def count(number: int, noun: str) -> str:
     """Return ``number`` things: ``1 view``, ``2 views``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -12,6 +12,7 @@ from scan3d_twin.cli.progress import (
     LiveProgress,
     Pace,
     PlainProgress,
+    make_bar,
     measure_scanned_share,
     plan_words,
     steps,
@@ -78,14 +79,17 @@ def test_live_progress_counts_lines_and_keeps_views_and_plans():
     session = with_plan(scan(), Pose2())
     screen = io.StringIO()
     console = Console(file=screen, force_terminal=True, width=120, highlight=False)
-    with console.status("begin") as status:
-        progress = LiveProgress(console, status)
+    with make_bar(console) as bar:
+        task = bar.add_task("begin", total=None, left="")
+        progress = LiveProgress(bar, task)
         progress.on_event("scanning")
         progress.on_line(LINE)
         progress.on_line(LINE)
-        assert status.status == "scanning: 2 lines"
+        assert bar.tasks[0].description == "scanning: 2 lines"
         progress.on_view(session)
-        assert status.status == "planning"
+        assert bar.tasks[0].description == "planning"
+        assert (bar.tasks[0].completed, bar.tasks[0].total) == (1, 20)
+        assert bar.tasks[0].fields["left"].startswith("1/20")
         progress.on_plan(session)
     assert view_words(session) in screen.getvalue()
     assert plan_words(session) in screen.getvalue()
@@ -104,9 +108,9 @@ def test_the_time_left_is_that_of_as_many_views_as_are_allowed():
     pace = Pace(lambda: next(times))
     one = scan()
     clock = f"{one.views[0].observation.image.stamps.max():.0f} s on the robot's clock"
-    assert pace.words(one) == f"; 1 view of at most 20, {clock}, 10 s elapsed, at most 190 s left"
+    assert pace.view(one) == f"; 1 view of at most 20, {clock}, 10 s elapsed, at most 190 s left"
     two = replace(one, views=one.views * 2, config=replace(one.config, max_views=2))
-    assert pace.words(two) == f"; 2 views of at most 2, {clock}, 14 s elapsed"
+    assert pace.view(two) == f"; 2 views of at most 2, {clock}, 14 s elapsed"
 
 
 def test_steps_tell_how_many_are_done(capsys):

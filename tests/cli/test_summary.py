@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from scan3d_twin.cli.summary import count, summary
+from scan3d_twin.cli.app import COMMANDS
+from scan3d_twin.cli.summary import count, next_steps, summary
 
 REPORT = {
     "scene": "three_boxes",
@@ -31,3 +32,14 @@ def test_the_covered_share_is_of_the_surface():
 
 def test_without_the_truth_nothing_is_said_of_the_surface():
     assert "surface" not in summary({**REPORT, "coverage_20mm": None}, Path("run"))
+
+
+def test_the_steps_that_come_next_are_commands_of_the_program():
+    title, *steps = next_steps(Path("runs/a")).splitlines()
+    assert title == "next:"
+    assert [step.split()[:2] for step in steps] == [
+        ["twin", "view"],
+        ["twin", "mesh"],
+        ["twin", "sim"],
+    ]
+    assert {step.split()[1] for step in steps} <= set(COMMANDS)
