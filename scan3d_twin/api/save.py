@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,20 +10,23 @@ from scan3d_twin.core.model.evaluation import (
     Distances,
     Reference,
     Truth,
+    compare_model,
     evaluate_model,
     is_of_target,
     measure_mesh_accuracy,
 )
-from scan3d_twin.core.model.fused_cloud import ViewCloud, build_view_clouds, join_models
-from scan3d_twin.core.model.mesh import build_mesh
+from scan3d_twin.core.model.fused_cloud import build_view_clouds, join_models
+from scan3d_twin.core.model.mesh import Mesh, build_mesh
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.ply import ply_bytes
 from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.folder import write_file
 from scan3d_twin.run.report import Effort, Journey, Report, build_report, report_json
 from scan3d_twin.run.settings import Settings, settings_toml
+from scan3d_twin.viz.packing import show_run
 from scan3d_twin.viz.report_page import Pictures, render_report_page
 from scan3d_twin.viz.top_view import draw_top_view
+from scan3d_twin.viz.track import place_track
 
 
 def save_run(
@@ -52,6 +54,9 @@ def save_run(
     )
     evaluation = None if reference is None else evaluate_model(session, model, reference)
 
+    compared = None if reference is None else compare_model(model, reference)
+    mesh = build_mesh(session, seen)
+
     # Build the report
     report = build_report(
         scene,
@@ -61,7 +66,7 @@ def save_run(
         effort,
         len(model),
         evaluation,
-        None if reference is None else _mesh_accuracy(session, seen, reference),
+        None if reference is None else _mesh_accuracy(session, mesh, reference),
     )
 
     # Write views in their final poses
@@ -77,6 +82,8 @@ def save_run(
         sweep_width=session.config.sweep.width,
         standoff=session.config.planning.standoff,
         title=_title(report),
+        way=place_track(journey.track, session),
+        truth=None if compared is None else compared.surface,
     )
     write_file(folder / "model.ply", ply_bytes(model.points, model.view))
     write_file(folder / "top_view.svg", picture)
@@ -87,7 +94,9 @@ def save_run(
     # Write the report page
     pictures = Pictures(picture, scene_picture)
     options = settings_toml(settings)
-    page = render_report_page(report, options, session, model, pictures, evaluation)
+    page = render_report_page(
+        report, options, session, show_run(session, model, mesh, compared), pictures, evaluation
+    )
     write_file(folder / "report.html", page)
     return report
 
@@ -99,11 +108,8 @@ def _remove_views_from(count: int, folder: Path) -> None:
         count += 1
 
 
-def _mesh_accuracy(
-    session: Session, seen: Sequence[ViewCloud], reference: Reference
-) -> Distances | None:
+def _mesh_accuracy(session: Session, mesh: Mesh, reference: Reference) -> Distances | None:
     """Return the distance of the target's mesh to the truth; None if it has no triangles."""
-    mesh = build_mesh(session, seen)
     if len(mesh.faces) == 0:
         return None
     return measure_mesh_accuracy(mesh, reference, np.random.default_rng(session.seed))

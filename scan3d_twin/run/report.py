@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
+
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import wrap
+from scan3d_twin.core.types import FloatArray, wrap
 from scan3d_twin.run.run_warnings import find_warnings
 from scan3d_twin.run.settings import Settings
 
@@ -44,11 +46,14 @@ class Journey:
         path: Length of the path by odometry [m].
         turn: Sum of all turns by odometry [rad].
         duration: Duration on the robot's clock [s].
+        track: Where it was by odometry: time [s], x, y [m] in ``odom``, yaw [rad] (n, 4), a few
+            centimetres apart; empty where that is not known.
     """
 
     path: float
     turn: float
     duration: float
+    track: FloatArray = field(default_factory=lambda: np.zeros((0, 4)), compare=False, repr=False)
 
 
 def build_report(

@@ -1,4 +1,4 @@
-"""A model as packed points for WebGL, and as a still picture for browsers without it."""
+"""The camera and the light of a model, and its still picture for browsers without WebGL."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, IntArray, Pose2
 from scan3d_twin.recording.colours import view_colours_rgb
 
-MAX_TARGET_POINTS = 300_000
-"""Most points of the target in a page: 8 bytes each, 3.2 MB as text."""
 MAX_SURROUNDING_POINTS = 60_000
 SURROUNDINGS_VOXEL = 0.03
 """Side of the voxels to which the surroundings are thinned [m]."""
@@ -25,7 +23,6 @@ LIDAR_HEIGHT = 0.30
 GREY = "#8b949e"
 FIELD_OF_VIEW = math.radians(35.0)
 """Vertical field of view of the camera [rad]."""
-POINT_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("z", "<u2"), ("shade", "u1"), ("", "u1")])
 STILL_WIDTH, STILL_HEIGHT = 1200, 720
 
 
@@ -44,23 +41,6 @@ class Camera:
     distance: float
     azimuth: float
     elevation: float
-
-
-@dataclass(frozen=True, slots=True)
-class PackedCloud:
-    """Points as records of 8 bytes: 16 bits a coordinate between ``low`` and ``low + extent``.
-
-    Attributes:
-        data: The records, view by view, then the surroundings.
-        ranges: First record and number of records of each view, and of the surroundings.
-        low: Origin of the coordinates (3,) [m].
-        extent: Length of 65535 units [m].
-    """
-
-    data: bytes
-    ranges: list[tuple[int, int]]
-    low: FloatArray
-    extent: float
 
 
 def choose_camera(points: FloatArray, viewpoints: Sequence[Pose2]) -> Camera:
@@ -112,40 +92,6 @@ def shade_normals(normals: FloatArray, camera: Camera) -> FloatArray:
     light = np.array([math.cos(a), math.sin(a), 1.0]) / math.sqrt(2.0)
     lit = 0.55 + 0.45 * (normals @ light)
     return np.asarray(np.clip(np.where(np.isfinite(lit), lit, 0.7), 0.0, 1.0))
-
-
-def pack_points(model: Model, views: int, around: FloatArray, camera: Camera) -> PackedCloud:
-    """Return ``model`` and its surroundings packed for a page, thinned, and lit for ``camera``.
-
-    Args:
-        model: The points of the target.
-        views: Number of views of the model.
-        around: Points of the surroundings (n, 3) [m].
-        camera: Determines the light.
-    """
-    # Sort by view and thin
-    chosen = model.select(np.argsort(model.view, kind="stable"))
-    chosen = chosen.select(
-        np.arange(0, len(model), max(1, math.ceil(len(model) / MAX_TARGET_POINTS)))
-    )
-    points = np.concatenate([chosen.points, around])
-
-    # Quantise coordinates to 16 bits
-    low = points.min(axis=0) if len(points) else np.zeros(3)
-    extent = max(1e-3, float(np.ptp(points, axis=0).max())) if len(points) else 1.0
-    records = np.zeros(len(points), POINT_RECORD)
-    for axis, name in enumerate("xyz"):
-        records[name] = np.round((points[:, axis] - low[axis]) / extent * 65535)
-
-    # Light the surfaces
-    light = np.concatenate([shade_normals(chosen.normals, camera), np.full(len(around), 0.8)])
-    records["shade"] = np.round(255 * light)
-
-    # Find the ranges of the views
-    counts = [*np.bincount(chosen.view, minlength=views), len(around)]
-    firsts = np.cumsum([0, *counts[:-1]])
-    ranges = [(int(first), int(count)) for first, count in zip(firsts, counts, strict=True)]
-    return PackedCloud(records.tobytes(), ranges, low, extent)
 
 
 def render_still(model: Model, camera: Camera) -> bytes:

@@ -72,15 +72,23 @@ def render_warnings(found: Sequence[str]) -> str:
     )
 
 
-def render_top_view(document: str) -> str:
-    """Return the top view, as an image so that its style sheet does not affect the page."""
+def render_top_view(document: str, *, known: bool) -> str:
+    """Return the top view, as an image so that its style sheet does not affect the page.
+
+    Args:
+        document: The picture as SVG.
+        known: Whether the truth is known, and in the picture.
+    """
     data = base64.b64encode(document.encode()).decode()
     return (
         "<h2>Top view</h2><figure>"
-        '<div class="frame"><img class="tall" alt="Top view of the run" '
+        '<div class="frame"><img class="tall" id="top-view" alt="Top view of the run" '
         f'src="data:image/svg+xml;base64,{data}">'
         "</div><figcaption>Points coloured by view, a numbered star at each viewpoint, its scan "
-        "sector dashed.</figcaption></figure>"
+        "sector dashed. The sectors end a quarter beyond the planned distance: the lidar sees "
+        "farther, so that points may lie outside. Arrows show the way that was driven"
+        + (", grey the true shape from above" if known else "")
+        + ".</figcaption></figure>"
     )
 
 
@@ -94,9 +102,11 @@ def render_views(report: Report, session: Session) -> str:
     rows = {row["view"]: row for row in report["registration"]}
     names = ["View", "Points", "Overlap", "Predicted error"]
     names += ["Realised error", "By odometry alone"] if known else []
-    names += ["Odometry corrected by", "Fitness"]
-    header = "".join(f"<th>{name}</th>" for name in names) + '<th class="words">Note</th>'
-    body = "".join(_row(k, session, rows.get(k), known=known) for k in range(len(session.views)))
+    names += ["Odometry corrected by", "Fitness", "Note"]
+    header = "".join(f"<th>{name}</th>" for name in names)
+    body = "".join(
+        _row(names, _cells(k, session, rows.get(k), known=known)) for k in range(len(session.views))
+    )
 
     # Return the table with legend
     return (
@@ -109,31 +119,39 @@ def render_views(report: Report, session: Session) -> str:
     )
 
 
-def _row(k: int, session: Session, row: dict[str, Any] | None, *, known: bool) -> str:
-    dash = "\N{EN DASH}"
-    epsilon = 1e3 * session.config.planning.epsilon
+def _row(names: Sequence[str], cells: Sequence[tuple[str, bool]]) -> str:
+    """Return a row of cells, each a text and whether it is worse than wanted.
+
+    On a narrow screen each cell stands beside its name.
+    """
+    kinds = {True: ' class="over"', False: ""}
+    fields = [
+        f'<td data-label="{escape(name)}"{kinds[over]}>{text}</td>'
+        for name, (text, over) in zip(names, cells, strict=True)
+    ]
+    return f"<tr>{''.join(fields)}</tr>"
+
+
+def _cells(
+    k: int, session: Session, row: dict[str, Any] | None, *, known: bool
+) -> list[tuple[str, bool]]:
+    dash, epsilon = "\N{EN DASH}", 1e3 * session.config.planning.epsilon
     points = f"{len(session.views[k].target):,}".replace(",", "\N{THIN SPACE}")
-    first = f'<span class="swatch" style="background:{view_colour(k)}"></span>{k}'
+    first = [(f'<span class="swatch" style="background:{view_colour(k)}"></span>{k}', False)]
+    first.append((points, False))
     if row is None:
-        blanks = "".join(f"<td>{dash}</td>" for _ in range(6 if known else 4))
-        return f"<tr><td>{first}</td><td>{points}</td>{blanks}<td class='words'>the first</td></tr>"
+        return [*first, *[(dash, False)] * (6 if known else 4), ("the first", False)]
 
-    def cell(value: float | None, form: str = "{:.1f} mm", *, judged: bool = False) -> str:
-        if value is None:
-            return f"<td>{dash}</td>"
-        style = ' class="over"' if judged and value > epsilon else ""
-        return f"<td{style}>{form.format(value)}</td>"
+    def cell(key: str, form: str = "{:.1f} mm", *, judged: bool = False) -> tuple[str, bool]:
+        value = row[key]
+        return (dash, False) if value is None else (form.format(value), judged and value > epsilon)
 
-    cells = [cell(row["overlap"], "{:.0%}"), cell(row["predicted_rmse_mm"], judged=True)]
+    cells = [*first, cell("overlap", "{:.0%}"), cell("predicted_rmse_mm", judged=True)]
     if known:
-        cells += [cell(row["error_mm"], judged=True), cell(row["odometry_error_mm"])]
+        cells += [cell("error_mm", judged=True), cell("odometry_error_mm")]
     moved, turned = row["correction_mm"], row["correction_deg"]
-    corrected = f"<td>{moved:.1f} mm, {turned:.2f}°</td>"
-    cells += [corrected, cell(row["fitness"], "{:.0%}")]
-    return (
-        f"<tr><td>{first}</td><td>{points}</td>{''.join(cells)}"
-        f'<td class="words">{escape(_note(row))}</td></tr>'
-    )
+    corrected = (f"{moved:.1f} mm, {turned:.2f}°", False)
+    return [*cells, corrected, cell("fitness", "{:.0%}"), (escape(_note(row)), False)]
 
 
 def _note(row: dict[str, Any]) -> str:
@@ -217,8 +235,11 @@ def _overlap_curve(k: int, plan: Plan, epsilon: float, top: float) -> str:
     return f"<figure><h3>{escape(title)}</h3>{render_chart(chart)}</figure>"
 
 
-def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
-    """Return the chart of coverage against time, each view a numbered dot."""
+def render_coverage(session: Session, evaluation: Evaluation | None, end: float) -> str:
+    """Return the chart of coverage against time until the ``end`` of the run [s].
+
+    Each view is a numbered dot.
+    """
     if not session.views:
         return ""
 
@@ -235,7 +256,8 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
         title, label = "Outline", "scanned"
         what = "Share of the target's outline in top view, as far as the robot knows it, scanned"
     times = [float(view.observation.image.stamps.max()) for view in session.views]
-    scale, unit = (1.0, "s") if times[-1] < 600 else (60.0, "min")
+    end = max(end, times[-1])
+    scale, unit = (1.0, "s") if end < 600 else (60.0, "min")
     dots = [
         Dot(time / scale, share, view_colour(k), f"{k}", title=f"after view {k}: {share:.1%}")
         for k, (time, share) in enumerate(zip(times, shares, strict=True))
@@ -244,7 +266,7 @@ def render_coverage(session: Session, evaluation: Evaluation | None) -> str:
         f"{title} against time",
         f"time on the robot's clock [{unit}]",
         label,
-        (0.0, round_up(1.05 * times[-1] / scale)),
+        (0.0, end / scale),
         (0.0, 1.0),
         dots,
         percent="y",

@@ -1,6 +1,7 @@
 """The top view of a run as SVG, in the manner of the paper's Figs. 11 and 14.
 
-Points coloured by view, a numbered star at each viewpoint, its scan sector dashed, axes in metres.
+Points coloured by view, a numbered star at each viewpoint, its scan sector dashed, axes in metres;
+the way that was driven with arrows and, in the twin, the true shape of the target from above.
 The picture needs no fonts or scripts from outside and follows the reader's light or dark scheme.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -20,6 +22,8 @@ WIDTH, MARGIN, TITLE_HEIGHT = 900.0, 60.0, 34.0
 """Dimensions of the picture, in its own units."""
 MIN_HEIGHT, MAX_HEIGHT = 320.0, 1200.0
 POINT_SIZE = 2.2
+SHAPE_CELL, ARROW_STEP = 5.0, 90.0
+"""Side of the cells of the true shape, and distance between arrows, in units of the picture."""
 MAX_POINTS = 60_000
 """Most points of the picture; keeps the file under 2 MB."""
 STYLE = """
@@ -29,7 +33,11 @@ svg { background: #ffffff; font: 13px system-ui, "Helvetica Neue", Arial, sans-s
 .sector { fill: none; stroke-width: 1.3; stroke-dasharray: 6 4; }
 .star { stroke: #ffffff; stroke-width: 1; } .bar { stroke: #1f2328; stroke-width: 3; }
 .label { font-weight: 600; paint-order: stroke; stroke: #ffffff; stroke-width: 3px; }
+.way { fill: none; stroke: #8b949e; stroke-width: 2; stroke-linejoin: round; }
+.arrow { fill: #8b949e; } .truth { fill: none; stroke: #e3e6ea; }
+@media (max-width: 560px) { text, .tick { font-size: 20px; } }
 @media (prefers-color-scheme: dark) {
+.truth { stroke: #2a313b; }
 svg { background: #0d1117; } .paper { fill: #0d1117; } .frame { stroke: #9198a1; }
 .grid { stroke: #262c36; } text { fill: #f0f6fc; } .tick { fill: #9198a1; }
 .star, .label { stroke: #0d1117; } .bar { stroke: #f0f6fc; }
@@ -46,10 +54,10 @@ class _Frame:
     width: float
     height: float
 
-    def x(self, value: float) -> float:
+    def x(self, value: Any) -> Any:
         return MARGIN + self.scale * (value - self.x_min)
 
-    def y(self, value: float) -> float:
+    def y(self, value: Any) -> Any:
         return TITLE_HEIGHT + self.scale * (self.y_max - value)
 
     @property
@@ -69,6 +77,8 @@ def draw_top_view(
     sweep_width: float,
     standoff: float,
     title: str,
+    way: FloatArray | None = None,
+    truth: FloatArray | None = None,
 ) -> str:
     """Return the top view as an SVG document.
 
@@ -79,6 +89,8 @@ def draw_top_view(
         sweep_width: Horizontal angle of a sweep [rad].
         standoff: Distance at which the surface is expected [m]; the sectors are a quarter longer.
         title: One line above the picture.
+        way: Places where the robot drove, in order (n, 2) in ``world`` [m].
+        truth: Samples of the true surface (n, 2 or 3) in ``world`` [m].
     """
     # Lay out the picture
     reach = 1.25 * standoff
@@ -92,6 +104,8 @@ def draw_top_view(
         f'<rect class="paper" width="{WIDTH:g}" height="{total:.0f}"/>',
         f'<text x="{MARGIN:g}" y="22" font-size="15" font-weight="600">{escape(title)}</text>',
         *_axes(frame),
+        *_shape(frame, np.zeros((0, 2)) if truth is None else truth[:, :2]),
+        *_way(frame, np.zeros((0, 2)) if way is None else way),
         *_sectors(frame, viewpoints, sweep_width, reach),
         *_points(frame, points, view),
         *_stars(frame, viewpoints),
@@ -153,6 +167,44 @@ def _points(frame: _Frame, points: FloatArray, view: IntArray) -> list[str]:
     return parts
 
 
+def _shape(frame: _Frame, points: FloatArray) -> list[str]:
+    """Return the area that the surface covers from above, as runs of cells along x."""
+    size = SHAPE_CELL / frame.scale
+    inside = (points >= [frame.x_min, frame.y_min]) & (points <= [frame.x_max, frame.y_max])
+    cells = np.unique(np.floor(points[inside.all(axis=1), ::-1] / size).astype(np.int64), axis=0)
+    if len(cells) == 0:
+        return []
+
+    # Join neighbours to runs
+    breaks = (np.diff(cells[:, 0]) != 0) | (np.diff(cells[:, 1]) > 1)
+    first = np.flatnonzero(np.append(True, breaks))
+    last = np.flatnonzero(np.append(breaks, True))
+    runs = "".join(
+        f"M{frame.x(size * cells[a, 1]):.1f} {frame.y(size * (cells[a, 0] + 0.5)):.1f}"
+        f"h{SHAPE_CELL * (cells[b, 1] + 1 - cells[a, 1]):.1f}"
+        for a, b in zip(first, last, strict=True)
+    )
+    return [f'<path class="truth" d="{runs}" stroke-width="{SHAPE_CELL:g}"/>']
+
+
+def _way(frame: _Frame, places: FloatArray) -> list[str]:
+    """Return the way through ``places`` (n, 2) [m], with an arrow every so often."""
+    if len(places) < 2:
+        return []
+    line = np.column_stack([frame.x(places[:, 0]), frame.y(places[:, 1])])
+    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    parts = [f'<path class="way" d="M{"L".join(f"{x:.1f} {y:.1f}" for x, y in line)}"/>']
+    for at in np.arange(ARROW_STEP / 2, length[-1], ARROW_STEP):
+        k = max(1, int(np.searchsorted(length, at)))
+        (x0, y0), (x, y) = line[k - 1], line[k]
+        turn = math.degrees(math.atan2(y - y0, x - x0))
+        parts.append(
+            f'<path class="arrow" d="M6 0L-6 -5L-6 5z" transform="translate({x:.1f} {y:.1f}) '
+            f'rotate({turn:.0f})"/>'
+        )
+    return parts
+
+
 def _sectors(frame: _Frame, viewpoints: Sequence[Pose2], width: float, reach: float) -> list[str]:
     parts = []
     for index, pose in enumerate(viewpoints):
@@ -196,7 +248,7 @@ def _axes(frame: _Frame) -> list[str]:
         x = frame.x(value)
         parts.append(f'<path class="grid" d="M{x:.1f} {top:g}V{bottom:.1f}"/>')
         parts.append(
-            f'<text class="tick" x="{x:.1f}" y="{bottom + 17:.1f}" text-anchor="middle">'
+            f'<text class="tick" x="{x:.1f}" y="{bottom + 18:.1f}" text-anchor="middle">'
             f"{value:.{digits}f}</text>"
         )
 
@@ -214,7 +266,7 @@ def _axes(frame: _Frame) -> list[str]:
     parts += [
         f'<rect class="frame" x="{left:g}" y="{top:g}" width="{frame.width:g}" '
         f'height="{frame.height:.1f}"/>',
-        f'<text x="{left + frame.width / 2:.1f}" y="{bottom + 38:.1f}" text-anchor="middle">'
+        f'<text x="{left + frame.width / 2:.1f}" y="{bottom + 42:.1f}" text-anchor="middle">'
         "x [m]</text>",
         f'<text transform="translate(15 {middle:.1f}) rotate(-90)" text-anchor="middle">'
         "y [m]</text>",

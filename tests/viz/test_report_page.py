@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from pixels import share_of
 
-from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
-from scan3d_twin.core.model.fused_cloud import Model, build_model
+from scan3d_twin.core.model.evaluation import Comparison, Distances, Evaluation, PairError
+from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_clouds
+from scan3d_twin.core.model.mesh import build_mesh
 from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Effort, Journey, build_report
 from scan3d_twin.run.settings import Settings, settings_toml
+from scan3d_twin.viz.model_section import MISSING
+from scan3d_twin.viz.packing import show_run
 from scan3d_twin.viz.report_page import Pictures, render_report_page
 from scan3d_twin.viz.top_view import draw_top_view
 
@@ -23,7 +27,31 @@ EVALUATION = Evaluation(
     coverable_share=0.61,
     pairs=(PairError(1, 0.0042, 0.0051, 0.0301), PairError(2, 0.0142, 0.0151, 0.0301)),
 )
+PLACES = """() => {
+  const meta = JSON.parse(document.getElementById("meta").textContent);
+  const text = atob(document.getElementById("cloud").textContent.trim());
+  const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+  const camera = makeCamera(meta.camera, document.querySelector("#model canvas"));
+  return [0, 2].map((view) => {
+    const places = placesOf(meta, bytes, meta.ranges.views[view]);
+    const middle = 3 * (places.length >> 3);
+    return camera.project([...places.slice(middle, middle + 3)]).slice(0, 2);
+  });
+}"""
+"""Places on the canvas of a point of the first and of the last view."""
 PNG = b"\x89PNG\r\n\x1a\n not a real picture"
+
+
+def compared_with_itself(model):
+    """Return a comparison by which the model is off by 0 to 20 mm, and its left end is missing."""
+    distances = np.linspace(0.0, 0.02, len(model))
+    left = model.points[model.points[:, 1] > 0.9] + [0.0, 0.3, 0.0]
+    return Comparison(distances, model.points, left)
+
+
+def cloud_box(points):
+    """Return the corners of the box around ``points`` (n, 3)."""
+    return [points.min(axis=0), points.max(axis=0)]
 
 
 def page_of(session, evaluation=EVALUATION, scene="no EGL here", model=None):
@@ -38,7 +66,17 @@ def page_of(session, evaluation=EVALUATION, scene="no EGL here", model=None):
     )
     pictures = Pictures(drawing, scene)
     options = settings_toml(settings)
-    return render_report_page(report, options, session, model or cloud, pictures, evaluation)
+    cloud = model or cloud
+    mesh = build_mesh(session, build_view_clouds(session))
+    shown = show_run(session, cloud, mesh, compared_with_itself(cloud) if evaluation else None)
+    return render_report_page(report, options, session, shown, pictures, evaluation)
+
+
+def settle(page):
+    """Wait until ``page`` has drawn what was asked of it."""
+    page.evaluate(
+        "() => new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +113,10 @@ def test_a_million_points_still_make_a_page_under_ten_megabytes(session):
 
 
 def test_the_table_tells_of_each_view_and_marks_what_is_worse_than_wanted(page):
-    rows = re.findall(r"<tr><td>.*?</tr>", page)
+    rows = re.findall(r"<tr><td.*?</tr>", page)
     assert len(rows) == 3
     assert "4.2 mm" in rows[1]
-    assert '<td class="over">14.2 mm</td>' in rows[2]
+    assert ' class="over">14.2 mm</td>' in rows[2]
     assert "above epsilon" in rows[2]
     assert re.search(r"\d+\.\d mm, \d\.\d\d°", rows[1])
 
@@ -139,11 +177,11 @@ def test_its_buttons_work(open_page, url):
     page, model = shown.page, shown.page.locator("#model")
     before = model.screenshot()
     page.locator("#controls input[data-view='0']").uncheck()
-    page.wait_for_timeout(100)
+    settle(page)
     without = model.screenshot()
     assert share_of(without, view_colour(0)) < 0.3 * share_of(before, view_colour(0))
     page.locator("#upto").fill("1")
-    page.wait_for_timeout(100)
+    settle(page)
     assert page.locator("#shown").inner_text() == "2 of 3"
     assert share_of(model.screenshot(), view_colour(2)) < 0.001
     page.locator("#colouring").select_option("height")
@@ -187,6 +225,103 @@ def test_without_webgl_the_still_picture_stays(open_page, url, browser):
 
 def test_what_the_script_reads_is_json(page):
     meta = json.loads(re.search(r'id="meta">(.*?)</script>', page)[1])
-    assert len(meta["colours"]) == len(meta["ranges"]) - 1 == 3
-    firsts = [first for first, _ in meta["ranges"]]
+    assert len(meta["colours"]) == len(meta["ranges"]["views"]) == 3
+    firsts = [first for first, _ in meta["ranges"]["views"]]
     assert firsts == sorted(firsts)
+    assert json.loads(re.search(r'id="report">(.*?)</script>', page, re.S)[1])["scene"] == "boxes"
+
+
+def test_points_are_coloured_by_what_is_known_of_them(open_page, url):
+    shown = open_page(url)
+    names = shown.page.locator("#colouring option").all_inner_texts()
+    assert names == [
+        "view", "height", "views that saw it", "expected error", "distance to the truth"
+    ]  # fmt: skip
+    shown.page.locator("#colouring").select_option("distance to the truth")
+    settle(shown.page)
+    legend = shown.page.locator("#legend")
+    assert legend.inner_text().split() == ["0", "20", "mm"]
+    assert share_of(shown.page.locator("#model").screenshot(), "#fac738") > 0.002
+
+
+def test_what_is_missing_is_shown_where_the_truth_is_known(open_page, url, session, tmp_path):
+    shown = open_page(url).page
+    assert share_of(shown.locator("#model").screenshot(), MISSING) < 0.0005
+    shown.locator("#missing").check()
+    settle(shown)
+    assert share_of(shown.locator("#model").screenshot(), MISSING) > 0.002
+    real = tmp_path / "real.html"
+    real.write_text(page_of(session, evaluation=None), encoding="utf-8")
+    assert open_page(real.as_uri()).page.locator("#missing").count() == 0
+
+
+def test_the_surface_stands_beside_the_points(open_page, url):
+    page = open_page(url).page
+    page.locator("#points").uncheck()
+    page.locator("#mesh").check()
+    settle(page)
+    picture = page.locator("#model").screenshot()
+    assert all(share_of(picture, view_colour(k)) < 0.003 for k in range(3))
+    page.locator("#axis").select_option("z")
+    page.locator("#cut").fill("0.0")
+    settle(page)
+    assert page.locator("#model").screenshot() != picture
+
+
+def test_a_distance_is_measured_between_two_points(open_page, url):
+    page = open_page(url).page
+    page.locator("#measure").click()
+    seen = page.evaluate(PLACES)
+    for column, row in seen:
+        page.locator("#model canvas").click(position={"x": column, "y": row})
+    settle(page)
+    words = page.locator("#distance").inner_text()
+    assert re.fullmatch(r"[\d.]+ m?m \(x [\d.]+ m?m, y [\d.]+ m?m, z [\d.]+ m?m\)", words)
+    page.locator("#measure").click()
+    settle(page)
+    assert not page.locator("#distance").is_visible()
+
+
+def test_the_still_picture_returns_when_the_drawing_is_lost_and_the_drawing_when_it_is_back(
+    open_page, url
+):
+    shown = open_page(url)
+    page, model = shown.page, shown.page.locator("#model")
+    page.evaluate(
+        "window.loss = document.querySelector('#model canvas').getContext('webgl')"
+        ".getExtension('WEBGL_lose_context'); loss.loseContext()"
+    )
+    page.wait_for_function("!document.querySelector('#model').classList.contains('drawn')")
+    assert model.locator("img").is_visible()
+    assert not page.locator("#controls").is_visible()
+    page.evaluate("loss.restoreContext()")
+    page.wait_for_function("document.querySelector('#model').classList.contains('drawn')")
+    settle(page)
+    assert all(share_of(model.screenshot(), view_colour(k)) > 0.005 for k in range(3))
+
+
+def test_the_page_gives_back_the_files(open_page, url, session):
+    page = open_page(url).page
+    saved = {}
+    for kind in ("ply", "glb", "json", "svg"):
+        with page.expect_download() as download:
+            page.locator(f"button[data-file={kind}]").click()
+        saved[kind] = download.value.path()
+        assert download.value.suggested_filename.endswith(f".{kind}")
+    cloud, mesh = build_model(session), build_mesh(session, build_view_clouds(session))
+    points = trimesh.load(saved["ply"], file_type="ply").vertices
+    assert np.allclose([points.min(axis=0), points.max(axis=0)], cloud_box(cloud.points), atol=1e-4)
+    surface = trimesh.load(saved["glb"], file_type="glb").to_geometry()
+    assert surface.area == pytest.approx(mesh.areas.sum(), rel=0.15)
+    assert json.loads(saved["json"].read_text())["views"] == 3
+    assert "</svg>" in saved["svg"].read_text(encoding="utf-8")
+
+
+def test_the_table_folds_on_a_phone(open_page, url):
+    page = open_page(url, width=390).page
+    assert not page.locator("thead").is_visible()
+    cells = page.locator("tbody tr:nth-child(2) td:not(:empty)")
+    lefts = {round(cell.bounding_box()["x"]) for cell in cells.all()}
+    assert len(lefts) == 1
+    name = "getComputedStyle(document.querySelector('td:nth-child(4)'), '::before').content"
+    assert page.evaluate(name) == '"Predicted error"'

@@ -1,4 +1,5 @@
 import math
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -12,12 +13,12 @@ SVG = "{http://www.w3.org/2000/svg}"
 VIEWPOINTS = (Pose2(0.0, 0.0, math.pi / 2), Pose2(0.5, 0.1, math.pi / 2), Pose2(1.0, 0.0, 2.0))
 
 
-def draw(n=3000, viewpoints=VIEWPOINTS, title="boxes", seed=0):
+def draw(n=3000, viewpoints=VIEWPOINTS, title="boxes", seed=0, **more):
     """Return the top view of ``n`` random points."""
     rng = np.random.default_rng(seed)
     points = rng.uniform((-0.5, 0.9, 0.0), (1.5, 1.1, 0.7), size=(n, 3))
     view = rng.integers(len(viewpoints), size=n)
-    options = {"sweep_width": math.radians(60), "standoff": 1.0, "title": title}
+    options = {"sweep_width": math.radians(60), "standoff": 1.0, "title": title} | more
     return draw_top_view(points, view, viewpoints, **options)
 
 
@@ -81,3 +82,22 @@ def test_nothing_is_fetched_from_elsewhere():
 
 def test_it_has_a_dark_side():
     assert "prefers-color-scheme: dark" in draw()
+
+
+def test_the_way_has_arrows_along_it_and_the_true_shape_is_behind_the_points():
+    way = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
+    truth = np.array([[x, y] for x in np.linspace(1.0, 1.3, 61) for y in np.linspace(0.0, 0.2, 41)])
+    picture = draw(way=way, truth=truth)
+    arrows = re.findall(
+        r'class="arrow".*?translate\(([\d.]+) ([\d.]+)\) rotate\((-?\d+)\)', picture
+    )
+    assert len(arrows) >= 2
+    assert {turn for _, _, turn in arrows} == {"0"}
+    assert (
+        picture.index('class="truth"')
+        < picture.index('class="way"')
+        < picture.index('class="star"')
+    )
+    without = draw()
+    assert 'class="way"' not in without
+    assert 'class="truth"' not in without

@@ -221,6 +221,7 @@ class Reference:
         poses: True ``T_map_scan`` of each view.
         T_map_world: Alignment of the model to the truth, by its first pose only.
         surface: The surface in ``map`` of the targets that count.
+        coverable: Which of its samples a robot can cover (n,), see ``find_coverable_surface``.
         targets: Their names.
         left_out: Names of other targets, unless one was asked for.
     """
@@ -229,6 +230,7 @@ class Reference:
     poses: tuple[Pose2, ...]
     T_map_world: Pose2
     surface: Surface
+    coverable: BoolArray
     targets: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
 
@@ -253,7 +255,8 @@ class Reference:
         targets = find_judged_targets(session, truth, asked)
         left_out = () if asked else tuple(t for t in truth.targets if t not in targets)
         surface = _sample_truth(truth, targets)
-        return Reference(truth, poses, T_map_world, surface, targets, left_out)
+        coverable = find_coverable_surface(surface.points, surface.normals, truth, session.config)
+        return Reference(truth, poses, T_map_world, surface, coverable, targets, left_out)
 
 
 def evaluate(session: Session, truth: Truth) -> Evaluation:
@@ -283,10 +286,7 @@ def evaluate_model(session: Session, model: Model, reference: Reference) -> Eval
 
     # Choose the surface that counts
     surface, points = reference.surface, reference.T_map_world.apply(model.points)
-    coverable = find_coverable_surface(
-        surface.points, surface.normals, reference.truth, session.config
-    )
-    wanted = surface.points[coverable]
+    wanted = surface.points[reference.coverable]
 
     # Measure model, surface and poses
     to_model, _ = find_nearest(cKDTree(points), wanted)
@@ -300,12 +300,40 @@ def evaluate_model(session: Session, model: Model, reference: Reference) -> Eval
             d: _compute_f_score(surface.distance(thin_by_voxel(points, d / 2)), to_model, d)
             for d in F_SCORE_DISTANCES
         },
-        coverable_share=float(np.mean(coverable)),
+        coverable_share=float(np.mean(reference.coverable)),
         pairs=tuple(
             _measure_pair_error(k, session, reference) for k in range(1, len(session.views))
         ),
         targets=reference.targets,
         left_out=reference.left_out,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A model beside the truth, point by point, in ``world``.
+
+    Attributes:
+        distances: Distance of each point of the model to the true surface (n,) [m].
+        surface: Samples of the true surface (m, 3) [m].
+        missing: Samples of it that could be covered and are not (k, 3) [m].
+    """
+
+    distances: FloatArray
+    surface: FloatArray
+    missing: FloatArray
+
+
+def compare_model(model: Model, reference: Reference) -> Comparison:
+    """Return ``model``, which has points, beside the truth."""
+    T_world_map, surface = reference.T_map_world.inverse(), reference.surface
+    points = reference.T_map_world.apply(model.points)
+    wanted = surface.points[reference.coverable]
+    to_model, _ = find_nearest(cKDTree(points), wanted, 2 * COVERAGE_DISTANCE)
+    return Comparison(
+        surface.distance(points),
+        T_world_map.apply(surface.points),
+        T_world_map.apply(wanted[to_model > COVERAGE_DISTANCE]),
     )
 
 

@@ -195,7 +195,7 @@ def fuse_voxels(model: Model, size: float) -> Model:
         return model
 
     # Weigh by inverse variance
-    index = _number_voxels(model.points, size)
+    index = number_voxels(model.points, size)
     weight = model.sigma**-2
     total = np.asarray(np.bincount(index, weight), dtype=np.float64)
     known = np.nan_to_num(model.normals)
@@ -225,12 +225,12 @@ def thin_by_voxel(points: FloatArray, size: float) -> FloatArray:
     """Return the mean point (m, 3) of each occupied voxel of side ``size`` [m]."""
     if len(points) == 0:
         return points
-    index = _number_voxels(points, size)
+    index = number_voxels(points, size)
     count = np.bincount(index)
     return np.stack([np.bincount(index, points[:, i]) / count for i in range(3)], axis=1)
 
 
-def _number_voxels(points: FloatArray, size: float) -> IntArray:
+def number_voxels(points: FloatArray, size: float) -> IntArray:
     """Return the voxel number (n,) of each of ``points`` (n, 3), for voxels of side ``size`` [m].
 
     The occupied voxels are numbered from 0 in the order of x, then y, then z.

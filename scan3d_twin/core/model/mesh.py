@@ -101,6 +101,9 @@ def triangulate(view: View, seen: ViewCloud) -> Mesh:
 
 def _is_surface(faces: IntArray, vertices: FloatArray, view: View, model: Model) -> BoolArray:
     """Return which ``faces`` (m, 3) have no depth edge among their edges (m,)."""
+    if len(faces) == 0:
+        return np.zeros(0, dtype=bool)
+
     # Limit the length by spacing and noise
     image, target = view.image, view.target
     between_beams = float(np.median(np.diff(image.spec.elevations)))
