@@ -28,6 +28,8 @@ COMMANDS = {
     "real": ("real:real", "Digitise with the real robot."),
     "scan": ("scan:scan", "Take one 3D image from where the robot stands."),
     "view": ("view:view", "Show a recorded run on a web page."),
+    "runs": ("runs:runs", "List the earlier runs."),
+    "compare": ("compare:compare", "Compare runs: options, results, models."),
     "export": ("export:export", "Write the model of a run for other programs."),
     "mesh": ("mesh:mesh", "Write the surface of a run's target as a triangle mesh."),
     "session": ("session:app", "Look at, repair and change what a run recorded."),

@@ -22,6 +22,12 @@ from scan3d_twin.run.settings import Settings
 
 Report = dict[str, Any]
 
+_JUDGED = (
+    "coverable_share", "coverage_20mm", "coverage_by_view", "accuracy_mm", "completeness_mm",
+    "f_score",
+)  # fmt: skip
+"""Fields that need the truth, and are null without it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Effort:
@@ -128,11 +134,11 @@ def failure_reason(session: Session) -> str:
 
 def _quality(evaluation: Evaluation | None) -> Report:
     if evaluation is None:
-        names = ("coverable_share", "coverage_20mm", "accuracy_mm", "completeness_mm", "f_score")
-        return dict.fromkeys(names)
+        return dict.fromkeys(_JUDGED)
     return {
         "coverable_share": _number(evaluation.coverable_share, 4),
         "coverage_20mm": _number(evaluation.coverage, 4),
+        "coverage_by_view": [_number(share, 4) for share in evaluation.coverage_by_view],
         "accuracy_mm": _distances(evaluation.accuracy),
         "completeness_mm": _distances(evaluation.completeness),
         "f_score": {f"{1e3 * d:.0f}": _number(f, 4) for d, f in evaluation.f_score.items()},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
 LEFT, RIGHT, TOP, BOTTOM = 46.0, 12.0, 12.0, 40.0
@@ -33,8 +33,21 @@ class Dot:
 
 
 @dataclass(frozen=True, slots=True)
+class Series:
+    """A further line of a chart.
+
+    Attributes:
+        dots: Dots from left to right, joined by a line where ``y`` is known.
+        colour: Colour of the line as #rrggbb.
+    """
+
+    dots: Sequence[Dot]
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
 class Chart:
-    """A chart with one line and its dots.
+    """A chart of a line with its dots, and of further ones.
 
     Attributes:
         title: Title for screen readers.
@@ -49,6 +62,7 @@ class Chart:
         width: Width [units of the picture].
         height: Height [units of the picture].
         colour: Colour of the line as #rrggbb; empty for that of the page.
+        others: Further lines.
     """
 
     title: str
@@ -62,7 +76,8 @@ class Chart:
     percent: str = ""
     width: float = 420.0
     height: float = 250.0
-    colour: str = field(default="")
+    colour: str = ""
+    others: Sequence[Series] = ()
 
     def x(self, value: float) -> float:
         """Return the position of ``value`` in the picture, from the left."""
@@ -78,13 +93,14 @@ class Chart:
 
 def render_chart(chart: Chart) -> str:
     """Return ``chart`` as an SVG element to embed in a page."""
+    series = [Series(chart.dots, chart.colour), *chart.others]
     parts = [
         f'<svg class="chart" viewBox="0 0 {chart.width:g} {chart.height:g}" role="img">',
         f"<title>{escape(chart.title)}</title>",
         *_axes(chart),
         *_limit(chart),
-        *_line(chart),
-        *(_dot(chart, dot) for dot in chart.dots if not math.isnan(dot.y)),
+        *(part for each in series for part in _line(chart, each)),
+        *(_dot(chart, dot) for each in series for dot in each.dots if not math.isnan(dot.y)),
         "</svg>",
     ]
     return "".join(parts)
@@ -155,12 +171,12 @@ def _limit(chart: Chart) -> list[str]:
     ]
 
 
-def _line(chart: Chart) -> list[str]:
-    known = [dot for dot in chart.dots if not math.isnan(dot.y)]
+def _line(chart: Chart, series: Series) -> list[str]:
+    known = [dot for dot in series.dots if not math.isnan(dot.y)]
     if len(known) < 2:
         return []
     path = "L".join(f"{chart.x(dot.x):.1f} {chart.y(dot.y):.1f}" for dot in known)
-    style = f' style="stroke:{chart.colour}"' if chart.colour else ""
+    style = f' style="stroke:{series.colour}"' if series.colour else ""
     return [f'<path class="line" d="M{path}"{style}/>']
 
 

@@ -11,7 +11,7 @@ from scan3d_twin.core.model.evaluation import Comparison
 from scan3d_twin.core.model.fused_cloud import Model, number_voxels
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray
+from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.viz.cloud import Camera, shade_normals, surrounding_points
 from scan3d_twin.viz.point_values import PointValues, measure_points
 
@@ -31,17 +31,38 @@ MAX_TRIANGLES = 100_000
 
 
 @dataclass(frozen=True, slots=True)
+class Mark:
+    """A viewpoint to draw.
+
+    Attributes:
+        group: Index of the group whose colour it has.
+        pose: ``T_world_scan``.
+        width: Horizontal angle of its sweep [rad].
+    """
+
+    group: int
+    pose: Pose2
+    width: float
+
+
+@dataclass(frozen=True, slots=True)
 class Shown:
     """What a page shows in 3D.
 
     Attributes:
-        model: The points of the target.
+        title: What the groups are, such as ``Views``.
+        groups: Names of the groups of points, such as the number of each view.
+        marks: The viewpoints.
+        model: The points of the target; ``view`` is the group.
         values: What they can be coloured by, each (n,).
         around: Points of the surroundings (m, 3) [m].
         missing: Points of the surface that could be covered and are not (k, 3) [m].
         mesh: The target's surface.
     """
 
+    title: str
+    groups: tuple[str, ...]
+    marks: tuple[Mark, ...]
     model: Model
     values: tuple[PointValues, ...]
     around: FloatArray
@@ -53,7 +74,11 @@ def show_run(session: Session, model: Model, mesh: Mesh, compared: Comparison | 
     """Return what the page of ``session`` shows; what is missing only where it was ``compared``."""
     missing = np.zeros((0, 3)) if compared is None else compared.missing
     values = measure_points(model, session, compared)
-    return Shown(model, values, surrounding_points(session), missing, mesh)
+    groups = tuple(f"{k}" for k in range(len(session.views)))
+    width = session.config.sweep.width
+    marks = tuple(Mark(k, view.T_world_scan, width) for k, view in enumerate(session.views))
+    around = surrounding_points(session)
+    return Shown("Views", groups, marks, model, values, around, missing, mesh)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +86,7 @@ class PackedCloud:
     """Points and corners as records of 12 bytes, see ``POINT_RECORD``.
 
     Attributes:
-        data: The records: view by view, the surroundings, the missing surface, the mesh's corners.
+        data: The records: group by group, surroundings, missing surface, corners of the mesh.
         ranges: First record and number of records of each of these.
         faces: Indices of the mesh's corners, three a triangle, as 32 bits; 0 is its first.
         low: Origin of the coordinates (3,) [m].
@@ -75,15 +100,9 @@ class PackedCloud:
     extent: float
 
 
-def pack(shown: Shown, views: int, camera: Camera) -> PackedCloud:
-    """Return all that is ``shown`` packed for a page, thinned, and lit for ``camera``.
-
-    Args:
-        shown: What the page shows.
-        views: Number of views of the model.
-        camera: Determines the light.
-    """
-    # Sort by view and thin
+def pack(shown: Shown, camera: Camera) -> PackedCloud:
+    """Return all that is ``shown`` packed for a page, thinned, and lit for ``camera``."""
+    # Sort by group and thin
     model = shown.model
     order = np.argsort(model.view, kind="stable")
     order = order[:: max(1, math.ceil(len(model) / MAX_TARGET_POINTS))]
@@ -108,7 +127,7 @@ def pack(shown: Shown, views: int, camera: Camera) -> PackedCloud:
         records["values"][: len(chosen), k] = each.to_bytes()[order]
 
     # Find the ranges
-    seen = np.bincount(chosen.view, minlength=views)
+    seen = np.bincount(chosen.view, minlength=len(shown.groups))
     counts = [*seen, len(shown.around), len(missing), len(mesh.vertices)]
     firsts = np.cumsum([0, *counts[:-1]])
     ranges = [(int(first), int(count)) for first, count in zip(firsts, counts, strict=True)]

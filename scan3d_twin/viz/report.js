@@ -19,8 +19,7 @@
     if (axis >= 0) normal[axis] = 1;
     return {
       upto: Number(find("upto").value), views: boxes.map((each) => each.checked),
-      cloud: find("points").checked, mesh: find("mesh").checked,
-      around: find("around").checked, missing: Boolean(find("missing")?.checked),
+      ...Object.fromEntries(["points", "mesh", "around", "missing"].map((id) => [id, Boolean(find(id)?.checked)])),
       byHeight: colouring === "height", value: meta.values.findIndex((each) => each.name === colouring),
       section: { normal, cut: axis < 0 ? 1 : meta.box[0][axis] + share * (meta.box[1][axis] - meta.box[0][axis]) },
       measured,

@@ -168,7 +168,7 @@ const makeDrawing = (canvas, meta, bytes, faces) => {
 
     let style = begin(points, wanted, matrix, 0, dot1cm);
     const show = (range) => gl.drawArrays(gl.POINTS, ...range);
-    if (wanted.cloud) {
+    if (wanted.points) {
       views.forEach((range, k) => {
         if (!wanted.views[k] || k > wanted.upto) return;
         style(meta.colours[k], 1, ramp);

@@ -17,6 +17,7 @@ from scan3d_twin.core.types import Plan
 from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Report
 from scan3d_twin.viz.charts import Chart, Dot, render_chart, round_up
+from scan3d_twin.viz.page import Cell, render_table
 
 MAX_CHART_ERROR = 5.0
 """Largest error of a chart, in units of epsilon; larger ones are arrows at the edge."""
@@ -79,16 +80,22 @@ def render_top_view(document: str, *, known: bool) -> str:
         document: The picture as SVG.
         known: Whether the truth is known, and in the picture.
     """
+    words = (
+        "Points coloured by view, a numbered star at each viewpoint, its scan sector dashed. The "
+        "sectors end a quarter beyond the planned distance: the lidar sees farther, so that points "
+        "may lie outside. Arrows show the way that was driven"
+        + (", grey the true shape from above." if known else ".")
+    )
+    return render_drawing("Top view", document, words)
+
+
+def render_drawing(title: str, document: str, words: str) -> str:
+    """Return a section with a top view, the SVG ``document``, and ``words`` below it."""
     data = base64.b64encode(document.encode()).decode()
     return (
-        "<h2>Top view</h2><figure>"
-        '<div class="frame"><img class="tall" id="top-view" alt="Top view of the run" '
-        f'src="data:image/svg+xml;base64,{data}">'
-        "</div><figcaption>Points coloured by view, a numbered star at each viewpoint, its scan "
-        "sector dashed. The sectors end a quarter beyond the planned distance: the lidar sees "
-        "farther, so that points may lie outside. Arrows show the way that was driven"
-        + (", grey the true shape from above" if known else "")
-        + ".</figcaption></figure>"
+        f'<h2>{title}</h2><figure><div class="frame"><img class="tall" id="top-view" '
+        f'alt="Top view" src="data:image/svg+xml;base64,{data}"></div>'
+        f"<figcaption>{words}</figcaption></figure>"
     )
 
 
@@ -97,21 +104,17 @@ def render_views(report: Report, session: Session) -> str:
     if not session.views:
         return ""
 
-    # Fill heading and rows
+    # Fill the rows
     known = report["coverage_20mm"] is not None
     rows = {row["view"]: row for row in report["registration"]}
     names = ["View", "Points", "Overlap", "Predicted error"]
     names += ["Realised error", "By odometry alone"] if known else []
     names += ["Odometry corrected by", "Fitness", "Note"]
-    header = "".join(f"<th>{name}</th>" for name in names)
-    body = "".join(
-        _row(names, _cells(k, session, rows.get(k), known=known)) for k in range(len(session.views))
-    )
+    cells = [_cells(k, session, rows.get(k), known=known) for k in range(len(session.views))]
 
     # Return the table with legend
     return (
-        '<h2>Views</h2><div class="scroll"><table>'
-        f"<thead><tr>{header}</tr></thead><tbody>{body}</tbody></table></div>"
+        f"<h2>Views</h2>{render_table(names, cells)}"
         '<p class="note">Errors are root mean square over the view\'s target points, against the '
         "view before; orange is more than ε. Predicted by the planner before the move"
         + (", realised as only a simulator can know." if known else ".")
@@ -119,22 +122,7 @@ def render_views(report: Report, session: Session) -> str:
     )
 
 
-def _row(names: Sequence[str], cells: Sequence[tuple[str, bool]]) -> str:
-    """Return a row of cells, each a text and whether it is worse than wanted.
-
-    On a narrow screen each cell stands beside its name.
-    """
-    kinds = {True: ' class="over"', False: ""}
-    fields = [
-        f'<td data-label="{escape(name)}"{kinds[over]}>{text}</td>'
-        for name, (text, over) in zip(names, cells, strict=True)
-    ]
-    return f"<tr>{''.join(fields)}</tr>"
-
-
-def _cells(
-    k: int, session: Session, row: dict[str, Any] | None, *, known: bool
-) -> list[tuple[str, bool]]:
+def _cells(k: int, session: Session, row: dict[str, Any] | None, *, known: bool) -> list[Cell]:
     dash, epsilon = "\N{EN DASH}", 1e3 * session.config.planning.epsilon
     points = f"{len(session.views[k].target):,}".replace(",", "\N{THIN SPACE}")
     first = [(f'<span class="swatch" style="background:{view_colour(k)}"></span>{k}', False)]
@@ -142,7 +130,7 @@ def _cells(
     if row is None:
         return [*first, *[(dash, False)] * (6 if known else 4), ("the first", False)]
 
-    def cell(key: str, form: str = "{:.1f} mm", *, judged: bool = False) -> tuple[str, bool]:
+    def cell(key: str, form: str = "{:.1f} mm", *, judged: bool = False) -> Cell:
         value = row[key]
         return (dash, False) if value is None else (form.format(value), judged and value > epsilon)
 

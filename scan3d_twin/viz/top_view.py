@@ -35,7 +35,7 @@ svg { background: #ffffff; font: 13px system-ui, "Helvetica Neue", Arial, sans-s
 .label { font-weight: 600; paint-order: stroke; stroke: #ffffff; stroke-width: 3px; }
 .way { fill: none; stroke: #8b949e; stroke-width: 2; stroke-linejoin: round; }
 .arrow { fill: #8b949e; } .truth { fill: none; stroke: #e3e6ea; }
-@media (max-width: 560px) { text, .tick { font-size: 20px; } }
+@media (max-width: 560px) { text, .tick { font-size: 18px; } }
 @media (prefers-color-scheme: dark) {
 .truth { stroke: #2a313b; }
 svg { background: #0d1117; } .paper { fill: #0d1117; } .frame { stroke: #9198a1; }

@@ -1,0 +1,66 @@
+"""``twin runs`` and ``twin compare``."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def two(finished, tmp_path):
+    """A finished run, and a copy of it with another report."""
+    folder, report = finished
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        shutil.copy(folder / "session.mcap", tmp_path / name)
+    (tmp_path / "a" / "report.json").write_text(json.dumps(report))
+    changed = report | {"coverage_20mm": 0.5, "warnings": ["View 1: its pose may be off."]}
+    (tmp_path / "b" / "report.json").write_text(json.dumps(changed))
+    return tmp_path / "a", tmp_path / "b"
+
+
+def test_the_earlier_runs_are_listed_with_their_results(two, twin):
+    told = twin("runs", two[0].parent)
+    assert told.code == 0
+    rows = {line.split(maxsplit=6)[6]: line.split()[:1] for line in told.out.splitlines()[1:]}
+    assert rows.keys() == {str(two[0]), f"{two[1]} (1 warning)"}
+    assert rows[f"{two[1]} (1 warning)"] == ["2"]
+    assert "50%" in told.out
+    listed = json.loads(twin("runs", two[0].parent, "--json").out)
+    assert {run["folder"] for run in listed} == {str(each) for each in two}
+    assert {run["state"] for run in listed} == {"finished"}
+
+
+def test_runs_that_are_not_whole_are_listed_as_what_they_are(two, twin):
+    (two[0] / "report.json").write_text("{")
+    (two[1] / "session.mcap").rename(two[1] / "session.mcap.part")
+    told = twin("runs", two[0].parent).out
+    assert f"{two[0]} (its report cannot be read)" in told
+    assert f"{two[1]} (not finished: twin session recover" in told
+
+
+def test_no_runs_and_no_folder_are_told(twin, fails, tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert twin("runs", "empty").out == "no runs in empty\n"
+    assert "no folder runs" in fails(3, "runs")
+
+
+def test_runs_are_compared_on_one_page(two, twin, tmp_path):
+    told = twin("compare", *two, "--out", "both.html")
+    assert told.code == 0
+    assert told.out.splitlines()[-1] == "both.html"
+    page = Path("both.html").read_text(encoding="utf-8")
+    assert "All options are the same" in page
+    assert not re.findall(r"https?:", page)
+    told = json.loads(twin("compare", *two, "--json").out)
+    assert [run["name"] for run in told["runs"]] == ["a", "b"]
+    assert [run["coverage_20mm"] for run in told["runs"]][1] == 0.5
+    assert told["runs"][1]["distance_mm"]["median"] == pytest.approx(0.0, abs=0.1)
+    assert told["runs"][1]["in_both"] == 1.0
+
+
+def test_a_comparison_takes_two_runs(two, fails):
+    assert "at least two runs, got 1" in fails(2, "compare", two[0])
+    assert "no session in" in fails(3, "compare", two[0], two[0].parent)
