@@ -37,13 +37,13 @@ def save_run(
     journey: Journey,
     effort: Effort,
     truth: Truth | None = None,
-    scene_picture: bytes | str = "",
+    scene_picture: bytes = b"",
 ) -> Report:
     """Write the files of ``session`` to ``folder`` and return the report.
 
     The views are written once more, because the final alignment may have moved them. The model is
     evaluated only if it shows the target of the ground truth. ``scene_picture`` is a PNG of the
-    scene, or a sentence why there is none; empty for a real robot.
+    scene; empty for a real robot.
     """
     # Evaluate against the ground truth
     seen = build_view_clouds(session)
@@ -88,7 +88,7 @@ def save_run(
     write_file(folder / "model.ply", ply_bytes(model.points, model.view))
     write_file(folder / "top_view.svg", picture)
     write_file(folder / "report.json", report_json(report))
-    if isinstance(scene_picture, bytes):
+    if scene_picture:
         write_file(folder / "scene.png", scene_picture)
 
     # Write the report page

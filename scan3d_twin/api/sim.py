@@ -8,7 +8,6 @@ from typing import Any
 
 from scan3d_twin.api.run import RunOutcome, raise_if_failed, run_in_folder
 from scan3d_twin.api.watch import WatchOptions
-from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.png import encode_png
 from scan3d_twin.core.presets import DEFAULT_PRESET
@@ -77,9 +76,6 @@ def run_sim(
     return result
 
 
-def draw_scene(scene: Scene, robot: str) -> bytes | str:
-    """Return a picture of ``scene`` as PNG, or why nothing here can draw one."""
-    try:
-        return encode_png(render_scene(scene, robot))
-    except ConfigError as error:
-        return str(error)
+def draw_scene(scene: Scene, robot: str) -> bytes:
+    """Return a picture of ``scene`` as PNG."""
+    return encode_png(render_scene(scene, robot))

@@ -19,11 +19,11 @@ class RunWatcher:
 
     Attributes:
         view: The live view; None without one.
-        picture: Returns a picture of the scene as PNG, or a sentence why there is none.
+        picture: Returns a picture of the scene as PNG; no bytes of a real one.
     """
 
     view: LiveView | None
-    picture: Callable[[], bytes | str]
+    picture: Callable[[], bytes]
 
     def attach(self, robot: Robot, observer: Observer) -> tuple[Robot, Observer]:
         """Return ``robot`` and ``observer`` with the view among the observers."""
@@ -55,7 +55,7 @@ class WatchOptions:
 
     address: tuple[str, int] | None = None
     speed: str | None = None
-    picture: Callable[[], bytes | str] = str
+    picture: Callable[[], bytes] = bytes
 
     @contextmanager
     def open_watcher(self, name: str, report: Callable[[str], None]) -> Iterator[RunWatcher]:

@@ -23,11 +23,11 @@ class Pictures:
 
     Attributes:
         top_view: The top view as an SVG document.
-        scene: A picture of the scene as PNG, or a sentence why there is none.
+        scene: A picture of the scene as PNG; empty for a real one.
     """
 
     top_view: str
-    scene: bytes | str
+    scene: bytes
 
 
 def render_report_page(

@@ -269,12 +269,10 @@ def render_coverage(session: Session, evaluation: Evaluation | None, end: float)
     )
 
 
-def render_scene(picture: bytes | str) -> str:
-    """Return the picture of the scene, or why there is none; nothing for an empty string."""
+def render_scene(picture: bytes) -> str:
+    """Return the picture of the scene, a PNG; nothing without one."""
     if not picture:
         return ""
-    if isinstance(picture, str):
-        return f'<h2>Scene</h2><p class="note">No picture of the scene: {escape(picture)}.</p>'
     data = base64.b64encode(picture).decode()
     return (
         '<h2>Scene</h2><figure><div class="frame"><img alt="The scene with the robot at its start"'

@@ -35,7 +35,7 @@ native.engine._level = 1
 from scan3d_twin.cli import main
 sys.exit(main(sys.argv[2:]))
 """
-EXTRAS = {"duckdb", "pebble", "distributed", "laspy", "pye57", "OpenGL", "glfw", "small_gicp"}
+EXTRAS = {"duckdb", "pebble", "distributed", "laspy", "pye57", "small_gicp"}
 
 
 def digest(folder: Path) -> str:

@@ -59,7 +59,7 @@ def sim(
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
 
-    def picture() -> bytes | str:
+    def picture() -> bytes:
         from scan3d_twin.api.sim import draw_scene  # slow to import
 
         return draw_scene(scene, effective.twin.robot)

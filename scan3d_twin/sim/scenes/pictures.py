@@ -1,83 +1,173 @@
-"""Pictures of a scene, rendered without a screen."""
+"""Pictures of a scene by ray casting: the same bytes on every computer, without OpenGL."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco import batch
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.png import Picture, encode_png
+from scan3d_twin.core.types import FloatArray, IntArray
 from scan3d_twin.devices.registry import DEFAULT_BASE
 from scan3d_twin.sim.config import RobotErrorConfig
-from scan3d_twin.sim.scenes.offscreen import open_context
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.scenes.surface_samples import bounding_points
 from scan3d_twin.sim.world import PREFIX, RobotErrors, build_model
 
-WIDTH, HEIGHT = 1280, 720
+WIDTH, HEIGHT = 960, 540
+FIELD_OF_VIEW = math.radians(45.0)
+"""Vertical field of view [rad]."""
 HIDDEN_GROUP = 3
-"""First group of the geoms and sites that pictures do not show."""
+"""First group of the geoms that pictures do not show."""
 CUT_AWAY_SHARE = 0.7
-"""Geoms that hide a place within this share of the distance from the camera are cut away."""
-SUPERSAMPLES = 4
-SHADOW_MAP_SIZE = 2048
-"""Side of the shadow map [pixels]; MuJoCo's default of 4096 takes ten times the time."""
+"""Geoms that hide a place within this share of the distance from the eye are cut away."""
+SUN = np.array([-0.25, 0.2, 0.95])
+"""Direction to the sun, about a unit vector: from above, to the side."""
+AMBIENT, HEADLIGHT, SUNLIGHT = 0.45, 0.22, 0.48
+"""Shares of the light from all sides, from the eye and from the sun."""
+SKY_LOW, SKY_HIGH = (226, 232, 238), (176, 196, 216)
+"""Colours of the sky at the horizon and far above it."""
+SHADOW_OFFSET = 1e-4
+"""Distance from the surface at which the way to the sun begins [m]."""
+
+
+@dataclass(frozen=True)
+class Eye:
+    """A place to look from.
+
+    Attributes:
+        place: Where it is (3,) [m].
+        looks_at: What is in the middle of the picture (3,) [m].
+    """
+
+    place: FloatArray
+    looks_at: FloatArray
+
+    def axes(self) -> FloatArray:
+        """Return the unit vectors to the right, up and ahead, as rows (3, 3)."""
+        ahead = self.looks_at - self.place
+        ahead = ahead / np.linalg.norm(ahead)
+        right = np.cross(ahead, (0.0, 0.0, 1.0))
+        right = right / np.linalg.norm(right)
+        return np.stack([right, np.cross(right, ahead), ahead])
+
+    def rays(self, width: int, height: int) -> FloatArray:
+        """Return the unit vector through each pixel (height * width, 3), from the upper row on."""
+        half = math.tan(FIELD_OF_VIEW / 2)
+        x = (np.arange(width) + 0.5 - width / 2) / (height / 2) * half
+        y = (height / 2 - np.arange(height) - 0.5) / (height / 2) * half
+        columns, rows = np.meshgrid(x, y)
+        local = np.stack([columns.ravel(), rows.ravel(), np.ones(width * height)], axis=1)
+        rays = local @ self.axes()
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def project(
+        self, points: FloatArray, width: int, height: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return column, row and distance ahead [m] (n,) of ``points`` (n, 3) in a picture."""
+        right, up, ahead = self.axes()
+        offset = points - self.place
+        x, y, depth = offset @ right, offset @ up, offset @ ahead
+        scale = height / 2 / math.tan(FIELD_OF_VIEW / 2) / np.maximum(depth, 1e-6)
+        return width / 2 + scale * x, height / 2 - scale * y, depth
+
+
+class Painter:
+    """Draws a model from any eye, as it stands."""
+
+    def __init__(self, model: Any) -> None:
+        """Draw ``model``, whose hidden geoms are made invisible."""
+        for geom in np.flatnonzero(model.geom_group >= HIDDEN_GROUP):
+            hide(model, int(geom))
+        self._colours = _colours(model)
+        self._batch = batch.Batch(model, nsim=1, nthread=1)
+        self._qpos = self._batch.bind("qpos")
+
+    def draw(
+        self, qpos: FloatArray, eye: Eye, width: int = WIDTH, height: int = HEIGHT
+    ) -> tuple[Picture, FloatArray]:
+        """Return a picture (height, width, 3), and how far ahead a pixel is (height, width) [m].
+
+        Args:
+            qpos: Positions of all that moves (nq,).
+            eye: Where to look from.
+            width: Columns.
+            height: Rows.
+        """
+        # Find what each pixel shows
+        self._qpos[0] = qpos
+        rays = eye.rays(width, height)
+        origins = np.broadcast_to(eye.place, rays.shape).copy()
+        distances, normals, geoms = self._cast(origins, rays)
+        hit = np.flatnonzero(geoms >= 0)
+        facing = -np.sum(normals[hit] * rays[hit], axis=1)
+        normals[hit] *= np.sign(facing)[:, None]
+
+        # Light it: from all sides, from the eye, and from the sun where nothing is in between
+        places = origins[hit] + distances[hit, None] * rays[hit]
+        sun = np.broadcast_to(SUN / np.linalg.norm(SUN), places.shape).copy()
+        _, _, between = self._cast(places + SHADOW_OFFSET * normals[hit], sun)
+        direct = np.where(between < 0, np.maximum(0.0, np.sum(normals[hit] * sun, axis=1)), 0.0)
+        light = AMBIENT + HEADLIGHT * np.abs(facing) + SUNLIGHT * direct
+
+        # Paint sky and surfaces
+        share = np.clip(rays[:, 2:], 0.0, 1.0)
+        colours = (1.0 - share) * SKY_LOW + share * SKY_HIGH
+        colours[hit] = 255.0 * self._colours[geoms[hit]] * light[:, None]
+        ahead = np.where(geoms >= 0, distances * (rays @ eye.axes()[2]), np.inf)
+        picture = np.round(np.clip(colours, 0.0, 255.0)).astype(np.uint8)
+        return picture.reshape(height, width, 3), ahead.reshape(height, width)
+
+    def _cast(
+        self, origins: FloatArray, rays: FloatArray
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return distance (n,) [m], unit normal (n, 3) and geom (n,) of first hits; -1: none."""
+        distances, geoms, normals = self._batch.ray(origins, rays, normal=True)
+        return distances[0].copy(), normals[0].copy(), geoms[0].astype(np.int64)
+
+
+def hide(model: Any, geom: int) -> None:
+    """Make a geom of ``model`` invisible, to rays as well."""
+    model.geom_matid[geom] = -1
+    model.geom_rgba[geom] = 0
+
+
+def _colours(model: Any) -> FloatArray:
+    """Return the colour of each geom (n, 3), 0..1; of a texture, its mean."""
+    colours = np.array(model.geom_rgba[:, :3], dtype=np.float64)
+    for geom in np.flatnonzero(model.geom_matid >= 0):
+        material = model.geom_matid[geom]
+        colours[geom] = model.mat_rgba[material, :3] * _texture_colour(model, material)
+    return colours
+
+
+def _texture_colour(model: Any, material: int) -> FloatArray:
+    """Return the mean colour (3,) of the material's texture, 0..1; white without one."""
+    texture = model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]
+    if texture < 0 or model.tex_nchannel[texture] < 3:
+        return np.ones(3)
+    channels = int(model.tex_nchannel[texture])
+    count = int(model.tex_height[texture] * model.tex_width[texture]) * channels
+    first = int(model.tex_adr[texture])
+    pixels = model.tex_data[first : first + count].reshape(-1, channels)
+    return np.asarray(pixels[:, :3].mean(axis=0) / 255.0)
 
 
 def render_scene(scene: Scene, robot: str = DEFAULT_BASE) -> Picture:
-    """Return a picture (height, width, 3) of ``scene`` with the robot at its start.
-
-    Raises:
-        ConfigError: No OpenGL backend works; the message names what to install.
-    """
-    # Set the quality of the picture
+    """Return a picture (HEIGHT, WIDTH, 3) of ``scene`` with the robot at its start."""
     errors = RobotErrors.draw(RobotErrorConfig(), np.random.default_rng(0))
-    spec = scene.spec.copy()
-    spec.visual.quality.shadowsize = SHADOW_MAP_SIZE
-    spec.visual.quality.offsamples = SUPERSAMPLES
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.5] * 3
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = WIDTH, HEIGHT
-
-    # Build the model with the robot
-    model = build_model(replace(scene, spec=spec), robot, errors)
+    model = build_model(scene, robot, errors)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-
-    # Draw it off screen
-    camera = _camera(scene)
-    _cut_away(model, data, camera)
-    context = open_context(WIDTH, HEIGHT)
-    try:
-        context.make_current()
-        return _draw(model, data, camera)
-    finally:
-        context.free()
-
-
-def _draw(model: Any, data: Any, camera: Any) -> Picture:
-    # Hide the helper groups
-    option = mujoco.MjvOption()
-    option.geomgroup[HIDDEN_GROUP:] = 0
-    option.sitegroup[HIDDEN_GROUP:] = 0
-
-    # Prepare scene and context
-    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
-    painter = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, painter)
-    everything = mujoco.mjtCatBit.mjCAT_ALL
-    mujoco.mjv_updateScene(model, data, option, mujoco.MjvPerturb(), camera, everything, scene)
-
-    # Render and read back
-    window = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-    mujoco.mjr_render(window, scene, painter)
-    picture = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-    mujoco.mjr_readPixels(picture, None, window, painter)
-    painter.free()
-    return picture[::-1]  # OpenGL counts rows from below
+    eye = choose_eye(scene)
+    cut_away(model, data, eye)
+    return Painter(model).draw(data.qpos, eye)[0]
 
 
 def write_png(path: Path, picture: Picture) -> None:
@@ -92,28 +182,21 @@ def write_png(path: Path, picture: Picture) -> None:
         raise FileError(f"cannot write {path}: {error.strerror}") from error
 
 
-def _cut_away(model: Any, data: Any, camera: Any) -> None:
-    """Hide geoms between ``camera`` and the robot and target, such as a wall of the room."""
-    # Compute the camera's eye
-    azimuth, elevation = np.radians(camera.azimuth), np.radians(camera.elevation)
-    flat = np.cos(elevation)
-    ahead = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-    eye = camera.lookat - camera.distance * ahead
-
-    # Hide the geoms in between
+def cut_away(model: Any, data: Any, eye: Eye) -> None:
+    """Hide geoms between ``eye`` and the robot and target, such as a wall of the room."""
     geom, robot = np.zeros(1, np.int32), data.body(PREFIX + "base").xpos
-    for place in (camera.lookat, robot + np.array([0, 0, 0.2]), 2 * camera.lookat - robot):
-        ray = (place - eye) / np.linalg.norm(place - eye)
+    for place in (eye.looks_at, robot + np.array([0, 0, 0.2]), 2 * eye.looks_at - robot):
+        distance = float(np.linalg.norm(place - eye.place))
+        ray = (place - eye.place) / distance
         for _ in range(model.ngeom):
-            reach = mujoco.mj_ray(model, data, eye, ray, None, 1, -1, geom, None)
-            if not 0 <= reach < CUT_AWAY_SHARE * float(np.linalg.norm(place - eye)):
+            reach = mujoco.mj_ray(model, data, eye.place, ray, None, 1, -1, geom, None)
+            if not 0 <= reach < CUT_AWAY_SHARE * distance:
                 break
-            model.geom_matid[geom[0]] = -1
-            model.geom_rgba[geom[0]] = 0
+            hide(model, int(geom[0]))
 
 
-def _camera(scene: Scene) -> Any:
-    """Return a camera that looks over the robot's shoulder at the target."""
+def choose_eye(scene: Scene) -> Eye:
+    """Return an eye that looks over the robot's shoulder at the target."""
     # Bound the target
     data = mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
@@ -126,13 +209,12 @@ def _camera(scene: Scene) -> Any:
     # Look over the robot's shoulder
     centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
     robot = np.array([scene.spawn.x, scene.spawn.y, 0.2])
-    camera = mujoco.MjvCamera()
-    camera.lookat = 0.6 * centre + 0.4 * robot
+    looks_at = 0.6 * centre + 0.4 * robot
     towards = centre[:2] - robot[:2]
-    camera.azimuth = float(np.degrees(np.arctan2(towards[1], towards[0]))) + 35.0
-    camera.elevation = -32.0
+    azimuth = math.atan2(towards[1], towards[0]) + math.radians(35.0)
+    flat, height = math.cos(math.radians(32.0)), math.sin(math.radians(32.0))
+    back = np.array([-flat * math.cos(azimuth), -flat * math.sin(azimuth), height])
 
     # Back off until both fit
     extent = max(float(np.linalg.norm(towards)), float(np.ptp(seen, axis=0).max()) / 2)
-    camera.distance = 1.2 + 1.05 * extent
-    return camera
+    return Eye(looks_at + (1.2 + 1.05 * extent) * back, looks_at)
