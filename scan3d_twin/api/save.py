@@ -82,7 +82,7 @@ def save_run(
         sweep_width=session.config.sweep.width,
         standoff=session.config.planning.standoff,
         title=_title(report),
-        way=place_track(journey.track, session),
+        way=place_track(journey.track, session)[:, :2],
         truth=None if compared is None else compared.surface,
     )
     write_file(folder / "model.ply", ply_bytes(model.points, model.view))

@@ -29,6 +29,7 @@ COMMANDS = {
     "scan": ("scan:scan", "Take one 3D image from where the robot stands."),
     "view": ("view:view", "Show a recorded run on a web page."),
     "runs": ("runs:runs", "List the earlier runs."),
+    "film": ("film:film", "Make a film of a run."),
     "compare": ("compare:compare", "Compare runs: options, results, models."),
     "export": ("export:export", "Write the model of a run for other programs."),
     "mesh": ("mesh:mesh", "Write the surface of a run's target as a triangle mesh."),

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mcap.records import Metadata
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Pose2, ScanLine
+from scan3d_twin.core.types import FloatArray, Pose2, ScanLine
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.recovering_reader import (
     RawMessage,
@@ -146,6 +147,19 @@ def read_last_odometry(path: Path) -> tuple[float, Pose2]:
     pose = _decoded(last).pose.pose
     yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
     return last.nanoseconds / 1e9, Pose2(pose.position.x, pose.position.y, yaw)
+
+
+def read_track(path: Path) -> FloatArray:
+    """Return all odometry: stamp [s], x, y [m] and yaw [rad] (n, 4) in ``odom``."""
+    track = []
+    for each in read_contents(path, ODOMETRY):
+        if isinstance(each, RawMessage):
+            pose = _decoded(each).pose.pose
+            yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
+            track.append((each.nanoseconds / 1e9, pose.position.x, pose.position.y, yaw))
+    result = np.array(track).reshape(-1, 4)
+    result[:, 3] = np.unwrap(result[:, 3])
+    return result
 
 
 def read_lines(path: Path) -> Iterator[ScanLine]:

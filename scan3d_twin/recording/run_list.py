@@ -54,13 +54,13 @@ _PARTIAL = SESSION_FILE + PART
 def _describe(folder: Path) -> ListedRun:
     files = [folder / name for name in ("report.json", SESSION_FILE, _PARTIAL)]
     written = max(path.stat().st_mtime for path in files if path.is_file())
-    report, state = _read(folder / "report.json")
+    report, state = read_report(folder / "report.json")
     if (folder / _PARTIAL).is_file():
         state = "not finished: twin session recover, or it still runs"
     return ListedRun(folder, written, report, state)
 
 
-def _read(path: Path) -> tuple[dict[str, Any], str]:
+def read_report(path: Path) -> tuple[dict[str, Any], str]:
     """Return the report in ``path``, and the state of its run."""
     try:
         report = json.loads(path.read_text(encoding="utf-8"))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scan3d_twin.core.model.fused_cloud import Model, thin_by_voxel
 from scan3d_twin.core.png import encode_png
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, IntArray, Pose2
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 from scan3d_twin.recording.colours import view_colours_rgb
 
 MAX_SURROUNDING_POINTS = 60_000
@@ -78,9 +78,14 @@ def surrounding_points(session: Session) -> FloatArray:
 
 def points_off_target(view: View) -> FloatArray:
     """Return the points of ``view`` off its target (n, 3) in ``scan`` [m]."""
+    return view.sweep.points[is_off_target(view)]
+
+
+def is_off_target(view: View) -> BoolArray:
+    """Return which points of the sweep of ``view`` are not of its target (n,)."""
     beams = view.image.spec.n_beams
     ours = view.target.lines * beams + view.target.beams
-    return view.sweep.points[~np.isin(view.sweep.lines * beams + view.sweep.beams, ours)]
+    return ~np.isin(view.sweep.lines * beams + view.sweep.beams, ours)
 
 
 def shade_normals(normals: FloatArray, camera: Camera) -> FloatArray:

@@ -1,4 +1,4 @@
-"""``twin runs`` and ``twin compare``."""
+"""``twin runs``, ``twin compare`` and ``twin film``."""
 
 import json
 import re
@@ -64,3 +64,11 @@ def test_runs_are_compared_on_one_page(two, twin, tmp_path):
 def test_a_comparison_takes_two_runs(two, fails):
     assert "at least two runs, got 1" in fails(2, "compare", two[0])
     assert "no session in" in fails(3, "compare", two[0], two[0].parent)
+
+
+def test_a_film_is_made_of_a_run(two, twin, fails):
+    told = twin("film", two[0], "--seconds", "1", "--fps", "3", "--out", "short.gif")
+    assert (told.code, told.out) == (0, "short.gif\n")
+    assert Path("short.gif").read_bytes().startswith(b"GIF89a")
+    assert "--fps must be 1 to 60" in fails(2, "film", two[0], "--fps", "0")
+    assert "ends in .mp4 or .gif" in fails(2, "film", two[0], "--out", "film.avi")

@@ -29,11 +29,11 @@ def test_it_leads_through_the_viewpoints_as_the_alignment_places_them(session):
         [[t, p.x, p.y, p.yaw] for t, p in zip(stamps_of(aligned), odometry, strict=True)]
     )
     assert place_track(track, aligned) == pytest.approx(
-        np.array([[0.3 * k, 1.0] for k in range(3)]), abs=1e-9
+        np.array([[0.3 * k, 1.0, 0.1] for k in range(3)]), abs=1e-9
     )
 
 
 def test_nothing_is_known_of_it_without_a_track_or_views(session):
     track = np.zeros((2, 4))
-    assert place_track(np.zeros((0, 4)), session).shape == (0, 2)
-    assert place_track(track, replace(session, views=())).shape == (0, 2)
+    assert place_track(np.zeros((0, 4)), session).shape == (0, 3)
+    assert place_track(track, replace(session, views=())).shape == (0, 3)

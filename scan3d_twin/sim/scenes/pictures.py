@@ -37,6 +37,10 @@ SHADOW_OFFSET = 1e-4
 """Distance from the surface at which the way to the sun begins [m]."""
 
 
+Window = tuple[slice, slice]
+"""Rows and columns of a part of a picture."""
+
+
 @dataclass(frozen=True)
 class Eye:
     """A place to look from.
@@ -90,7 +94,12 @@ class Painter:
         self._qpos = self._batch.bind("qpos")
 
     def draw(
-        self, qpos: FloatArray, eye: Eye, width: int = WIDTH, height: int = HEIGHT
+        self,
+        qpos: FloatArray,
+        eye: Eye,
+        width: int = WIDTH,
+        height: int = HEIGHT,
+        window: Window | None = None,
     ) -> tuple[Picture, FloatArray]:
         """Return a picture (height, width, 3), and how far ahead a pixel is (height, width) [m].
 
@@ -99,10 +108,13 @@ class Painter:
             eye: Where to look from.
             width: Columns.
             height: Rows.
+            window: The part of the picture to draw; None for all of it.
         """
         # Find what each pixel shows
         self._qpos[0] = qpos
-        rays = eye.rays(width, height)
+        rows, columns = (slice(0, height), slice(0, width)) if window is None else window
+        rays = eye.rays(width, height).reshape(height, width, 3)[rows, columns]
+        shape, rays = rays.shape[:2], rays.reshape(-1, 3)
         origins = np.broadcast_to(eye.place, rays.shape).copy()
         distances, normals, geoms = self._cast(origins, rays)
         hit = np.flatnonzero(geoms >= 0)
@@ -122,7 +134,7 @@ class Painter:
         colours[hit] = 255.0 * self._colours[geoms[hit]] * light[:, None]
         ahead = np.where(geoms >= 0, distances * (rays @ eye.axes()[2]), np.inf)
         picture = np.round(np.clip(colours, 0.0, 255.0)).astype(np.uint8)
-        return picture.reshape(height, width, 3), ahead.reshape(height, width)
+        return picture.reshape(*shape, 3), ahead.reshape(shape)
 
     def _cast(
         self, origins: FloatArray, rays: FloatArray
