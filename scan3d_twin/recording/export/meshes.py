@@ -27,7 +27,7 @@ GREY = (150, 150, 150)
 def encode_mesh(mesh: Mesh, name: str) -> bytes:
     """Return ``mesh`` as a file of trimesh's format ``name``; vertices have the views' colours.
 
-    In metres, z up; in glTF (glb) y is up, by definition of the format.
+    z is up; in glTF (glb) y is up and lengths are metres, by definition of the format.
     """
     import trimesh
 
@@ -42,7 +42,7 @@ def encode_mesh(mesh: Mesh, name: str) -> bytes:
     return content.encode() if isinstance(content, str) else content
 
 
-GLB = MeshFormat(encode=partial(encode_mesh, name="glb"))
+GLB = MeshFormat(encode=partial(encode_mesh, name="glb"), fixed_unit="metres")
 OBJ = MeshFormat(encode=partial(encode_mesh, name="obj"))
 PLY = MeshFormat(encode=partial(encode_mesh, name="ply"))
 STL = MeshFormat(encode=partial(encode_mesh, name="stl"))
