@@ -12,7 +12,7 @@ from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.neighbours import find_nearest
-from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.colours import GREY, view_colours_rgb
 from scan3d_twin.recording.export.format import MeshFormat
 
 OCTREE_DEPTH = 8
@@ -20,8 +20,6 @@ OCTREE_DEPTH = 8
 MAX_POISSON_DISTANCE = 0.015
 """Poisson reconstruction closes every hole; surface farther than this from any point is cut away
 [m]. Readings are 9 mm apart at 1 m, so that scanned surface is nearer."""
-GREY = (150, 150, 150)
-"""Colour of a vertex that belongs to no single view."""
 
 
 def encode_mesh(mesh: Mesh, name: str) -> bytes:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.colours import pack_rgb, view_colours_rgb
 from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
 from scan3d_twin.recording.export.unit import NAMES
@@ -25,9 +25,8 @@ def encode(piece: Piece) -> bytes:
     for axis, name in enumerate("xyz"):
         points[name] = model.points[:, axis]
         points["normal_" + name] = model.normals[:, axis]
-    red, green, blue = view_colours_rgb(model.view).astype(np.uint32).T
-    # PCL reads the colour from the bits of a float; its pcd2ply loses that of an integer.
-    points["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
+    # PCL reads the colour from the bits of a float; its pcd2ply loses that of an integer
+    points["rgb"] = pack_rgb(view_colours_rgb(model.view))
     points["label"] = model.view
 
     # Write the header
