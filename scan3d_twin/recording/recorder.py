@@ -37,8 +37,6 @@ from scan3d_twin.run.settings import Settings, settings_toml
 
 FRAMES_PERIOD = 0.1
 """Time between two statements of where the frames are, at most [s]: a line of the lidar."""
-PATH_STEP = 0.05
-"""Distance between two poses of the recorded path [m]: a fifth of the robot, so that bends show."""
 
 
 class SerialTaps:
@@ -273,7 +271,7 @@ class Recorder:
     def _extend_path(self, sample: Odometry) -> None:
         """Add where the robot is, as it is known now, if it has moved on."""
         pose = self._T_world_odom @ sample.T_odom_base
-        if not self._path or pose.distance(self._path[-1][1]) >= PATH_STEP:
+        if not self._path or pose.distance(self._path[-1][1]) >= ros_display.PATH_STEP:
             self._path.append((sample.stamp, pose))
 
     def _on_command(self, linear: float, angular: float) -> None:

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 from recorded import LINES, record
 
+from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.export import find_format
+from scan3d_twin.recording.mcap.ros_display import PATH_STEP
 
 ROOT = Path(__file__).resolve().parents[2]
 NODE_MODULES = os.environ.get("SCAN3D_TWIN_NODE_MODULES", str(ROOT / "build/node/node_modules"))
@@ -53,6 +56,67 @@ def test_rerun_draws_what_it_has_types_for(path, session):
     for view, cloud in zip(session.views, points["/cloud"], strict=True):
         placed = view.T_world_scan.apply(view.sweep.points)
         np.testing.assert_allclose(np.array(cloud), placed, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def in_rerun(path, tmp_path_factory):
+    """What ``--to rrd`` writes, as rerun reads it: rows of each component by entity, in order."""
+    chunks = pytest.importorskip("rerun.chunk", exc_type=ImportError)
+    written = tmp_path_factory.mktemp("rrd") / "session.rrd"
+    find_format("rrd").write(path, written)
+    found = {}
+    for chunk in chunks.RrdReader(written).stream():
+        batch = chunk.to_record_batch()
+        columns = found.setdefault(str(chunk.entity_path).lstrip("/"), {})
+        for name in batch.schema.names:
+            columns.setdefault(name, []).extend(batch.column(name).to_pylist())
+    return found
+
+
+def test_an_rrd_has_each_view_in_its_colour_at_its_final_pose(in_rerun, session):
+    for index, view in enumerate(session.views):
+        model = in_rerun[f"world/model/{index:03d}"]
+        (points,) = model["Points3D:positions"]
+        placed = view.T_world_scan.apply(view.target.points)
+        np.testing.assert_allclose(points, placed, atol=1e-6)
+        ((packed,),) = model["Points3D:colors"]
+        red, green, blue = view_colours_rgb(np.array([index]))[0].tolist()
+        assert packed == red << 24 | green << 16 | blue << 8 | 255
+        (stamp,) = model["robot_time"]
+        assert stamp.total_seconds() == pytest.approx(view.image.stamps[-1], abs=1e-6)
+
+
+def test_an_rrd_has_the_drive_the_lines_and_the_decisions(in_rerun, session):
+    assert len(in_rerun["world/scan"]["Points3D:positions"]) == 2 * LINES
+    (strip,) = in_rerun["world/path"]["LineStrips3D:strips"][-1]
+    steps = np.linalg.norm(np.diff(np.array(strip), axis=0), axis=1)
+    assert len(strip) > 6
+    assert steps.min() >= PATH_STEP - 1e-6
+    events = [text for (text,) in in_rerun["events"]["TextLog:text"]]
+    assert f"plan: {session.plans[-1].reason}" in events
+    assert f"end: {session.stop_reason}" in events
+    ((origin,),) = in_rerun["world/plan/next"]["Arrows3D:origins"][-1:] or [[None]]
+    where = session.plans[-1].viewpoint
+    np.testing.assert_allclose(origin[:2], [where.x, where.y], atol=1e-6)
+
+
+def test_a_scan_line_of_an_rrd_lies_where_the_lidar_saw_it(in_rerun):
+    """The lidar stands 0.30 m high; the readings of ``recorded.line`` grow from 0.5 to 4 m."""
+    line = np.array(in_rerun["world/scan"]["Points3D:positions"][0])
+    assert len(line) == 681  # the first reading is an error
+    robot = np.array(in_rerun["world/robot"]["Arrows3D:origins"][0][0])
+    distances = np.hypot(np.hypot(*(line[:, :2] - robot[:2]).T), line[:, 2] - 0.30)
+    assert 0.4 < distances.min() < 0.7
+    assert 3.7 < distances.max() < 4.3
+    assert np.ptp(line[:, 2]) > 3.0  # its plane stands upright
+
+
+def test_an_rrd_that_cannot_be_written_leaves_nothing(path, tmp_path):
+    pytest.importorskip("rerun", exc_type=ImportError)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(FileError, match="cannot write"):
+        find_format("rrd").write(path, tmp_path / "file" / "x.rrd")
+    assert [each.name for each in tmp_path.iterdir()] == ["file"]
 
 
 @pytest.fixture(scope="module")

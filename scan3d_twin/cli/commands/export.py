@@ -29,8 +29,8 @@ def export(
     """Write the model of a run for other programs.
 
     Point clouds: ply, pcd, xyz, las, laz, e57 or uos (3DTK); meshes: obj, stl or glb, as
-    `twin mesh` makes them; rosbag2: everything that was recorded. Other packages may add formats
-    (docs/extending.md).
+    `twin mesh` makes them; rosbag2 (ROS 2, Foxglove) and rrd (rerun): what was recorded. Other
+    packages may add formats (docs/extending.md).
 
     Args:
         run: The run's folder, or its session file.
@@ -94,6 +94,6 @@ def _cloud(
 def _recording(run: Path, name: str, kind: RecordingFormat, out: Path | None) -> list[Path]:
     from scan3d_twin.recording.load import find_session_file, run_folder
 
-    path = out or run_folder(run) / name
+    path = out or run_folder(run) / (f"session{kind.suffix}" if kind.suffix else name)
     kind.write(find_session_file(run), path)
     return [path]

@@ -54,9 +54,11 @@ class RecordingFormat:
 
     Attributes:
         write: Writes the messages of a session file to a new file or folder.
+        suffix: Of its file; empty for a folder.
     """
 
     write: Callable[[Path, Path], object]
+    suffix: str = ""
 
 
 Format = CloudFormat | MeshFormat | RecordingFormat

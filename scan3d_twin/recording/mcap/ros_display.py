@@ -20,6 +20,8 @@ from scan3d_twin.recording.mcap import ros_messages as ros
 MODEL_VOXEL = 0.01
 """Side of the cubes of which each holds one point of the model in a recording [m]: the accuracy
 that is asked for by default. The model is written anew with every view."""
+PATH_STEP = 0.05
+"""Distance between two poses of the path [m]: a fifth of the robot, so that bends show."""
 _FLOAT32, _UINT16, _UINT8 = 7, 4, 2
 _FIELDS = (
     ("x", 0, _FLOAT32),

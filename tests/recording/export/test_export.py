@@ -2,6 +2,7 @@ import builtins
 import io
 import math
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -177,6 +178,12 @@ def test_a_missing_library_is_named_with_its_cure(name, library, fused, tmp_path
     with pytest.raises(ConfigError, match=f"pip install '?{library}"):
         written(fused, name, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_rerun_is_named_where_it_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ConfigError, match=r"pip install 'scan3d-twin\[rerun\]'"):
+        find_format("rrd").write(tmp_path / "session.mcap", tmp_path / "session.rrd")
 
 
 @pytest.mark.parametrize("name", ["ply", "e57"])
