@@ -309,7 +309,7 @@ def _part(path: Path) -> Path:
 
 def _path_of_views(session: Session) -> list[tuple[float, Pose2]]:
     """Return the path of a run that is continued: the places of its views."""
-    return [(float(each.image.stamps[-1]), each.T_world_scan) for each in session.views]
+    return [(float(each.image.stamps.max()), each.T_world_scan) for each in session.views]
 
 
 def _odom_in_world(session: Session) -> Pose2:

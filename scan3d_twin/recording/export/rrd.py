@@ -27,6 +27,7 @@ from scan3d_twin.recording.mcap.ros_display import (
     INFEASIBLE_COLOUR,
     NEXT_COLOUR,
     PATH_STEP,
+    find_target,
 )
 from scan3d_twin.recording.names import SCANS
 
@@ -36,6 +37,10 @@ SCAN_COLOUR, PATH_COLOUR = (235, 50, 50), (255, 176, 0)
 """Colours of the scan line and of the path, as in the live view and in Foxglove's layout."""
 POINT_RADIUS, DOT_RADIUS, PATH_RADIUS = 0.003, 0.02, 0.008
 """Radii of the points of clouds, of candidates and of the path [m]."""
+EYE_DISTANCE = 4.0
+"""Distance of the eye from the target's middle when the viewer opens, 45 degrees up [m]."""
+SPEED = 10.0
+"""Playback speed, that at which the live view plays the twin."""
 PATH_BATCH = 5
 """Steps after which the path is written anew, as a whole: what is shown is the last state."""
 _DRIVE = ("/tf", "/tf_static", SCANS, "/rosout")
@@ -66,7 +71,7 @@ def write(session_file: Path, path: Path) -> None:
     # Write it, then rename
     try:
         with rerun.RecordingStream(f"scan3d_twin {recorded.name}") as stream:
-            stream.save(part, default_blueprint=_blueprint())
+            stream.save(part, default_blueprint=_blueprint(recorded.session))
             _RerunWriter(rerun, stream).write(recorded.session, session_file)
             stream.flush()
             stream.disconnect()
@@ -77,18 +82,30 @@ def write(session_file: Path, path: Path) -> None:
         raise FileError(f"cannot write {path}: {error}") from error
 
 
-def _blueprint() -> Any:
-    """Return how rerun's viewer lays out the recording: 3D, errors and events."""
+def _blueprint(session: Session) -> Any:
+    """Return how rerun's viewer opens: 3D, errors and events, at the end of the run."""
     from rerun import blueprint
 
+    seen = [view.T_world_scan.apply(view.target.points) for view in session.views]
+    middle = np.concatenate([np.zeros((0, 3)), *seen, np.zeros((1, 3))]).mean(axis=0)
+    eye = middle + EYE_DISTANCE * np.append(session.front, 1.0) / math.sqrt(2.0)
     return blueprint.Blueprint(
         blueprint.Horizontal(
-            blueprint.Spatial3DView(origin="world", name="Run"),
+            blueprint.Spatial3DView(
+                origin="world",
+                name="Run",
+                eye_controls=blueprint.EyeControls3D(
+                    position=eye, look_target=middle, eye_up=(0.0, 0.0, 1.0)
+                ),
+            ),
             blueprint.Vertical(
                 blueprint.TimeSeriesView(origin="errors_mm", name="Errors [mm]"),
                 blueprint.TextLogView(origin="events", name="Events"),
             ),
             column_shares=[2, 1],
+        ),
+        blueprint.TimePanel(
+            state="collapsed", timeline=TIMELINE, play_state="following", playback_speed=SPEED
         ),
         collapse_panels=True,
     )
@@ -120,9 +137,10 @@ class _RerunWriter:
         self._set_time(_end_of_view(session, index))
         colour = view_colours_rgb(np.array([index]))[0]
         apply = view.T_world_scan.apply
-        clouds = (("model", view.target, colour), ("surroundings", view.sweep, GREY))
+        rest = view.sweep.points[~find_target(view)]
+        clouds = (("model", view.target.points, colour), ("surroundings", rest, GREY))
         for entity, cloud, shade in clouds:
-            points = self._rr.Points3D(apply(cloud.points), colors=[shade], radii=POINT_RADIUS)
+            points = self._rr.Points3D(apply(cloud), colors=[shade], radii=POINT_RADIUS)
             self._stream.log(f"world/{entity}/{name}", points)
         label = f"view {index}"
         self._stream.log(f"world/views/{name}", self._arrow(view.T_world_scan, colour, label))
@@ -205,7 +223,7 @@ class _RerunWriter:
 
 def _end_of_view(session: Session, index: int) -> float:
     """Return when the sweep of view ``index`` was complete, on the robot's clock [s]."""
-    return float(session.views[index].image.stamps[-1])
+    return float(session.views[index].image.stamps.max())
 
 
 def _describe(overlap: float, predicted: float) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, IntArray, Plan, Pose2
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Plan, Pose2
 from scan3d_twin.recording.colours import GREY, pack_rgb, view_colours_rgb
 from scan3d_twin.recording.mcap import ros_messages as ros
 
@@ -55,9 +55,8 @@ INFEASIBLE_COLOUR = (200, 60, 60)
 
 def encode_cloud(stamp: float, index: int, view: View) -> ros.Message:
     """Return all points of view ``index`` except the floor; grey where they are not the target."""
-    places, target = (_places(each.lines, each.beams, view) for each in (view.sweep, view.target))
-    is_target = np.isin(places, target)
-    views = np.full(len(places), index)
+    is_target = find_target(view)
+    views = np.full(len(is_target), index)
     colours = np.where(is_target[:, None], view_colours_rgb(views), np.array(GREY, dtype=np.uint8))
     points = view.T_world_scan.apply(view.sweep.points)
     return _encode_points(stamp, points, colours, views, is_target)
@@ -115,8 +114,11 @@ def _encode_points(
     )
 
 
-def _places(lines: IntArray, beams: IntArray, view: View) -> IntArray:
-    return lines * view.image.spec.n_beams + beams
+def find_target(view: View) -> BoolArray:
+    """Return which points (n,) of the sweep of a view are of the target."""
+    beams = view.image.spec.n_beams
+    places, target = (each.lines * beams + each.beams for each in (view.sweep, view.target))
+    return np.isin(places, target)
 
 
 def encode_path(stamp: float, poses: Sequence[tuple[float, Pose2]]) -> ros.Message:
