@@ -86,6 +86,18 @@ def test_a_negative_voxel_is_an_error_of_ours(names, tmp_path):
         s3d.export_model(names["session"], tmp_path / "model.ply", voxel=-1.0)
 
 
+@pytest.mark.parametrize(
+    ("format", "unit", "words"),
+    [
+        ("e57", "mm", "e57 files are in metres"),
+        ("ply", "inch", "unknown unit 'inch'; known: m, mm"),
+    ],
+)
+def test_a_unit_that_a_file_cannot_have_is_an_error_of_ours(format, unit, words, names, tmp_path):
+    with pytest.raises(s3d.TwinError, match=words):
+        s3d.export_model(names["session"], tmp_path / "model", format, unit=unit)
+
+
 def test_a_session_compares_and_shows_itself(names):
     session = names["session"]
     assert session == session

@@ -18,7 +18,7 @@ from scan3d_twin.core.model.evaluation import (
 from scan3d_twin.core.model.fused_cloud import build_view_clouds, join_models
 from scan3d_twin.core.model.mesh import Mesh, build_mesh
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.ply import ply_bytes
+from scan3d_twin.recording.ply import model_ply
 from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.folder import write_file
 from scan3d_twin.run.report import Effort, Journey, Report, build_report, report_json
@@ -85,7 +85,7 @@ def save_run(
         way=place_track(journey.track, session)[:, :2],
         truth=None if compared is None else compared.surface,
     )
-    write_file(folder / "model.ply", ply_bytes(model.points, model.view))
+    write_file(folder / "model.ply", model_ply(model, "metres, frame world"))
     write_file(folder / "top_view.svg", picture)
     write_file(folder / "report.json", report_json(report))
     if scene_picture:

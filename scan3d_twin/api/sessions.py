@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording import load
 from scan3d_twin.recording.export import find_format
 from scan3d_twin.recording.export.clouds import export_cloud, pieces
-from scan3d_twin.recording.export.format import CloudFormat
+from scan3d_twin.recording.export.format import CloudFormat, check_unit
 
 
 def load_session(place: str | Path) -> Session:
@@ -38,6 +39,7 @@ def export_model(
     *,
     voxel: float = 0.0,
     per_view: bool = False,
+    unit: Literal["m", "mm"] = "m",
 ) -> list[Path]:
     """Write the model of ``session`` for other programs and return the written files.
 
@@ -48,11 +50,12 @@ def export_model(
             clouds of another package.
         voxel: Side of the voxels in which the views are fused [m]; 0 keeps every point.
         per_view: Each view on its own, in its frame ``scan``, instead of one cloud in ``world``.
+        unit: Unit of the lengths in the files, where the format leaves it open.
 
     Raises:
         UnknownNameError: There is no such format.
         ConfigError: It is no format of clouds, its library is missing (the message says what to
-            install), or views are to be fused and to stay apart.
+            install), it prescribes another unit, or views are to be fused and to stay apart.
         FileError: A file cannot be written.
 
     >>> with s3d.open_sim("three_boxes", seed=0) as (robot, truth):
@@ -67,5 +70,6 @@ def export_model(
         raise ConfigError(f"{format} is no format of clouds: use twin export or twin mesh")
     if not voxel >= 0:
         raise ConfigError(f"voxel must be >= 0 m, got {voxel:g}")
-    parts = pieces(session, per_view=per_view, voxel=voxel)
+    check_unit(format, kind, unit)
+    parts = pieces(session, per_view=per_view, voxel=voxel, unit=unit)
     return export_cloud(parts, kind, Path(path), per_view=per_view)

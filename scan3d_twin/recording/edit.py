@@ -17,7 +17,7 @@ from scan3d_twin.recording.mcap import ros_records
 from scan3d_twin.recording.mcap.recovering_reader import is_finished, is_sound, is_written
 from scan3d_twin.recording.mcap.rewrite import back_up, find_latest_backup, reopen
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
-from scan3d_twin.recording.recorder import finish_file
+from scan3d_twin.recording.recorder import finish_file, write_display
 from scan3d_twin.recording.session_log import SessionLog
 
 
@@ -95,6 +95,7 @@ def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> RecordedRu
         for kind, number, packed in log.changes(state, mark):
             record = ros_records.encode_record(mark.stamp, kind, number, packed)
             reopened.file.write(RECORDS, mark.stamp, record)
+    write_display(reopened.file, mark.stamp, session)
     finish_file(reopened.file, recorded.path.with_name(SESSION_FILE))
     return load_session(folder)
 

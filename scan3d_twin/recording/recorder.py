@@ -15,18 +15,22 @@ from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
 from scan3d_twin.recording.load import RecordedRun
-from scan3d_twin.recording.mcap import cdr, ros_records
+from scan3d_twin.recording.mcap import cdr, ros_display, ros_records
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
 from scan3d_twin.recording.mcap.rewrite import reopen
 from scan3d_twin.recording.names import (
     ANGLES,
+    CLOUDS,
     COMMANDS,
+    DRIVEN_PATH,
+    MODEL,
     ODOMETRY,
     PART,
     RECORDS,
     SCANS,
     SESSION_FILE,
+    VIEWPOINTS,
 )
 from scan3d_twin.recording.session_log import Mark, SessionLog
 from scan3d_twin.run.settings import Settings, settings_toml
@@ -117,6 +121,7 @@ class Recorder:
         self._T_world_odom = Pose2() if earlier is None else _odom_in_world(earlier.session)
         self._last: Odometry | None = None
         self._framed = 0.0
+        self._path = [] if earlier is None else _path_of_views(earlier.session)
         self._kept = False
         self._failure: FileError | None = None
         self._file.metadata("provenance", provenance)
@@ -170,7 +175,9 @@ class Recorder:
         index, view, now = len(session.views) - 1, session.views[-1], self._now()
         self._T_world_odom = _odom_in_world(session)
         self._follow()
-        self._file.write("/cloud", now, ros.encode_cloud(now, index, view))
+        self._file.write(CLOUDS, now, ros_display.encode_cloud(now, index, view))
+        write_display(self._file, now, session)
+        self._file.write(DRIVEN_PATH, now, ros_display.encode_path(now, self._path), latched=True)
         if view.registration is not None:
             placed = ros_records.encode_registration(now, index, view.registration)
             self._file.write("/registration", now, placed)
@@ -183,6 +190,8 @@ class Recorder:
         self._file.write("/plan", now, ros_records.encode_plan(now, index, plan))
         if plan.viewpoint is not None:
             self._file.write("/viewpoint", now, ros.encode_viewpoint(now, plan.viewpoint))
+        markers = ros_display.encode_viewpoints(now, session)
+        self._file.write(VIEWPOINTS, now, markers, latched=True)
         self._keep(session)
 
     def command(self) -> Command:
@@ -196,6 +205,9 @@ class Recorder:
             FileError: The disk is full or gone; earlier data is kept.
         """
         self._follow()
+        now = self._now()
+        write_display(self._file, now, session)
+        self._file.write(DRIVEN_PATH, now, ros_display.encode_path(now, self._path), latched=True)
         self._keep(session)
         finish_file(self._file, self.path)
 
@@ -253,7 +265,14 @@ class Recorder:
                 frames = cdr.encode_frames(sample.stamp, self._T_world_odom, sample.T_odom_base)
                 self._file.write("/tf", sample.stamp, frames)
                 self._framed = sample.stamp
+            self._extend_path(sample)
             self._last = sample
+
+    def _extend_path(self, sample: Odometry) -> None:
+        """Add where the robot is, as it is known now, if it has moved on."""
+        pose = self._T_world_odom @ sample.T_odom_base
+        if not self._path or pose.distance(self._path[-1][1]) >= ros_display.PATH_STEP:
+            self._path.append((sample.stamp, pose))
 
     def _on_command(self, linear: float, angular: float) -> None:
         now = self._now()
@@ -268,6 +287,12 @@ class Recorder:
         return self._robot
 
 
+def write_display(file: McapFile, stamp: float, session: Session) -> None:
+    """Write the model and the viewpoints of ``session`` for viewers, at ``stamp`` [s]."""
+    file.write(MODEL, stamp, ros_display.encode_model(stamp, session), latched=True)
+    file.write(VIEWPOINTS, stamp, ros_display.encode_viewpoints(stamp, session), latched=True)
+
+
 def finish_file(file: McapFile, path: Path) -> None:
     """Complete ``file`` and rename it to ``path``, replacing a file of that name.
 
@@ -280,6 +305,11 @@ def finish_file(file: McapFile, path: Path) -> None:
 
 def _part(path: Path) -> Path:
     return path.with_name(path.name + PART)
+
+
+def _path_of_views(session: Session) -> list[tuple[float, Pose2]]:
+    """Return the path of a run that is continued: the places of its views."""
+    return [(float(each.image.stamps.max()), each.T_world_scan) for each in session.views]
 
 
 def _odom_in_world(session: Session) -> Pose2:

@@ -51,6 +51,40 @@ def test_a_mesh_is_written_by_either_command(command, finished, twin):
     assert told["area_m2"] == pytest.approx(trimesh.load("mesh.stl").area, rel=1e-3)
 
 
+@pytest.mark.parametrize("command", [("mesh",), ("export",)])
+def test_a_mesh_for_a_printer_is_in_millimetres(command, finished, twin):
+    folder, _ = finished
+    told = [
+        json.loads(
+            twin(*command, folder, "--to", "stl", "--unit", unit, "--out", unit, "--json").out
+        )
+        for unit in ("m", "mm")
+    ]
+    assert [each["unit"] for each in told] == ["m", "mm"]
+    assert told[0]["area_m2"] == told[1]["area_m2"]
+    metres, millimetres = (trimesh.load(unit, file_type="stl") for unit in ("m", "mm"))
+    np.testing.assert_allclose(millimetres.bounds, 1000 * metres.bounds, rtol=1e-6)
+
+
+def test_views_in_millimetres_have_their_places_in_millimetres(finished, twin):
+    folder, _ = finished
+    for unit in ("m", "mm"):
+        done = twin(
+            "export", folder, "--to", "xyz", "--per-view", "--unit", unit, "--out", unit, "--json"
+        )
+        assert json.loads(done.out)["unit"] == unit
+    metres, millimetres = (np.loadtxt(Path(unit) / "view_001.xyz") for unit in ("m", "mm"))
+    np.testing.assert_allclose(millimetres, 1000 * metres, atol=0.051)
+    heads, rows = zip(
+        *((Path(unit) / "poses.csv").read_text().splitlines()[::2] for unit in ("m", "mm")),
+        strict=True,
+    )
+    assert heads == ("name,x_m,y_m,yaw_rad", "name,x_mm,y_mm,yaw_rad")
+    x, y, yaw = (np.array([float(row.split(",")[k]) for row in rows]) for k in (1, 2, 3))
+    np.testing.assert_allclose([x[1], y[1]], [1000 * x[0], 1000 * y[0]], atol=1e-3)
+    assert yaw[0] == yaw[1] != 0
+
+
 def test_the_mesh_was_measured_when_the_truth_was_known(finished):
     accuracy = finished[1]["mesh_accuracy_mm"]
     assert 0 < accuracy["median"] < accuracy["p95"] < 200
@@ -62,6 +96,10 @@ def test_the_mesh_was_measured_when_the_truth_was_known(finished):
         (("export", "RUN", "--to", "dxf"), 2, "known: e57"),
         (("export", "RUN", "--to", "stl", "--per-view"), 2, "are for point clouds"),
         (("export", "RUN", "--to", "ply", "--voxel", "-1"), 2, "--voxel must be"),
+        (("export", "RUN", "--to", "uos", "--unit", "mm"), 2, "uos files are in centimetres"),
+        (("export", "RUN", "--to", "rosbag2", "--unit", "mm"), 2, "rosbag2 files are in metres"),
+        (("export", "RUN", "--to", "glb", "--unit", "mm"), 2, "glb files are in metres"),
+        (("mesh", "RUN", "--to", "glb", "--unit", "mm"), 2, "glb files are in metres"),
         (("export", "nowhere", "--to", "ply"), 3, "no session in nowhere"),
         (("mesh", "nowhere"), 3, "no session in nowhere"),
         (("mesh", "RUN", "--to", "las"), 2, "no format of meshes"),

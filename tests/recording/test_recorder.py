@@ -19,7 +19,9 @@ from scan3d_twin.recording.recorder import Recorder, SerialTaps
 TOPICS = {
     "/cloud": "sensor_msgs/msg/PointCloud2",
     "/cmd_vel": "geometry_msgs/msg/TwistStamped",
+    "/model": "sensor_msgs/msg/PointCloud2",
     "/odom": "nav_msgs/msg/Odometry",
+    "/path": "nav_msgs/msg/Path",
     "/plan": "scan3d_twin_msgs/msg/Plan",
     "/registration": "scan3d_twin_msgs/msg/Registration",
     "/rosout": "rcl_interfaces/msg/Log",
@@ -29,6 +31,7 @@ TOPICS = {
     "/tf": "tf2_msgs/msg/TFMessage",
     "/tf_static": "tf2_msgs/msg/TFMessage",
     "/viewpoint": "geometry_msgs/msg/PoseStamped",
+    "/viewpoints": "visualization_msgs/msg/MarkerArray",
 }
 
 

@@ -87,7 +87,7 @@ def bench(
     /,
     *,
     options: Annotated[BenchOptions, Parameter(name="*")] = BenchOptions(),
-    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+    dotted: Annotated[DottedOptions | None, Parameter(name="*")] = None,
 ) -> None:
     """Compare planners on many seeds in the twin.
 

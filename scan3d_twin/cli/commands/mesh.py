@@ -22,6 +22,7 @@ def mesh(
     *,
     to: str = "obj",
     method: Literal["grid", "poisson"] = "grid",
+    unit: Literal["m", "mm"] = "m",
     out: Annotated[Path | None, Parameter(show_default="mesh.FORMAT in the run's folder")] = None,
     json: bool = False,
 ) -> None:
@@ -34,22 +35,28 @@ def mesh(
         to: Format: obj, stl, glb or ply.
         method: grid joins neighbouring readings of each view, and takes the better view where two
             overlap; poisson fits one smooth surface to all views with Open3D.
+        unit: Unit of the lengths in the file, where the format leaves it open (glb is in metres):
+            printers and CAD take the numbers of STL and OBJ files for millimetres.
         out: File to write.
         json: Print the size of the mesh as JSON.
     """
     from scan3d_twin.core.errors import ScanError
     from scan3d_twin.recording.export import find_mesh_format
+    from scan3d_twin.recording.export.format import check_unit
+    from scan3d_twin.recording.export.unit import mesh_in_unit
     from scan3d_twin.recording.load import load_session, run_folder
     from scan3d_twin.run.folder import write_file
 
     kind = find_mesh_format(to)
+    check_unit(to, kind, unit)
     surface = _surface(load_session(run).session, method)
     if len(surface.faces) == 0:
         raise ScanError(f"the views in {run} show no surface; nothing is written")
     path = out or run_folder(run) / f"mesh.{to}"
-    write_file(path, kind.encode(surface))
+    write_file(path, kind.encode(mesh_in_unit(surface, unit)))
     found = {
         "file": str(path),
+        "unit": unit,
         "vertices": len(surface.vertices),
         "triangles": len(surface.faces),
         "area_m2": round(float(surface.areas.sum()), 4),
@@ -57,7 +64,9 @@ def mesh(
     if json:
         print(json_module.dumps(found, indent=2))
     else:
-        print(f"{path}: {found['triangles']} triangles, {found['area_m2']:.2f} m2")
+        print(
+            f"{path}: {found['triangles']} triangles, {found['area_m2']:.2f} m2, lengths in {unit}"
+        )
 
 
 def _surface(session: Session, method: str) -> Mesh:

@@ -56,7 +56,7 @@ class RealOptions(ViewOptions, RunOptions, PortOptions):
 def real(
     *,
     options: Annotated[RealOptions, Parameter(name="*")] = RealOptions(),
-    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+    dotted: Annotated[DottedOptions | None, Parameter(name="*")] = None,
 ) -> None:
     """Digitise what stands in front of the real robot.
 

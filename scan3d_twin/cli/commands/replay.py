@@ -55,7 +55,7 @@ def replay(
     /,
     *,
     options: Annotated[ReplayOptions, Parameter(name="*")] = ReplayOptions(),
-    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+    dotted: Annotated[DottedOptions | None, Parameter(name="*")] = None,
 ) -> None:
     """Repeat registration and planning on a recorded run, and list what differs.
 

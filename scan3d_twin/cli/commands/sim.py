@@ -41,7 +41,7 @@ class SimOptions(ViewOptions, RunOptions, SceneOptions):
 def sim(
     *,
     options: Annotated[SimOptions, Parameter(name="*")] = SimOptions(),
-    dotted: Annotated[DottedOptions, Parameter(name="*")] = None,
+    dotted: Annotated[DottedOptions | None, Parameter(name="*")] = None,
 ) -> None:
     """Digitise a scene with the twin.
 

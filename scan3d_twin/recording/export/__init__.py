@@ -29,6 +29,7 @@ _BUILT_IN = {
     "pcd": "pcd:PCD",
     "ply": "ply:PLY",
     "rosbag2": "rosbag2:ROSBAG2",
+    "rrd": "rrd:RRD",
     "stl": "meshes:STL",
     "uos": "uos:UOS",
     "xyz": "xyz:XYZ",

@@ -5,21 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_cloud
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece, poses_csv
+from scan3d_twin.recording.export.unit import Unit
 from scan3d_twin.run.folder import write_file
 
 
-def pieces(session: Session, *, per_view: bool, voxel: float) -> list[Piece]:
+def pieces(session: Session, *, per_view: bool, voxel: float, unit: Unit = "m") -> list[Piece]:
     """Return the model as one piece in ``world``, or one for each view in its frame ``scan``.
+
+    Their lengths are in ``unit``.
 
     Raises:
         ConfigError: Views are to be fused in voxels of side ``voxel`` [m] and to stay apart.
+        ScanError: No view has a point.
     """
+    parts = _pieces_in_metres(session, per_view=per_view, voxel=voxel)
+    if not any(len(part.model) for part in parts):
+        raise ScanError("the views show no point of the target; nothing is written")
+    return [part if unit == part.unit else part.in_unit(unit) for part in parts]
+
+
+def _pieces_in_metres(session: Session, *, per_view: bool, voxel: float) -> list[Piece]:
     if not per_view:
         return [Piece("cloud", build_model(session, voxel), Pose2())]
     if voxel:

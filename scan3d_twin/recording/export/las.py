@@ -10,9 +10,12 @@ from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
+from scan3d_twin.recording.export.unit import PER_METRE
 
 COORDINATE_STEP = 1e-4
 """Resolution of the coordinates [m]: a fiftieth of the lidar's noise."""
+CREATION_DATE = slice(90, 94)
+"""Place of day and year of the file's creation in the header (LAS 1.2, table 2); 0 is unknown."""
 
 
 def encode_las(piece: Piece) -> bytes:
@@ -33,13 +36,13 @@ def _encode(piece: Piece, *, compressed: bool) -> bytes:
 
     # Write a reproducible header
     header = laspy.LasHeader(point_format=2, version="1.2")
-    header.scales = np.full(3, COORDINATE_STEP)
+    header.scales = np.full(3, COORDINATE_STEP * PER_METRE[piece.unit])
     header.generating_software = "scan3d_twin"
-    header.creation_date = None  # the same run gives the same bytes on any day
 
-    # Fill points, views and colours
+    # Fill points, views and colours; LAS counts the returns of a pulse from 1
     cloud = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = piece.model.points.T
+    cloud.return_number[:] = cloud.number_of_returns[:] = 1
     cloud.point_source_id = piece.model.view.astype(np.uint16)
     # LAS colours have 16 bits; 257 maps 255 to 65535.
     cloud.red, cloud.green, cloud.blue = (
@@ -49,7 +52,10 @@ def _encode(piece: Piece, *, compressed: bool) -> bytes:
     # Encode as LAS or LAZ
     buffer = io.BytesIO()
     cloud.write(buffer, do_compress=compressed)
-    return buffer.getvalue()
+    content = bytearray(buffer.getvalue())
+    # laspy writes today's date; without one, the same run gives the same bytes on any day
+    content[CREATION_DATE] = bytes(CREATION_DATE.stop - CREATION_DATE.start)
+    return bytes(content)
 
 
 LAS = CloudFormat(suffix=".las", encode=encode_las)

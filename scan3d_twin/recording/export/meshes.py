@@ -12,7 +12,7 @@ from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.neighbours import find_nearest
-from scan3d_twin.recording.colours import view_colours_rgb
+from scan3d_twin.recording.colours import GREY, view_colours_rgb
 from scan3d_twin.recording.export.format import MeshFormat
 
 OCTREE_DEPTH = 8
@@ -20,14 +20,12 @@ OCTREE_DEPTH = 8
 MAX_POISSON_DISTANCE = 0.015
 """Poisson reconstruction closes every hole; surface farther than this from any point is cut away
 [m]. Readings are 9 mm apart at 1 m, so that scanned surface is nearer."""
-GREY = (150, 150, 150)
-"""Colour of a vertex that belongs to no single view."""
 
 
 def encode_mesh(mesh: Mesh, name: str) -> bytes:
     """Return ``mesh`` as a file of trimesh's format ``name``; vertices have the views' colours.
 
-    In metres, z up; in glTF (glb) y is up, by definition of the format.
+    z is up; in glTF (glb) y is up and lengths are metres, by definition of the format.
     """
     import trimesh
 
@@ -42,7 +40,7 @@ def encode_mesh(mesh: Mesh, name: str) -> bytes:
     return content.encode() if isinstance(content, str) else content
 
 
-GLB = MeshFormat(encode=partial(encode_mesh, name="glb"))
+GLB = MeshFormat(encode=partial(encode_mesh, name="glb"), fixed_unit="metres")
 OBJ = MeshFormat(encode=partial(encode_mesh, name="obj"))
 PLY = MeshFormat(encode=partial(encode_mesh, name="ply"))
 STL = MeshFormat(encode=partial(encode_mesh, name="stl"))

@@ -37,4 +37,4 @@ def _left_handed(points: FloatArray) -> FloatArray:
     return 100.0 * np.stack([-points[:, 1], points[:, 2], points[:, 0]], axis=1)
 
 
-UOS = CloudFormat(write=write, folder=True)
+UOS = CloudFormat(write=write, folder=True, fixed_unit="centimetres")

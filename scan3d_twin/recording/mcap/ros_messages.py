@@ -15,8 +15,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from scan3d_twin.core.session import View
-from scan3d_twin.core.types import FloatArray, IntArray, Pose2
+from scan3d_twin.core.types import FloatArray, Pose2
 
 OWN_TYPES = {
     "scan3d_twin_msgs/msg/Record": """
@@ -70,16 +69,6 @@ float64 ambiguity_gap
 """Messages that ROS 2 has no type for; a session file holds these definitions."""
 LASER_IN_LIDAR = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """``T_lidar_laser``: the scan plane, x ahead and z up in ``lidar``, is x-y in ``laser``."""
-_FLOAT32, _UINT16, _UINT8 = 7, 4, 2
-_CLOUD_FIELDS = (
-    ("x", 0, _FLOAT32),
-    ("y", 4, _FLOAT32),
-    ("z", 8, _FLOAT32),
-    ("view", 12, _UINT16),
-    ("target", 14, _UINT8),
-)
-CLOUD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("view", "<u2"), ("target", "u1")])
-"""A point of ``sensor_msgs/PointCloud2``; ``target`` is 1 on the target and 0 elsewhere."""
 
 
 class Message(NamedTuple):
@@ -168,39 +157,4 @@ def encode_viewpoint(stamp: float, where: Pose2) -> Message:
     """Return the next viewpoint in ``world``."""
     return encode(
         "geometry_msgs/msg/PoseStamped", header=make_header(stamp, "world"), pose=make_pose(where)
-    )
-
-
-def encode_cloud(stamp: float, index: int, view: View) -> Message:
-    """Return all points of view ``index`` in ``world``, except the floor."""
-    # Fill points, view and target
-    points = np.zeros(len(view.sweep), dtype=CLOUD)
-    for axis, values in zip("xyz", view.T_world_scan.apply(view.sweep.points).T, strict=True):
-        points[axis] = values
-    points["view"] = index
-    places, target = (_places(each.lines, each.beams, view) for each in (view.sweep, view.target))
-    points["target"] = np.isin(places, target)
-
-    # Wrap them in a message
-    return encode(
-        "sensor_msgs/msg/PointCloud2",
-        header=make_header(stamp, "world"),
-        height=1,
-        width=len(points),
-        fields=[_cloud_field(*each) for each in _CLOUD_FIELDS],
-        is_bigendian=False,
-        point_step=CLOUD.itemsize,
-        row_step=CLOUD.itemsize * len(points),
-        data=points.view(np.uint8),
-        is_dense=True,
-    )
-
-
-def _places(lines: IntArray, beams: IntArray, view: View) -> IntArray:
-    return lines * view.image.spec.n_beams + beams
-
-
-def _cloud_field(name: str, offset: int, datatype: int) -> Any:
-    return make_message(
-        "sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1
     )

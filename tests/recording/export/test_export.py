@@ -1,6 +1,8 @@
 import builtins
+import io
 import math
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -135,7 +137,26 @@ def test_voxels_fuse_the_views(session, fused):
         pieces(session, per_view=True, voxel=0.02)
 
 
-@pytest.mark.parametrize("name", ["las", "laz", "pcd", "ply", "uos", "xyz"])
+@pytest.mark.parametrize("name", ["las", "pcd", "ply"])
+def test_a_file_in_millimetres_has_the_same_points(name, session, parts, tmp_path):
+    laspy = pytest.importorskip("laspy")
+    scaled = pieces(session, per_view=True, voxel=0.0, unit="mm")[1]
+    content = find_format(name).encode(scaled)
+    if name == "las":
+        points = laspy.read(io.BytesIO(content)).xyz
+    elif name == "pcd":
+        words, read = points_of_pcd(content)
+        points = np.stack([read[axis] for axis in "xyz"], axis=1)
+        x, y = map(float, words["VIEWPOINT"][:2])
+        pose = parts[1].T_world_piece
+        assert (x, y) == pytest.approx((1000 * pose.x, 1000 * pose.y))
+    else:
+        assert b"comment scan3d_twin: millimetres\n" in content
+        points = trimesh.load(io.BytesIO(content), file_type="ply").vertices
+    np.testing.assert_allclose(points, 1000 * parts[1].model.points, atol=0.051)
+
+
+@pytest.mark.parametrize("name", ["e57", "las", "laz", "pcd", "ply", "uos", "xyz"])
 def test_the_same_run_gives_the_same_bytes(name, fused, tmp_path):
     first, second = (written(fused, name, tmp_path / each) for each in "ab")
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
@@ -157,6 +178,12 @@ def test_a_missing_library_is_named_with_its_cure(name, library, fused, tmp_path
     with pytest.raises(ConfigError, match=f"pip install '?{library}"):
         written(fused, name, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_rerun_is_named_where_it_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ConfigError, match=r"pip install 'scan3d-twin\[rerun\]'"):
+        find_format("rrd").write(tmp_path / "session.mcap", tmp_path / "session.rrd")
 
 
 @pytest.mark.parametrize("name", ["ply", "e57"])
