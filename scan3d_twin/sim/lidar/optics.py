@@ -22,14 +22,13 @@ import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray, read_only
 from scan3d_twin.sim.lidar.config import LidarModelConfig
+from scan3d_twin.sim.scenes.visibility import drawn_rgba
 
 F0_DIELECTRIC, F0_METAL = 0.04, 0.90
 """Reflectance at normal incidence of plastics, and of aluminium or chrome near 785 nm."""
 RETRO = "retro"
 """Name of the tuple of retro-reflective materials; ``prm`` is their coefficient R [cd / lx m^2], 70
 for white engineering grade sheeting (ASTM D4956, type I, .2 deg)."""
-UNSET_RGBA = (0.5, 0.5, 0.5, 1.0)
-"""MuJoCo's default colour: then the material's counts."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Materials:
 
         # Read the material of each geom
         for geom, material in enumerate(model.geom_matid):
-            red[geom] = _rgba(model, geom)[0]
+            red[geom] = drawn_rgba(model, geom)[0]
             if material >= 0:
                 metallic[geom] = max(0.0, float(model.mat_metallic[material]))
                 retro[geom] = gains.get(int(material), 0.0)
@@ -97,13 +96,6 @@ class Materials:
             power += self.retro.take(geoms)
         power /= distances * distances
         return power
-
-
-def _rgba(model: Any, geom: int) -> FloatArray:
-    material = model.geom_matid[geom]
-    if material >= 0 and np.allclose(model.geom_rgba[geom], UNSET_RGBA):
-        return np.array(model.mat_rgba[material])
-    return np.array(model.geom_rgba[geom])
 
 
 def _retro_gains(model: Any) -> dict[int, float]:

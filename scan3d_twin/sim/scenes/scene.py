@@ -22,6 +22,7 @@ from scan3d_twin.core.config import Tour
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
+from scan3d_twin.sim.scenes.visibility import DRAWN_GROUPS, choose_seen_parts
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
         model = spec.copy().compile()
     except ValueError as error:
         raise SceneError(f"{label} does not compile: {one_line(error)}") from None
+    targets = choose_seen_parts(model, targets, label)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
 
@@ -132,6 +134,7 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
     for name in geoms:
         if name not in targets and not any(name in parts for parts in targets.values()):
             targets[name] = (name,)
+            _name_neighbours(spec, name)
     if not targets:
         raise SceneError(
             f"{label} has no target; name a geom or body 'target...' or add <tuple name=\"target\">"
@@ -145,6 +148,15 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
         if geom.type not in SAMPLED_TYPES:
             raise SceneError(f"{label}: target {name!r} must be a solid primitive or a mesh")
     return targets
+
+
+def _name_neighbours(spec: Any, name: str) -> None:
+    """Name the geoms of the body of geom ``name``, for which it may stand in."""
+    geom = spec.geom(name)
+    if geom is None or (geom.parent.name == "world" and geom.group < DRAWN_GROUPS):
+        return
+    for number, other in enumerate(geom.parent.geoms):
+        other.name = other.name or f"{name}/{number}"
 
 
 def _target_names(spec: Any) -> tuple[list[str], list[str]]:
