@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from mujoco import batch
 
-from scan3d_twin.core.types import FloatArray, IntArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 from scan3d_twin.sim.embree import TriangleScene, can_triangulate, is_available
 from scan3d_twin.sim.planes import Planes
 from scan3d_twin.sim.scenes.visibility import find_seen_geoms, model_as_seen
@@ -70,8 +70,9 @@ class MujocoCaster:
     sees of it is constant and added by the lidar.
     """
 
-    def __init__(self, model: Any) -> None:
-        seen = find_seen_geoms(model)
+    def __init__(self, model: Any, seen: BoolArray | None = None) -> None:
+        """Cast rays against what is ``seen`` of ``model`` (n_geoms,), by default by the rule."""
+        seen = find_seen_geoms(model) if seen is None else seen
         self._batch = batch.Batch(model_as_seen(model, seen), nsim=1, nthread=1)
         self._qpos = self._batch.bind("qpos")
         self._planes = Planes(model, seen)

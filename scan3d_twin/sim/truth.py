@@ -76,6 +76,11 @@ class Truth:
         """Names of the targets, as the scene declares them."""
         return tuple(self._scene.targets)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was repaired or guessed of the scene, in sentences."""
+        return self._scene.notes
+
     def surface(
         self, spacing: float, targets: Sequence[str] | None = None
     ) -> tuple[FloatArray, FloatArray]:
@@ -93,7 +98,9 @@ class Truth:
         points, normals = [], []
         for name in (name for name in self._scene.target_geoms if name in wanted):
             geom = data.geom(name)
-            local, directions = sample_geom(self._scene.model, geom.id, spacing)
+            local, directions = sample_geom(
+                self._scene.model, geom.id, spacing, self._scene.facings.get(name)
+            )
             rotation = geom.xmat.reshape(3, 3)
             points.append(local @ rotation.T + geom.xpos)
             normals.append(directions @ rotation.T)

@@ -12,6 +12,7 @@ from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import RunOptions, SceneOptions, stated_options
+from scan3d_twin.cli.output import say
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
@@ -58,6 +59,8 @@ def sim(
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
+    for note in scene.notes:
+        say(note)
 
     def picture() -> bytes | str:
         from scan3d_twin.api.sim import draw_scene  # slow to import

@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import mujoco
@@ -21,6 +21,8 @@ import numpy as np
 from scan3d_twin.core.config import Tour
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import Pose2
+from scan3d_twin.sim.scenes.facing import Facing
+from scan3d_twin.sim.scenes.orientation import find_facings
 from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
 from scan3d_twin.sim.scenes.visibility import DRAWN_GROUPS, choose_seen_parts
 
@@ -40,6 +42,8 @@ class Scene:
         targets: Names of the geoms of each named target.
         front: Middle of the front, +x the outward normal, in ``map``; None for tour full.
         description: One line.
+        facings: Which sides of the faces of the targets' meshes count, by geom.
+        notes: What was repaired or guessed, in sentences.
     """
 
     name: str
@@ -52,6 +56,8 @@ class Scene:
     targets: Mapping[str, tuple[str, ...]]
     front: Pose2 | None
     description: str
+    facings: Mapping[str, Facing] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def target_geoms(self) -> tuple[str, ...]:
@@ -93,6 +99,10 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
     if tour == "front" and front is None:
         raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
 
+    # Turn the faces of meshes outwards
+    facings = find_facings(model, targets, spawn)
+    repairs = [facing.describe(name) for name, facing in facings.items()]
+
     # Return it with its options
     return Scene(
         name=name,
@@ -105,6 +115,8 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
         targets=targets,
         front=front,
         description=texts.get("scan3d.description", ""),
+        facings=facings,
+        notes=tuple(repair for repair in repairs if repair),
     )
 
 

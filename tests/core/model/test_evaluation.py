@@ -218,6 +218,18 @@ def test_within_tells_what_distances_would() -> None:
     assert not wanted.all()
 
 
+def test_what_nobody_can_see_is_not_covered() -> None:
+    session = session_of(FIRST, SECOND)
+    session = replace(session, config=replace(session.config, tour="front"))
+    out_of_reach = replace(BoxTruth((FIRST, SECOND)), front=Pose2(100.0, 0.0, 0.0))
+    result = evaluate_model(session, build_model(session), Reference.of(session, out_of_reach))
+    assert result.coverable_share == 0.0
+    assert result.coverage == 0.0
+    assert result.coverage_by_view == (0.0, 0.0)
+    assert set(result.f_score.values()) == {0.0}
+    assert not result.is_success(1.0)
+
+
 def test_statistics() -> None:
     of = Distances.of(np.arange(101) / 100)
     assert (of.mean, of.median, of.p95) == pytest.approx((0.5, 0.5, 0.95))
