@@ -51,7 +51,7 @@ def run_task(task: Task) -> TaskResult:
     wall, cpu = time.perf_counter(), time.process_time()
     run = task.settings.run
     try:
-        scene = load_scene(run.scene, run.mesh_scale, run.room)
+        scene = load_scene(run.scene, run.mesh_scale, run.room, run.mesh_up)
         with open_sim(scene, run.seed, task.settings.twin) as (robot, truth):
             loop = close_loop(robot, truth, task.settings, Unobserved(), time.process_time)
     except TwinError as error:

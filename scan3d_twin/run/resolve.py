@@ -28,7 +28,7 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
     effective = build_settings([*_named_options(given), given])
     check_planner(effective.config.planner, truth_known=True)
     run = effective.run
-    scene = load_scene(run.scene, run.mesh_scale, run.room)
+    scene = load_scene(run.scene, run.mesh_scale, run.room, run.mesh_up)
     _check_target(run.target, scene)
     return settings_for_scene(scene, given), scene
 

@@ -159,7 +159,7 @@ def _save_again(recorded: RecordedRun) -> Report:
         from scan3d_twin.sim.scenes.load import load_scene
 
         progress.on_event(f"driving through {mark.stamp:.0f} s again for the truth")
-        scene = load_scene(run.scene, run.mesh_scale, run.room)
+        scene = load_scene(run.scene, run.mesh_scale, run.room, run.mesh_up)
         with open_sim(scene, run.seed, recorded.settings.twin) as (robot, truth):
             reenact(robot, read_commands(recorded.path), mark)
             progress.on_event("evaluating and saving")

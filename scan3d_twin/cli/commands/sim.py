@@ -118,4 +118,4 @@ def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Res
     refuse_resume(folder, options.targets)
     resume = resume_sim(folder, options.out, stated_options(options, sections))
     run = resume.settings.run
-    return resume, load_scene(run.scene, run.mesh_scale, run.room)
+    return resume, load_scene(run.scene, run.mesh_scale, run.room, run.mesh_up)
