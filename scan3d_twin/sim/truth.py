@@ -10,6 +10,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.sim.lidar.glass import Panes
 from scan3d_twin.sim.lidar.scanner import Evidence
 from scan3d_twin.sim.ray_casting import RayCaster
 from scan3d_twin.sim.scenes.scene import Scene
@@ -49,6 +50,7 @@ class Truth:
         self._scene = scene
         self._world = world
         self._caster = caster
+        self._panes = Panes.of(scene.model, caster)
         self._evidence = evidence
         self._T_map_odom = world.base_pose(0.0)
 
@@ -116,6 +118,12 @@ class Truth:
             directions: Unit vectors (n, 3).
         """
         return self._caster.cast(self._world.scene_qpos(), origins, directions).distances
+
+    def first_opaque_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return what ``first_hits`` does, through what is transparent."""
+        if self._panes is None:
+            return self.first_hits(origins, directions)
+        return self._panes.first_opaque_hits(self._world.scene_qpos(), origins, directions)
 
     def evidence(self) -> Evidence | None:
         """Return the ground truth of the last scan line read; None before the first."""

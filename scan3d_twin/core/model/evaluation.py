@@ -92,6 +92,10 @@ class Truth(Protocol):
         """Return the distance (n,) [m] to the first surface along each ray; inf for a miss."""
         ...
 
+    def first_opaque_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return the same through surfaces that light passes, as windows."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Distances:
@@ -492,7 +496,7 @@ def find_visible(
     index = np.flatnonzero(seen)
     if len(index):
         directions = rays[index] / distance[index, None]
-        hits = truth.first_hits(np.broadcast_to(eye, (len(index), 3)), directions)
+        hits = truth.first_opaque_hits(np.broadcast_to(eye, (len(index), 3)), directions)
         seen[index] = hits >= distance[index] - HIT_TOLERANCE
     return np.asarray(seen)
 

@@ -181,6 +181,12 @@ def find_patches(faces: IntArray, skipped: BoolArray) -> tuple[IntArray, BoolArr
     return patches, labels[:m] != labels[:m][head][patches], closed
 
 
+def is_closed(triangles: FloatArray) -> bool:
+    """Return whether ``triangles`` (m, 3, 3) have no border, so that rays enter and leave."""
+    faces = weld(triangles)
+    return bool(find_patches(faces, np.zeros(len(faces), bool))[2].all())
+
+
 def _find_repeated(faces: IntArray) -> BoolArray:
     """Return which ``faces`` (m, 3) have the vertices of an earlier one (m,)."""
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)

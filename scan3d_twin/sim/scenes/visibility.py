@@ -8,7 +8,7 @@
 3. Geoms of the groups 3 to 5 are not drawn. Those with contacts are seen where nothing drawn stands
    for them: no drawn geom of their body or, as things in the world body do not belong together,
    none whose bounding box meets theirs.
-4. A plane is an opaque sheet: seen from both sides, and endless where its size is 0.
+4. A plane is a sheet: seen from both sides, and endless where its size is 0.
 
 Faces of meshes are seen from both sides as well, whichever way they are wound.
 """
@@ -46,6 +46,15 @@ def drawn_rgba(model: Any, geom: int) -> FloatArray:
 def is_visible(model: Any, geom: int) -> bool:
     """Return whether light meets a geom at all: it is not fully transparent."""
     return bool(drawn_rgba(model, geom)[3] > 0)
+
+
+def find_transparency(model: Any) -> FloatArray:
+    """Return the share of light that each geom lets through by its alpha (n_geoms,); 0 is opaque.
+
+    What is fully transparent is not there at all, and has 0 as well.
+    """
+    alphas = np.array([drawn_rgba(model, geom)[3] for geom in range(model.ngeom)])
+    return np.where((alphas > 0) & (alphas < 1), 1 - alphas, 0.0)
 
 
 def find_seen_geoms(model: Any) -> BoolArray:

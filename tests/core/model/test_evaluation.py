@@ -76,6 +76,10 @@ class BoxTruth:
         """The box and the room."""
         return cast(np.asarray(origins), np.asarray(directions), (BOX,), room=True)
 
+    def first_opaque_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Nothing is transparent."""
+        return self.first_hits(origins, directions)
+
 
 def at(pose: Pose2, k: int, sigma: float = 0.0) -> Observation:
     """Return a sweep of the box at ``pose``, stamped for view ``k``."""
