@@ -37,8 +37,8 @@ from scan3d_twin.sim.scenes.visibility import find_transparency
 REFRACTIVE_INDEX = 1.51
 """Of soda-lime float glass at 785 and 905 nm (M. Rubin, Solar Energy Materials 12, 1985)."""
 MAX_SURFACES = 8
-"""Most surfaces that a ray is followed through: four panes return less than a tenth of the light
-(.84^4 and more at normal incidence, without tint)."""
+"""Most surfaces that a ray is followed through, two for each solid pane; what lies behind more of
+them returns nothing (assumption)."""
 STEP = 1e-4
 """Distance beyond a surface from which a ray goes on [m]: above the rounding of single precision,
 less than a pane is thick."""
