@@ -112,7 +112,7 @@ def drop_surroundings(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, 
         dropped |= plate.faces
         width, depth = plate.high[0] - plate.low[0], plate.high[1] - plate.low[1]
         notes.append(
-            f"A plate of {width:.3g} x {depth:.3g} (in units of the file) below the mesh is taken "
+            f"A plate of {width:.3g} x {depth:.3g} m below the mesh is taken "
             "to be the ground and was left out."
         )
     return faces[~dropped], notes

@@ -65,8 +65,10 @@ def read_ply(path: Path) -> tuple[FloatArray, IntArray]:
         raise SceneError(f"{path} is damaged: {_reason(error)}; export it again") from None
     polygons = _lists(values.get("face", {}), ("vertex_indices", "vertex_index"))
     strips = _lists(values.get("tristrips", {}), ("vertex_indices", "vertex_index"))
-    triangles = triangulate(vertices, polygons, str(path)) if polygons else np.empty((0, 3), int)
-    if strips:
+    triangles = np.empty((0, 3), np.int64)
+    if len(polygons):
+        triangles = triangulate(vertices, polygons, str(path))
+    if len(strips):
         triangles = np.concatenate([triangles, *(_strip_triangles(strip) for strip in strips)])
     check_indices(triangles.ravel(), len(vertices), str(path))
     return vertices, triangles
@@ -186,9 +188,12 @@ def _row_type(
     return np.dtype(parts), lists
 
 
-def _lists(columns: dict[str, Column], names: tuple[str, ...]) -> list[IntArray]:
-    """Return the lists of the first of ``names`` that is among ``columns``."""
+def _lists(columns: dict[str, Column], names: tuple[str, ...]) -> list[IntArray] | IntArray:
+    """Return the lists of the first of ``names`` among ``columns``, (n, k) if of one size."""
     for name in names:
+        rows = columns.get(name)
+        if isinstance(rows, np.ndarray) and rows.ndim == 2:
+            return np.asarray(columns[name], dtype=np.int64)
         if name in columns:
             return [np.asarray(row, dtype=np.int64) for row in columns[name]]
     return []

@@ -12,19 +12,24 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 Polygon = Sequence[int] | IntArray
 
 
-def triangulate(vertices: FloatArray, polygons: Sequence[Polygon], label: str) -> IntArray:
+def triangulate(
+    vertices: FloatArray, polygons: Sequence[Polygon] | IntArray, label: str
+) -> IntArray:
     """Return the triangles (m, 3) of ``polygons`` of indices into ``vertices`` (n, 3).
 
     Polygons of fewer than three corners have none.
 
     Args:
         vertices: (n, 3).
-        polygons: Indices of the corners, in order.
+        polygons: Indices of the corners, in order; an array where all have as many.
         label: The file in messages.
 
     Raises:
         SceneError: An index is out of range.
     """
+    if isinstance(polygons, np.ndarray) and polygons.shape[1] == 3:
+        check_indices(polygons.ravel(), len(vertices), label)
+        return polygons
     sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
     corners = np.array([index for polygon in polygons for index in polygon], dtype=np.int64)
     check_indices(corners, len(vertices), label)
