@@ -54,10 +54,8 @@ class RunOptions:
 
     epsilon: Annotated[float | None, env("EPSILON", "{epsilon_mm:g}")] = None
     """Wanted registration error, RMS [mm]."""
-    tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front, or the scene's own")] = (
-        None
-    )
-    """Scan the front or all round."""
+    tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front or scene's")] = None
+    """Front or all round."""
     lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
     """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
     (682 steps, 5 Hz)."""
