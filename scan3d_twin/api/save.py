@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from scan3d_twin.core.model.evaluation import (
     Distances,
     Reference,
-    Truth,
     compare_model,
     evaluate_model,
     is_of_target,
@@ -20,6 +20,7 @@ from scan3d_twin.core.model.mesh import Mesh, build_mesh
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.ply import model_ply
 from scan3d_twin.recording.views import view_bytes, view_path
+from scan3d_twin.run.closed_loop import Truth
 from scan3d_twin.run.folder import write_file
 from scan3d_twin.run.report import Effort, Journey, Report, build_report, report_json
 from scan3d_twin.run.settings import Settings, settings_toml
@@ -67,6 +68,7 @@ def save_run(
         len(model),
         evaluation,
         None if reference is None else _mesh_accuracy(session, mesh, reference),
+        () if truth is None else (*truth.notes, *_note_other_thing(truth, reference, settings)),
     )
 
     # Write views in their final poses
@@ -106,6 +108,21 @@ def _remove_views_from(count: int, folder: Path) -> None:
     while (path := view_path(folder, count)).exists():
         path.unlink()
         count += 1
+
+
+def _note_other_thing(
+    truth: Truth, reference: Reference | None, settings: Settings
+) -> Iterator[str]:
+    """Say that another thing than the target was scanned, where there is no ``reference``."""
+    if reference is not None:
+        return
+    asked = settings.run.target
+    what = f"the target {asked!r} that was asked for" if asked in truth.targets else "a target"
+    known = ", ".join(truth.targets)
+    yield (
+        f"What was scanned is not {what} of this scene ({known}), so there are no coverage and no "
+        "errors: something else is in front of it, or more salient; --target chooses by name."
+    )
 
 
 def _mesh_accuracy(session: Session, mesh: Mesh, reference: Reference) -> Distances | None:

@@ -33,9 +33,11 @@ class SceneOptions:
     """What only the twin has a choice of; None is not stated."""
 
     scene: Annotated[str | None, env("SCENE", "{run.scene}")] = None
-    """Scene (`twin scenes`), random:SEED, or a file: .xml, .stl, .ply, .obj or .glb."""
+    """Name (`twin scenes`), random:SEED, MJCF or mesh file."""
     mesh_scale: Annotated[float | None, env("MESH_SCALE", "{run.mesh_scale:g}")] = None
     """Metres per unit of a mesh file."""
+    mesh_up: Annotated[str | None, env("MESH_UP", "{run.mesh_up}")] = None
+    """Its axis that is up: y, z, auto."""
     room: Annotated[str | None, env("ROOM", "{run.room}")] = None
     """Room of a mesh: WxD [m], or none."""
     robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
@@ -52,17 +54,15 @@ class RunOptions:
 
     epsilon: Annotated[float | None, env("EPSILON", "{epsilon_mm:g}")] = None
     """Wanted registration error, RMS [mm]."""
-    tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front, or the scene's own")] = (
-        None
-    )
-    """Scan the front or all round."""
+    tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front or scene's")] = None
+    """Front or all round."""
     lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
     """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
     (682 steps, 5 Hz)."""
     preset: Annotated[str | None, env("PRESET", "{run.preset}")] = None
     """Named set of options: paper or best."""
     planner: Annotated[str | None, env("PLANNER", "the preset's, {config.planner}")] = None
-    """Planner (`twin planners`), or module:attribute of your own."""
+    """Name (`twin planners`) or module:attribute."""
     seed: Annotated[int | None, env("SEED", "{run.seed}")] = None
     """Random seed; repeats a run of the twin."""
     max_views: Annotated[int | None, env("MAX_VIEWS", "{config.max_views}")] = None
@@ -81,11 +81,11 @@ class RunOptions:
     targets: int | None = None
     """Number of things to scan, each into OUT/target-K."""
     config: Annotated[Path | None, env("CONFIG")] = None
-    """TOML file of options; TWIN_* variables and the command line override it."""
+    """TOML file; TWIN_* and the command line override it."""
     out: Annotated[Path | None, env("OUT", "runs/SCENE-TIME")] = None
     """New folder for results."""
     resume: Path | None = None
-    """Continue the run in this folder; options given now override its own."""
+    """Run to continue; options given now override its own."""
     json: bool = False
     """Print only the report, as JSON, on standard output."""
 
@@ -116,7 +116,7 @@ def _flat(options: RunOptions, sections: Options) -> Options:
     for name, value in _given(options):
         if name == "scene":
             run[name] = absolute_scene(value)
-        elif name in ("seed", "preset", "world", "target", "mesh_scale", "room"):
+        elif name in ("seed", "preset", "world", "target", "mesh_scale", "mesh_up", "room"):
             run[name] = value
         elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
             top[name] = value

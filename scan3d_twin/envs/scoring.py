@@ -42,8 +42,11 @@ class Score:
 
     @property
     def coverage(self) -> float:
-        """Share of the coverable samples within ``COVERAGE_DISTANCE`` of the model."""
-        return float(np.mean(self._covered)) if len(self._covered) else 1.0
+        """Share of the coverable samples within ``COVERAGE_DISTANCE`` of the model.
+
+        0 where nothing can be covered: it would be a reward for nothing.
+        """
+        return float(np.mean(self._covered)) if len(self._covered) else 0.0
 
     def update(self, session: Session) -> None:
         """Update coverage and errors with the latest view of ``session``."""
@@ -78,7 +81,7 @@ class Score:
 
     def _recall(self, model: FloatArray, distance: float) -> float:
         if not len(self._surface):
-            return 1.0
+            return 0.0
         return float(np.mean(is_near(self._surface, model, distance * INCLUSIVE_FACTOR)))
 
     def _cover(self, points: FloatArray) -> None:

@@ -34,6 +34,11 @@ class Truth(evaluation.Truth, Protocol):
         """Return the place (x, y) in ``odom`` [m] of the target ``name``."""
         ...
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was repaired or guessed of the scene, in sentences."""
+        ...
+
 
 RobotContext = AbstractContextManager[tuple[Robot, Truth | None]]
 """Opens a robot, with the ground truth where there is one."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
@@ -71,8 +72,12 @@ def build_report(
     points: int,
     evaluation: Evaluation | None = None,
     mesh_accuracy: Distances | None = None,
+    notes: Sequence[str] = (),
 ) -> Report:
-    """Return the report of ``session``; fields that need an ``evaluation`` are null without it."""
+    """Return the report of ``session``; fields that need an ``evaluation`` are null without it.
+
+    Its warnings begin with ``notes``.
+    """
     return {
         "version": session.version,
         "scene": scene,
@@ -96,7 +101,7 @@ def build_report(
         "peak_memory_mb": _number(effort.peak_memory / 1e6, 1),
         "points": points,
         "mesh_accuracy_mm": _distances(mesh_accuracy) if mesh_accuracy else None,
-        "warnings": find_warnings(session, evaluation),
+        "warnings": find_warnings(session, evaluation, notes),
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,11 +19,20 @@ MIN_AMBIGUITY_GAP = 0.1
 """Least difference of score between two basins for a unique registration (assumption)."""
 
 
-def find_warnings(session: Session, evaluation: Evaluation | None = None) -> list[str]:
-    """Return one sentence for each problem of a run; an empty list for a good run."""
+def find_warnings(
+    session: Session, evaluation: Evaluation | None = None, notes: Sequence[str] = ()
+) -> list[str]:
+    """Return one sentence for each problem of a run; an empty list for a good run.
+
+    Args:
+        session: The run.
+        evaluation: By the ground truth, where there is one and the model shows its target.
+        notes: What is known about the scene, and about the model where it was not evaluated.
+    """
     if not session.views:
-        return ["Nothing was scanned: there is no view."]
-    found = [*_check_returns(session), *_check_fallbacks(session), *_check_registrations(session)]
+        return [*notes, "Nothing was scanned: there is no view."]
+    found = [*notes, *_check_returns(session), *_check_fallbacks(session)]
+    found += _check_registrations(session)
     found += [*_check_misfits(session), *_check_errors(session, evaluation)]
     return found if evaluation is None else [*found, *_check_model(evaluation)]
 
@@ -96,6 +105,11 @@ def _check_misfits(session: Session) -> Iterator[str]:
 
 
 def _check_model(evaluation: Evaluation) -> Iterator[str]:
+    if evaluation.coverable_share == 0:
+        yield (
+            "Nothing of the target can be seen from where the robot can stand, so its coverage "
+            "counts as 0: is it hidden, out of reach, or shut off from the robot's start?"
+        )
     score = evaluation.f_score[0.020]
     if score < MIN_F_SCORE:
         yield (

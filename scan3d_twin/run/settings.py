@@ -23,6 +23,7 @@ from scan3d_twin.core.options import check_options, former_names, number, option
 from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.devices.registry import Devices, base_device, lidar_device
 from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
+from scan3d_twin.sim.mesh_up import parse_mesh_up
 from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
 
 Options = Mapping[str, Any]
@@ -49,12 +50,15 @@ class RunConfig:
     """Metres per unit of a mesh file."""
     room: str = DEFAULT_ROOM
     """Room around a mesh file: width x depth [m], or none for an open floor."""
+    mesh_up: str = "auto"
+    """Axis of a mesh file that is up: y, z, or auto: y in glTF, else guessed."""
     version: str = __version__
     """Version of the software that wrote the options."""
 
     def __post_init__(self) -> None:
         check_options(self, "run")
         parse_room(self.room)
+        parse_mesh_up(self.mesh_up)
         if self.world not in WORLDS:
             raise UnknownNameError("world", self.world, WORLDS)
 

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from scan3d_twin.core.types import FloatArray, IntArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 from scan3d_twin.sim.scenes.tessellation import TRIANGULATED_TYPES, geom_triangles
 
 _GEOM = mujoco.mjtGeom
@@ -28,20 +28,13 @@ def can_triangulate(model: Any) -> bool:
     }
 
 
-def is_visible(model: Any, geom: int) -> bool:
-    """Return whether rays hit a geom: MuJoCo's rays pass fully transparent geoms."""
-    material = model.geom_matid[geom]
-    alpha = model.geom_rgba[geom, 3]
-    return bool(alpha > 0 and (material < 0 or model.mat_rgba[material, 3] > 0))
-
-
 class TriangleScene:
-    """The visible geoms of a static model as triangles in Embree; single precision.
+    """The ``seen`` geoms of a static model as triangles in Embree; single precision.
 
     Arrays by triangle have one more entry, for a miss.
     """
 
-    def __init__(self, model: Any) -> None:
+    def __init__(self, model: Any, seen: BoolArray) -> None:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
@@ -50,14 +43,13 @@ class TriangleScene:
         mujoco.mj_forward(model, data)
         attitudes = np.array(data.geom_xmat).reshape(-1, 3, 3)
 
-        # Tessellate the visible geoms
+        # Tessellate the seen geoms
         parts, owners, shapes = [], [], []
-        for geom in range(model.ngeom):
-            if is_visible(model, geom):
-                local = geom_triangles(model, geom)
-                parts.append(local @ attitudes[geom].T + data.geom_xpos[geom])
-                owners.append(np.full(len(local), geom))
-                shapes.append(_shapes(model, geom, local))
+        for geom in np.flatnonzero(seen).tolist():
+            local = geom_triangles(model, geom)
+            parts.append(local @ attitudes[geom].T + data.geom_xpos[geom])
+            owners.append(np.full(len(local), geom))
+            shapes.append(_shapes(model, geom, local))
 
         # Build the arrays by triangle
         triangles = np.concatenate(parts)

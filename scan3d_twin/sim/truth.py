@@ -10,6 +10,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.sim.lidar.glass import Panes
 from scan3d_twin.sim.lidar.scanner import Evidence
 from scan3d_twin.sim.ray_casting import RayCaster
 from scan3d_twin.sim.scenes.scene import Scene
@@ -49,6 +50,7 @@ class Truth:
         self._scene = scene
         self._world = world
         self._caster = caster
+        self._panes = Panes.of(scene.model, caster)
         self._evidence = evidence
         self._T_map_odom = world.base_pose(0.0)
 
@@ -76,6 +78,11 @@ class Truth:
         """Names of the targets, as the scene declares them."""
         return tuple(self._scene.targets)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was repaired or guessed of the scene, in sentences."""
+        return self._scene.notes
+
     def surface(
         self, spacing: float, targets: Sequence[str] | None = None
     ) -> tuple[FloatArray, FloatArray]:
@@ -93,7 +100,9 @@ class Truth:
         points, normals = [], []
         for name in (name for name in self._scene.target_geoms if name in wanted):
             geom = data.geom(name)
-            local, directions = sample_geom(self._scene.model, geom.id, spacing)
+            local, directions = sample_geom(
+                self._scene.model, geom.id, spacing, self._scene.facings.get(name)
+            )
             rotation = geom.xmat.reshape(3, 3)
             points.append(local @ rotation.T + geom.xpos)
             normals.append(directions @ rotation.T)
@@ -109,6 +118,12 @@ class Truth:
             directions: Unit vectors (n, 3).
         """
         return self._caster.cast(self._world.scene_qpos(), origins, directions).distances
+
+    def first_opaque_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return what ``first_hits`` does, through what is transparent."""
+        if self._panes is None:
+            return self.first_hits(origins, directions)
+        return self._panes.first_opaque_hits(self._world.scene_qpos(), origins, directions)
 
     def evidence(self) -> Evidence | None:
         """Return the ground truth of the last scan line read; None before the first."""

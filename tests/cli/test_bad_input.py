@@ -136,6 +136,7 @@ def test_a_misspelt_command(fails):
         ("--planning.eta-min", "1.5", "eta_min"),
         ("--registration.scope", "all", "target"),
         ("--mesh-scale", "0", "mesh_scale must be > 0"),
+        ("--mesh-up", "x", "mesh_up must be auto, y, z; got 'x'"),
         ("--target", "1,2,3", "name or x,y"),
         ("--target", "the_moon", "target"),
     ],

@@ -124,17 +124,18 @@ def test_the_list_says_how_a_file_names_the_options_of_the_command_line(twin):
     """What it says holds: the file states what the options state."""
     text = " ".join(twin("options", "sweep").out.split())
     assert "--lidar is lidar_model; --epsilon [mm] is planning.epsilon [m];" in text
-    flags = ("scene", "mesh-scale", "world", "preset", "seed", "target")
+    flags = ("scene", "mesh-scale", "mesh-up", "room", "world", "preset", "seed", "target")
     (listed,) = re.findall(r"\[m\]; (.*) are in section run", text)
     assert re.findall(r"--([a-z-]+)", listed) == [*flags]
     Path("my.toml").write_text(
         'max_views = 3\nlidar_model = "urg04lx"\nplanning.epsilon = 0.005\n'
-        '[run]\nscene = "sine_box"\nmesh_scale = 2.0\nworld = "harsh"\npreset = "paper"\n'
-        'seed = 3\ntarget = "1,2"\n'
+        '[run]\nscene = "sine_box"\nmesh_scale = 2.0\nmesh_up = "y"\nroom = "6x4"\n'
+        'world = "harsh"\npreset = "paper"\nseed = 3\ntarget = "1,2"\n'
     )
     assert effective("--config", "my.toml") == effective(
         *("--max-views", "3", "--lidar", "urg04lx", "--epsilon", "5", "--scene", "sine_box"),
-        *("--mesh-scale", "2", "--world", "harsh", "--preset", "paper", "--seed", "3"),
+        *("--mesh-scale", "2", "--mesh-up", "y", "--room", "6x4"),
+        *("--world", "harsh", "--preset", "paper", "--seed", "3"),
         *("--target", "1,2"),
     )
 

@@ -116,6 +116,28 @@ def test_a_mesh_file_is_a_scene(twin, tmp_path):
     assert saved["mesh_scale"] == 0.001
 
 
+def test_what_was_repaired_is_said_at_once_and_in_the_report(twin, tmp_path):
+    box = trimesh.creation.box((0.3, 0.4, 0.5))
+    box.invert()
+    box.export(tmp_path / "crate.stl")
+    result = twin("sim", "--scene", "crate.stl", "--max-views", "1", "--json")
+    note = "Mesh target: 12 of 12 faces are wound inwards and were turned."
+    assert result.err.startswith(note)
+    assert json.loads(result.out)["warnings"][0] == note
+
+
+def test_a_target_that_was_not_scanned_is_told(twin, tmp_path):
+    (tmp_path / "hidden.xml").write_text(
+        '<mujoco><worldbody><site name="spawn"/>'
+        '<geom type="box" size=".2 .6 .5" pos="1.7 0 .5"/>'
+        '<geom name="target" type="box" size=".1 .1 .1" pos="3.2 0 .1"/></worldbody></mujoco>'
+    )
+    result = twin("sim", "--scene", "hidden.xml", "--max-views", "1", "--json")
+    report = json.loads(result.out)
+    assert report["coverage_20mm"] is None
+    assert "What was scanned is not a target of this scene (target)" in report["warnings"][0]
+
+
 def test_a_target_can_be_named_or_placed(twin):
     name = next(iter(load_scene("three_boxes").targets))
     assert twin(*SCAN, "--target", name, "--out", "named").code == 0

@@ -234,6 +234,21 @@ def test_the_noise_of_random_scenes_varies(make):
     assert len(scales) == 4
 
 
+def test_a_target_that_nobody_can_see_is_not_covered(make, tmp_path):
+    walls = "".join(
+        f'<geom type="box" pos="{x} {y} .4" size="{a} {b} .4"/>'
+        for x, y, a, b in ((1, 0, 0.05, 0.8), (2.5, 0, 0.05, 0.8), (1.75, -0.8, 0.8, 0.05))
+    )
+    walls += '<geom type="box" pos="1.75 .8 .4" size=".8 .05 .4"/>'
+    path = tmp_path / "shut.xml"
+    path.write_text(
+        f'<mujoco><worldbody><site name="spawn"/>{walls}'
+        '<geom name="target" type="box" pos="1.75 0 .1" size=".1 .1 .1"/></worldbody></mujoco>'
+    )
+    _, info = make(scene=str(path)).reset(seed=0)
+    assert info["coverage"] == 0.0
+
+
 def test_pictures(make, capsys):
     env = make(render_mode="rgb_array")
     env.reset(seed=0)

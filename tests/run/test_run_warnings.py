@@ -39,6 +39,16 @@ def test_a_good_run_has_nothing_to_tell(session):
     assert find_warnings(good, of_pairs(PairError(1, 0.009, 0.02, 0.03))) == []
 
 
+def test_notes_on_the_scene_come_first(session):
+    assert find_warnings(session, notes=["The mesh was turned."])[0] == "The mesh was turned."
+
+
+def test_a_target_that_nobody_can_see_is_told(session):
+    unseen = replace(of_pairs(), coverable_share=0.0)
+    assert warns(session, "Nothing of the target can be seen", evaluation=unseen)
+    assert not warns(session, "Nothing of the target", evaluation=of_pairs())
+
+
 def test_a_step_above_epsilon_is_told_with_the_view_it_led_to(session):
     fallen = planned(session, fell_back=True, overlap=0.8, predicted_rmse=0.0123)
     assert warns(fallen, "View 1:", "10 mm", "overlap of 80%")

@@ -22,7 +22,8 @@ USE = (
     "--planning.eta-min 0.3, planning.eta_min = 0.3 in a --config FILE, TWIN_PLANNING_ETA_MIN=0.3",
     "Options of `twin sim --help` have the same name in a FILE (--max-views is max_views), except: "
     "--lidar is lidar_model; --epsilon [mm] is planning.epsilon [m]; --scene, --mesh-scale, "
-    "--world, --preset, --seed and --target are in section run (run.scene, ...).",
+    "--mesh-up, --room, --world, --preset, --seed and --target are in section run (run.scene, "
+    "...).",
 )
 """How to set an option, in paragraphs."""
 _TYPES: Mapping[Any, str] = {float: "FLOAT", int: "INT", bool: "BOOL", str: "STR"}

@@ -12,6 +12,7 @@ from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import RunOptions, SceneOptions, stated_options
+from scan3d_twin.cli.output import say
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
 from scan3d_twin.run.settings import Options, Settings
@@ -58,6 +59,8 @@ def sim(
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
+    for note in scene.notes:
+        say(note)
 
     def picture() -> bytes:
         from scan3d_twin.api.sim import draw_scene  # slow to import
@@ -110,9 +113,9 @@ def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Res
     """Return how the run in ``folder`` goes on, and its scene."""
     from scan3d_twin.api.resume import resume_sim
     from scan3d_twin.cli.multi_target import refuse_resume
-    from scan3d_twin.sim.scenes.load import load_scene
+    from scan3d_twin.run.resolve import load_run_scene
 
     refuse_resume(folder, options.targets)
     resume = resume_sim(folder, options.out, stated_options(options, sections))
     run = resume.settings.run
-    return resume, load_scene(run.scene, run.mesh_scale, run.room)
+    return resume, load_run_scene(run)

@@ -92,6 +92,10 @@ class Truth(Protocol):
         """Return the distance (n,) [m] to the first surface along each ray; inf for a miss."""
         ...
 
+    def first_opaque_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return the same through surfaces that light passes, as windows."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Distances:
@@ -103,7 +107,9 @@ class Distances:
 
     @staticmethod
     def of(distances: FloatArray) -> Distances:
-        """Return the statistics of ``distances`` (n,)."""
+        """Return the statistics of ``distances`` (n,); NaN of none."""
+        if len(distances) == 0:
+            return Distances(np.nan, np.nan, np.nan)
         return Distances(
             float(np.mean(distances)),
             float(np.median(distances)),
@@ -138,7 +144,8 @@ class Evaluation:
         accuracy: Distance from the model to the true surface.
         completeness: Distance from the coverable surface to the model.
         f_score: F-score by distance [m].
-        coverable_share: Share of the target's surface that is visible from a feasible pose.
+        coverable_share: Share of the target's surface that is visible from a feasible pose; where
+            none is, coverage is 0.
         pairs: Registration errors, one per registered view.
         targets: Names of the targets that the model is judged by.
         left_out: Names of others that nobody chose to leave out.
@@ -300,7 +307,7 @@ def evaluate_model(session: Session, model: Model, reference: Reference) -> Eval
             d: _compute_f_score(surface.distance(thin_by_voxel(points, d / 2)), to_model, d)
             for d in F_SCORE_DISTANCES
         },
-        coverable_share=float(np.mean(reference.coverable)),
+        coverable_share=_share(reference.coverable),
         pairs=tuple(
             _measure_pair_error(k, session, reference) for k in range(1, len(session.views))
         ),
@@ -407,7 +414,7 @@ def _measure_coverage_by_view(
         left = np.flatnonzero(~covered)
         distance, _ = find_nearest(cKDTree(points[view == k]), surface[left], 2 * COVERAGE_DISTANCE)
         covered[left] = distance <= COVERAGE_DISTANCE
-        shares.append(float(np.mean(covered)))
+        shares.append(_share(covered))
     return tuple(shares)
 
 
@@ -463,8 +470,13 @@ def measure_surface_distance(
 
 def _compute_f_score(to_truth: FloatArray, to_model: FloatArray, distance: float) -> float:
     """Return 2PR/(P+R) at ``distance`` [m]; the model is thinned so that all parts weigh alike."""
-    precision, recall = float(np.mean(to_truth <= distance)), float(np.mean(to_model <= distance))
+    precision, recall = _share(to_truth <= distance), _share(to_model <= distance)
     return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+
+
+def _share(chosen: BoolArray) -> float:
+    """Return the share of what is ``chosen`` (n,); 0 of nothing."""
+    return float(np.mean(chosen)) if len(chosen) else 0.0
 
 
 def find_coverable_surface(
@@ -512,7 +524,7 @@ def find_visible(
     index = np.flatnonzero(seen)
     if len(index):
         directions = rays[index] / distance[index, None]
-        hits = truth.first_hits(np.broadcast_to(eye, (len(index), 3)), directions)
+        hits = truth.first_opaque_hits(np.broadcast_to(eye, (len(index), 3)), directions)
         seen[index] = hits >= distance[index] - HIT_TOLERANCE
     return np.asarray(seen)
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.types import FloatArray, Hazards
-from scan3d_twin.sim.embree import is_visible
+from scan3d_twin.sim.scenes.visibility import is_visible
 from scan3d_twin.sim.world import PREFIX, World
 
 BUMP_FORCE = 0.5

@@ -14,6 +14,7 @@ from scan3d_twin.devices.device import LidarSensor
 from scan3d_twin.sim.lidar.config import LidarModelConfig
 from scan3d_twin.sim.lidar.firmware import Light, read
 from scan3d_twin.sim.lidar.footprint import mix, offsets
+from scan3d_twin.sim.lidar.glass import Panes
 from scan3d_twin.sim.lidar.noise import Draws
 from scan3d_twin.sim.lidar.optics import Materials
 from scan3d_twin.sim.ray_casting import Hits, RayCaster
@@ -104,6 +105,7 @@ class Scanner:
         self.config = config
         self.caster = caster
         self.materials = Materials.of(scene_model, config)
+        self._panes = Panes.of(scene_model, caster)
         self.surface_bias = config.surface_bias * rng.standard_normal(scene_model.ngeom + 1)
         self.beams = read_only(beam_directions(self.spec.elevations))
         own = own_housing(robot, tuple(self.spec.elevations.tolist()))
@@ -191,6 +193,11 @@ class Scanner:
         power = self.materials.power(hits.geoms, cosines, hits.distances)
         shape = (len(rays), at.shape[0] * at.shape[1])
         mixed = mix(hits.distances.reshape(shape), power.reshape(shape), self.config, self.sensor)
+        if self._panes is not None:
+            optics = self.config, self.sensor
+            hits, cosines, mixed = self._panes.look_through(
+                qpos, (origins, directions), hits, self.materials, shape[1], optics, mixed
+            )
         middle = slice(0, shape[1])
         bias = self.surface_bias.take(hits.geoms[middle])
         light = self._with_housing(len(at), mixed.distances, mixed.power, cosines[middle], bias)

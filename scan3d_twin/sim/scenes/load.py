@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,11 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
+from scan3d_twin.sim.mesh_up import parse_mesh_up
 from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
-from scan3d_twin.sim.scenes.meshes import MESH_SUFFIXES, mesh_spec
+from scan3d_twin.sim.scenes.mesh_files import MESH_SUFFIXES, refuse_other_format
+from scan3d_twin.sim.scenes.meshes import complete_obj_meshes, mesh_spec
 from scan3d_twin.sim.scenes.random_scenes import NAME_PREFIX, scene_of_seed
 from scan3d_twin.sim.scenes.scene import Scene, one_line, scene_from_spec
 
@@ -25,20 +28,24 @@ def scene_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in find_resource_dir("scenes").glob("*.xml")))
 
 
-def load_scene(name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_ROOM) -> Scene:
+def load_scene(
+    name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_ROOM, mesh_up: str = "auto"
+) -> Scene:
     """Return a built-in scene by name, or an MJCF or mesh file by path.
 
     Args:
         name_or_path: A name of ``scene_names()``, ``random:SEED``, or a path that ends in .xml .stl
-            .ply .obj .glb.
+            .ply .obj .glb .gltf .off.
         mesh_scale: Metres per unit of a mesh file.
         room: Room around a mesh: width by depth, such as ``5x5`` [m], or ``none`` for an open
             floor; larger where the mesh leaves the robot no way round it.
+        mesh_up: Axis of a mesh file that is up: ``y``, ``z``, or ``auto``, which is y in glTF by
+            definition and else guessed; ``Scene.notes`` says so.
 
     Raises:
         UnknownNameError: There is no scene of this name, and it is no path.
-        ConfigError: ``mesh_scale`` is not positive, ``room`` is no room, or SEED is not a whole
-            number.
+        ConfigError: ``mesh_scale`` is not positive, ``room`` is no room, ``mesh_up`` no axis, or
+            SEED is not a whole number.
         SceneError: The file is missing or broken, or holds no target.
 
     >>> s3d.load_scene("three_boxes").tour
@@ -46,7 +53,7 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_R
     """
     if not (mesh_scale > 0 and np.isfinite(mesh_scale)):
         raise ConfigError(f"mesh scale must be > 0, got {mesh_scale:g}")
-    size = parse_room(room)
+    size, up = parse_room(room), parse_mesh_up(mesh_up)
     if name_or_path.startswith(NAME_PREFIX):
         return scene_of_seed(name_or_path)
     path = Path(name_or_path)
@@ -54,9 +61,15 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_R
     if suffix == ".xml" or suffix in MESH_SUFFIXES:
         if not path.is_file():
             raise SceneError(f"no file {name_or_path}")
-        spec = _read_mjcf(path) if suffix == ".xml" else mesh_spec(path, mesh_scale, size)
-        return scene_from_spec(path.stem, spec, name_or_path)
+        if suffix == ".xml":
+            spec = _read_mjcf(path)
+            notes = complete_obj_meshes(spec)
+        else:
+            spec, notes = mesh_spec(path, mesh_scale, size, up)
+        scene = scene_from_spec(path.stem, spec, name_or_path)
+        return replace(scene, notes=(*notes, *scene.notes))
     if name_or_path not in scene_names():
+        refuse_other_format(path)
         raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))
     return scene_from_spec(
         name_or_path, _read_mjcf(find_resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path

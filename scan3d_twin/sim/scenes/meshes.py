@@ -14,10 +14,11 @@ import numpy as np
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+from scan3d_twin.sim.mesh_up import MeshUp
+from scan3d_twin.sim.scenes.mesh_cleanup import drop_surroundings, turn_up
+from scan3d_twin.sim.scenes.mesh_files import GLTF_SUFFIXES, count_obj_objects, read_mesh
 from scan3d_twin.sim.scenes.surface_samples import sample_triangles
 from scan3d_twin.sim.scenes.walls import add_walls
-
-MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 
 ROBOT_HEIGHT = 0.35
 """Height above which nothing can touch the robot [m]."""
@@ -32,23 +33,28 @@ GRID_CELLS = 24
 """Cells of the collision grid along the longer side of the footprint."""
 
 
-def mesh_spec(path: Path, scale: float, room: tuple[float, float] | None) -> Any:
+def mesh_spec(
+    path: Path, scale: float, room: tuple[float, float] | None, up: MeshUp = "auto"
+) -> tuple[Any, list[str]]:
     """Return an ``MjSpec`` with the mesh of ``path`` as target, on the floor, 1.5 m ahead of spawn.
+
+    The other result is what was guessed or left out, in sentences.
 
     The mesh stands in the middle of the room, whose walls move outwards where it leaves the robot
     no way round it.
 
     Args:
-        path: A .stl, .ply, .obj or .glb file; z is up, except in .glb where y is up by definition.
+        path: A file of a format of ``MESH_SUFFIXES``.
         scale: Metres per unit of the file.
         room: Width (across the robot's first view) and depth of the room [m]; None for an open
             floor.
+        up: The file's axis that is up; auto: y in glTF by definition, else guessed.
 
     Raises:
         SceneError: The file is not a mesh, is empty, or its size is implausible.
     """
     # Add the mesh for the rays
-    vertices, faces = _load(path, scale)
+    vertices, faces, notes = _load(path, scale, up)
     spec = mujoco.MjSpec()
     spec.modelname = path.stem
     spec.add_mesh(
@@ -84,7 +90,28 @@ def mesh_spec(path: Path, scale: float, room: tuple[float, float] | None) -> Any
     spec.add_text(name="scan3d.tour", data="full")
     place = "on an open floor" if room is None else _add_room(spec, vertices[faces], room)
     spec.add_text(name="scan3d.description", data=f"mesh {path.name} {place}")
-    return spec
+    return spec, notes
+
+
+def complete_obj_meshes(spec: Any) -> list[str]:
+    """Give the OBJ meshes of ``spec`` all objects of their files, and say so in sentences.
+
+    MuJoCo (4.0) reads the faces of the first object or group alone, which is what rays would see.
+
+    Raises:
+        SceneError: Such a file is damaged.
+    """
+    notes = []
+    for mesh in spec.meshes:
+        path = Path(spec.modelfiledir) / spec.meshdir / mesh.file
+        if path.suffix.lower() != ".obj" or not path.is_file() or count_obj_objects(path) < 2:
+            continue
+        vertices, faces = read_mesh(path)
+        faces = faces[_areas(vertices, faces) > 0]
+        mesh.name = mesh.name or path.stem  # as MuJoCo names it by its file
+        mesh.file, mesh.uservert, mesh.userface = "", vertices.ravel(), faces.ravel()
+        notes.append(f"Mesh {mesh.name}: all objects of {path.name} are used, not only the first.")
+    return notes
 
 
 def _add_room(spec: Any, triangles: FloatArray, room: tuple[float, float]) -> str:
@@ -97,30 +124,35 @@ def _add_room(spec: Any, triangles: FloatArray, room: tuple[float, float]) -> st
     return f"in a room of {width:.3g} x {depth:.3g} m"
 
 
-def _load(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
-    """Return vertices (n, 3) [m], centred at x = y = 0 and standing on z = 0, and faces (m, 3)."""
-    import trimesh  # slow to import, and only meshes need it
+def _load(path: Path, scale: float, up: MeshUp) -> tuple[FloatArray, IntArray, list[str]]:
+    """Return vertices (n, 3) [m], centred at x = y = 0 and standing on z = 0, and faces (m, 3).
 
-    try:
-        mesh = trimesh.load_mesh(path)
-        vertices = np.array(mesh.vertices, dtype=np.float64) * scale
-        faces = np.array(mesh.faces, dtype=np.int64)
-    except Exception as error:  # noqa: BLE001 - each of trimesh's decoders fails in its own way
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise SceneError(f"{path} is not a mesh that can be read: {reason}") from None
+    The last is what was guessed or left out, in sentences.
+    """
+    # Read the triangles
+    vertices, faces = read_mesh(path)
+    vertices = vertices * scale
     faces = faces[_areas(vertices, faces) > 0]
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise SceneError(f"{path} holds no triangles; export it as a triangle mesh")
-    if path.suffix.lower() == ".glb":
-        vertices = vertices[:, [0, 2, 1]] * (1, -1, 1)  # glTF 2.0, section 3.4: +y is up
-    used = vertices[np.unique(faces)]
-    low, high = used.min(axis=0), used.max(axis=0)
+
+    # Turn it upright, without what does not belong to it
+    defined = path.suffix.lower() in GLTF_SUFFIXES
+    vertices, guess = turn_up(vertices, faces, up, defined=defined)
+    faces, notes = drop_surroundings(vertices, faces)
+    notes = [guess, *notes] if guess else notes
+
+    # Put it on the floor
+    kept, index = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[kept], index.reshape(-1, 3)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
     largest = float((high - low).max())
     if not SIZE_LIMITS[0] <= largest <= SIZE_LIMITS[1]:
         raise SceneError(
             f"{path} would be {largest:g} m large; give --mesh-scale, such as 0.001 for millimetres"
         )
-    return vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], faces
+    middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]
+    return vertices - middle, faces, notes
 
 
 def _areas(vertices: FloatArray, faces: IntArray) -> FloatArray:

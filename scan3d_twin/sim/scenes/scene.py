@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import mujoco
@@ -21,7 +21,10 @@ import numpy as np
 from scan3d_twin.core.config import Tour
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import Pose2
+from scan3d_twin.sim.scenes.facing import Facing
+from scan3d_twin.sim.scenes.orientation import find_facings
 from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
+from scan3d_twin.sim.scenes.visibility import DRAWN_GROUPS, choose_seen_parts
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,8 @@ class Scene:
         targets: Names of the geoms of each named target.
         front: Middle of the front, +x the outward normal, in ``map``; None for tour full.
         description: One line.
+        facings: Which sides of the faces of the targets' meshes count, by geom.
+        notes: What was repaired or guessed, in sentences.
     """
 
     name: str
@@ -51,6 +56,8 @@ class Scene:
     targets: Mapping[str, tuple[str, ...]]
     front: Pose2 | None
     description: str
+    facings: Mapping[str, Facing] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def target_geoms(self) -> tuple[str, ...]:
@@ -76,6 +83,7 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
         model = spec.copy().compile()
     except ValueError as error:
         raise SceneError(f"{label} does not compile: {one_line(error)}") from None
+    targets = choose_seen_parts(model, targets, label)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
 
@@ -91,6 +99,10 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
     if tour == "front" and front is None:
         raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
 
+    # Turn the faces of meshes outwards
+    facings = find_facings(model, targets, spawn)
+    repairs = [facing.describe(name) for name, facing in facings.items()]
+
     # Return it with its options
     return Scene(
         name=name,
@@ -103,6 +115,8 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
         targets=targets,
         front=front,
         description=texts.get("scan3d.description", ""),
+        facings=facings,
+        notes=tuple(repair for repair in repairs if repair),
     )
 
 
@@ -132,6 +146,7 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
     for name in geoms:
         if name not in targets and not any(name in parts for parts in targets.values()):
             targets[name] = (name,)
+            _name_neighbours(spec, name)
     if not targets:
         raise SceneError(
             f"{label} has no target; name a geom or body 'target...' or add <tuple name=\"target\">"
@@ -145,6 +160,15 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
         if geom.type not in SAMPLED_TYPES:
             raise SceneError(f"{label}: target {name!r} must be a solid primitive or a mesh")
     return targets
+
+
+def _name_neighbours(spec: Any, name: str) -> None:
+    """Name the geoms of the body of geom ``name``, for which it may stand in."""
+    geom = spec.geom(name)
+    if geom is None or (geom.parent.name == "world" and geom.group < DRAWN_GROUPS):
+        return
+    for number, other in enumerate(geom.parent.geoms):
+        other.name = other.name or f"{name}/{number}"
 
 
 def _target_names(spec: Any) -> tuple[list[str], list[str]]:

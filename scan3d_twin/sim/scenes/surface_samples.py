@@ -8,7 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from scan3d_twin.core.types import FloatArray
+from scan3d_twin.core.types import FloatArray, IntArray
+from scan3d_twin.sim.scenes.facing import Facing
 from scan3d_twin.sim.scenes.tessellation import mesh_triangles
 
 Samples = tuple[FloatArray, FloatArray]
@@ -25,8 +26,15 @@ SAMPLED_TYPES = (
 """Geom types that ``sample_geom`` supports."""
 
 
-def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
-    """Return samples of a geom's surface, about ``spacing`` [m] apart, in the geom's frame."""
+def sample_geom(model: Any, geom: int, spacing: float, facing: Facing | None = None) -> Samples:
+    """Return samples of a geom's surface, about ``spacing`` [m] apart, in the geom's frame.
+
+    Args:
+        model: The compiled scene.
+        geom: Id of the geom.
+        spacing: Distance of neighbouring samples [m].
+        facing: Which sides of a mesh's faces count; None for those that their winding tells.
+    """
     size = np.array(model.geom_size[geom])
     match mujoco.mjtGeom(int(model.geom_type[geom])):
         case mujoco.mjtGeom.mjGEOM_BOX:
@@ -36,7 +44,8 @@ def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
         case mujoco.mjtGeom.mjGEOM_SPHERE:
             return _sample_sphere(size[0], spacing)
         case mujoco.mjtGeom.mjGEOM_MESH:
-            return sample_triangles(mesh_triangles(model, geom), spacing)
+            triangles = mesh_triangles(model, geom)
+            return sample_triangles(facing.apply(triangles) if facing else triangles, spacing)
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
             return sample_triangles(_capsule_triangles(size[0], size[1]), spacing)
         case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
@@ -47,24 +56,28 @@ def sample_geom(model: Any, geom: int, spacing: float) -> Samples:
 
 def sample_triangles(triangles: FloatArray, spacing: float) -> Samples:
     """Return samples of ``triangles`` (m, 3, 3), area-weighted by systematic sampling."""
-    # Compute the areas
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     double_area = np.linalg.norm(cross, axis=1)
     total = float(double_area.sum()) / 2
+    points, chosen = sample_places(triangles, max(1, math.ceil(total / spacing**2)))
+    return points, cross[chosen] / double_area[chosen, None]
 
-    # Sample the triangles by area
-    count = max(1, math.ceil(total / spacing**2))
+
+def sample_places(triangles: FloatArray, count: int) -> tuple[FloatArray, IntArray]:
+    """Return ``count`` points (n, 3) spread over ``triangles`` (m, 3, 3), and their triangles."""
+    # Choose the triangles by area
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    double_area = np.linalg.norm(cross, axis=1)
     places = (np.arange(count) + 0.5) * (double_area.sum() / count)
     chosen = np.searchsorted(np.cumsum(double_area), places).clip(max=len(triangles) - 1)
+
     # The R2 sequence fills a triangle evenly (M. Roberts, 2018: unreasonable effectiveness of
     # quasirandom sequences); points beyond the diagonal are reflected.
     uv = (np.arange(1, count + 1)[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1.0
     uv = np.where(uv.sum(axis=1, keepdims=True) > 1, 1 - uv, uv)
-
-    # Return points and normals
     a, b, c = np.moveaxis(triangles[chosen], 1, 0)
-    points = a + uv[:, :1] * (b - a) + uv[:, 1:] * (c - a)
-    return points, cross[chosen] / double_area[chosen, None]
+    points: FloatArray = a + uv[:, :1] * (b - a) + uv[:, 1:] * (c - a)
+    return points, chosen
 
 
 def _cell_centres(half: float, spacing: float) -> FloatArray:

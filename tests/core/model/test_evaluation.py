@@ -76,6 +76,10 @@ class BoxTruth:
         """The box and the room."""
         return cast(np.asarray(origins), np.asarray(directions), (BOX,), room=True)
 
+    def first_opaque_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Nothing is transparent."""
+        return self.first_hits(origins, directions)
+
 
 def at(pose: Pose2, k: int, sigma: float = 0.0) -> Observation:
     """Return a sweep of the box at ``pose``, stamped for view ``k``."""
@@ -216,6 +220,18 @@ def test_within_tells_what_distances_would() -> None:
         assert np.array_equal(surface.within(points, distance), wanted)
     assert wanted.any()
     assert not wanted.all()
+
+
+def test_what_nobody_can_see_is_not_covered() -> None:
+    session = session_of(FIRST, SECOND)
+    session = replace(session, config=replace(session.config, tour="front"))
+    out_of_reach = replace(BoxTruth((FIRST, SECOND)), front=Pose2(100.0, 0.0, 0.0))
+    result = evaluate_model(session, build_model(session), Reference.of(session, out_of_reach))
+    assert result.coverable_share == 0.0
+    assert result.coverage == 0.0
+    assert result.coverage_by_view == (0.0, 0.0)
+    assert set(result.f_score.values()) == {0.0}
+    assert not result.is_success(1.0)
 
 
 def test_statistics() -> None:
