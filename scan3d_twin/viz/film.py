@@ -24,9 +24,9 @@ from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.colours import view_colour, view_colours_rgb
 from scan3d_twin.recording.load import RecordedRun, read_track, run_folder
 from scan3d_twin.recording.run_list import read_report
-from scan3d_twin.run.settings import REAL_SCENE, Settings
+from scan3d_twin.run.resolve import load_run_scene
+from scan3d_twin.run.settings import REAL_SCENE
 from scan3d_twin.sim.config import RobotErrorConfig
-from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.pictures import Eye, Painter, choose_eye, cut_away, hide
 from scan3d_twin.sim.scenes.scene import Scene, scene_from_spec
 from scan3d_twin.sim.scenes.surface_samples import sample_geom
@@ -100,7 +100,7 @@ def prepare_film(run: RecordedRun) -> Film:
     # Build the scene with the robot
     session, settings = run.session, run.settings
     real = settings.run.scene == REAL_SCENE
-    scene = _empty_scene() if real else _scene_of(settings)
+    scene = _empty_scene() if real else load_run_scene(settings.run)
     errors = RobotErrors.draw(RobotErrorConfig(), np.random.default_rng(0))
     model = build_physics(scene, settings.twin.robot, errors)
     data = mujoco.MjData(model)
@@ -226,11 +226,6 @@ def _draw_strip(film: Film, stamp: float) -> Picture:
                 draw.ellipse([x - 5, y - 5, x + 5, y + 5], filled, colour, 2)
         draw.text((x - 4, bottom + 2), f"{k}", soft, small)
     return np.asarray(image)
-
-
-def _scene_of(settings: Settings) -> Scene:
-    run = settings.run
-    return load_scene(run.scene, run.mesh_scale, run.room)
 
 
 def _empty_scene() -> Scene:
