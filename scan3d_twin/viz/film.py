@@ -48,10 +48,10 @@ SAMPLE_SPACING = 0.02
 _EMPTY = """
 <mujoco><worldbody>
   <geom name="floor" type="plane" size="20 20 .1" rgba=".62 .64 .66 1"/>
-  <geom name="target" type="box" size=".01 .01 .01" pos="1.5 0 -1" rgba="0 0 0 0"/>
+  <geom name="target" type="box" size=".01 .01 .01" pos="-15 0 .01" rgba=".62 .64 .66 1"/>
   <site name="spawn"/>
 </worldbody></mujoco>"""
-"""The surroundings of a real robot: a floor, and a target that nobody sees."""
+"""The surroundings of a real robot: a floor, and a target too far away to be seen."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,13 +58,15 @@ def write_film(path: Path, frames: Iterable[Picture], fps: int) -> None:
 def _write_mp4(path: Path, frames: Iterable[Picture], fps: int) -> None:
     import av
 
-    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as file:
+    # Exact bits: no time of writing in the header.
+    options = {"movflags": "+faststart", "fflags": "+bitexact"}
+    with av.open(str(path), "w", format="mp4", options=options) as file:
         stream: Any = None
         for number, picture in enumerate(frames):
             if stream is None:
                 # One thread: the same bytes wherever it is made.
-                options = {"crf": CONSTANT_RATE_FACTOR, "threads": "1"}
-                stream = file.add_stream("libx264", rate=fps, options=options)
+                encoder = {"crf": CONSTANT_RATE_FACTOR, "threads": "1"}
+                stream = file.add_stream("libx264", rate=fps, options=encoder)
                 stream.height, stream.width = picture.shape[:2]
                 stream.pix_fmt, stream.time_base = "yuv420p", Fraction(1, fps)
             frame = av.VideoFrame.from_ndarray(picture, format="rgb24")

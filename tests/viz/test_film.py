@@ -69,6 +69,9 @@ def test_it_is_written_as_mp4_and_as_gif(frames, tmp_path):
         stream = file.streams.video[0]
         assert (stream.width, stream.height, stream.average_rate) == (WIDTH, HEIGHT + STRIP, 5)
         assert sum(1 for _ in file.decode(stream)) == len(frames)
+    header = (tmp_path / "a.mp4").read_bytes()
+    created = header.index(b"mvhd") + 8
+    assert header[created : created + 4] == bytes(4)  # no time of writing
     write_film(tmp_path / "b.mp4", frames, 5)
     assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
     write_film(tmp_path / "a.gif", frames, 5)
