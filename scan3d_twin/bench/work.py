@@ -20,8 +20,8 @@ from scan3d_twin.core.model.fused_cloud import Model, build_model
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
 from scan3d_twin.run.closed_loop import LoopOutcome, close_loop
+from scan3d_twin.run.resolve import load_run_scene
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.viz.top_view import draw_top_view
 
 COMPLETE_REASONS = ("front complete", "contour complete")
@@ -51,7 +51,7 @@ def run_task(task: Task) -> TaskResult:
     wall, cpu = time.perf_counter(), time.process_time()
     run = task.settings.run
     try:
-        scene = load_scene(run.scene, run.mesh_scale, run.room)
+        scene = load_run_scene(run)
         with open_sim(scene, run.seed, task.settings.twin) as (robot, truth):
             loop = close_loop(robot, truth, task.settings, Unobserved(), time.process_time)
     except TwinError as error:

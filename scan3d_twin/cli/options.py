@@ -38,6 +38,8 @@ class SceneOptions:
     """Metres per unit of a mesh file."""
     room: Annotated[str | None, env("ROOM", "{run.room}")] = None
     """Room of a mesh: WxD [m], or none."""
+    keyframe: Annotated[str | None, env("KEYFRAME", "reference pose")] = None
+    """Keyframe for an .xml."""
     robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
     """Name of the base (`twin devices`)."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
@@ -74,10 +76,10 @@ class RunOptions:
     """Save time or memory; same results."""
     target: Annotated[
         str | None,
-        env("TARGET", "the most salient thing"),
+        env("TARGET", "most salient"),
         Parameter(allow_leading_hyphen=True),
     ] = None
-    """x,y [m] by odometry, or a name (twin)."""
+    """x,y [m]; twin: body or geom."""
     targets: int | None = None
     """Number of things to scan, each into OUT/target-K."""
     config: Annotated[Path | None, env("CONFIG")] = None
@@ -116,7 +118,7 @@ def _flat(options: RunOptions, sections: Options) -> Options:
     for name, value in _given(options):
         if name == "scene":
             run[name] = absolute_scene(value)
-        elif name in ("seed", "preset", "world", "target", "mesh_scale", "room"):
+        elif name in ("seed", "preset", "world", "target", "mesh_scale", "room", "keyframe"):
             run[name] = value
         elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
             top[name] = value

@@ -8,6 +8,7 @@ from scan3d_twin.core.planning import check_planner
 from scan3d_twin.run.settings import (
     NAME_OR_PLACE,
     Options,
+    RunConfig,
     Settings,
     build_settings,
     device_options,
@@ -28,9 +29,15 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
     effective = build_settings([*_named_options(given), given])
     check_planner(effective.config.planner, truth_known=True)
     run = effective.run
-    scene = load_scene(run.scene, run.mesh_scale, run.room)
+    scene = load_run_scene(run)
     _check_target(run.target, scene)
     return settings_for_scene(scene, given), scene
+
+
+def load_run_scene(run: RunConfig) -> Scene:
+    """Return the scene that ``run`` names, with its target where that is a name."""
+    target = "" if "," in run.target else run.target
+    return load_scene(run.scene, run.mesh_scale, run.room, target=target, keyframe=run.keyframe)
 
 
 def settings_for_scene(scene: Scene, given: Options) -> Settings:

@@ -20,6 +20,7 @@ from scan3d_twin.sim.lidar.scanner import Scanner
 from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
 from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.scene import Scene
+from scan3d_twin.sim.start_check import check_place, check_stand
 from scan3d_twin.sim.trace import PoseTrace
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
@@ -111,9 +112,12 @@ def _open_twin(
     if seed < 0:
         raise ConfigError(f"seed must be >= 0, got {seed}")
     errors = draw_robot(scene, seed, config.errors)
-    world = World(scene, build_model(scene, config.robot, errors, solver))
+    model, start = build_model(scene, config.robot, errors, solver), (scene.spawn.x, scene.spawn.y)
+    check_place(model, scene.name, start)
+    world = World(scene, model)
     clock = SimClock(world)
     base = SimBase(world, base_device(config.robot), config.errors)
+    check_stand(world, scene.name, start, base.sense())
     caster = choose_caster(scene.model)
     surfaces = stream(seed, Stream.SURFACE)
     device = lidar_device(config.lidar_model)

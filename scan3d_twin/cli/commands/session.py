@@ -155,11 +155,11 @@ def _save_again(recorded: RecordedRun) -> Report:
         if run.scene == REAL_SCENE:
             progress.on_event("saving")
             return save_run(folder, *what)
+        from scan3d_twin.run.resolve import load_run_scene
         from scan3d_twin.sim.robot import open_sim
-        from scan3d_twin.sim.scenes.load import load_scene
 
         progress.on_event(f"driving through {mark.stamp:.0f} s again for the truth")
-        scene = load_scene(run.scene, run.mesh_scale, run.room)
+        scene = load_run_scene(run)
         with open_sim(scene, run.seed, recorded.settings.twin) as (robot, truth):
             reenact(robot, read_commands(recorded.path), mark)
             progress.on_event("evaluating and saving")

@@ -110,9 +110,9 @@ def _going_on(options: SimOptions, folder: Path, sections: Options) -> tuple[Res
     """Return how the run in ``folder`` goes on, and its scene."""
     from scan3d_twin.api.resume import resume_sim
     from scan3d_twin.cli.multi_target import refuse_resume
-    from scan3d_twin.sim.scenes.load import load_scene
+    from scan3d_twin.run.resolve import load_run_scene
 
     refuse_resume(folder, options.targets)
     resume = resume_sim(folder, options.out, stated_options(options, sections))
     run = resume.settings.run
-    return resume, load_scene(run.scene, run.mesh_scale, run.room)
+    return resume, load_run_scene(run)

@@ -25,7 +25,14 @@ def scene_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in find_resource_dir("scenes").glob("*.xml")))
 
 
-def load_scene(name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_ROOM) -> Scene:
+def load_scene(
+    name_or_path: str,
+    mesh_scale: float = 1.0,
+    room: str = DEFAULT_ROOM,
+    *,
+    target: str = "",
+    keyframe: str = "",
+) -> Scene:
     """Return a built-in scene by name, or an MJCF or mesh file by path.
 
     Args:
@@ -34,12 +41,15 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_R
         mesh_scale: Metres per unit of a mesh file.
         room: Room around a mesh: width by depth, such as ``5x5`` [m], or ``none`` for an open
             floor; larger where the mesh leaves the robot no way round it.
+        target: Name of the body or geom to scan; empty for those that the scene declares.
+        keyframe: Name of the keyframe at which an MJCF file's joints are frozen; empty for their
+            reference pose.
 
     Raises:
-        UnknownNameError: There is no scene of this name, and it is no path.
+        UnknownNameError: There is no scene, target or keyframe of this name.
         ConfigError: ``mesh_scale`` is not positive, ``room`` is no room, or SEED is not a whole
             number.
-        SceneError: The file is missing or broken, or holds no target.
+        SceneError: The file is missing or broken, holds no target, or leaves the robot no place.
 
     >>> s3d.load_scene("three_boxes").tour
     'front'
@@ -48,19 +58,21 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_R
         raise ConfigError(f"mesh scale must be > 0, got {mesh_scale:g}")
     size = parse_room(room)
     if name_or_path.startswith(NAME_PREFIX):
-        return scene_of_seed(name_or_path)
+        scene = scene_of_seed(name_or_path)
+        if not target and not keyframe:
+            return scene
+        return scene_from_spec(scene.name, scene.spec, name_or_path, target, keyframe)
     path = Path(name_or_path)
     suffix = path.suffix.lower()
     if suffix == ".xml" or suffix in MESH_SUFFIXES:
         if not path.is_file():
             raise SceneError(f"no file {name_or_path}")
         spec = _read_mjcf(path) if suffix == ".xml" else mesh_spec(path, mesh_scale, size)
-        return scene_from_spec(path.stem, spec, name_or_path)
+        return scene_from_spec(path.stem, spec, name_or_path, target, keyframe)
     if name_or_path not in scene_names():
         raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))
-    return scene_from_spec(
-        name_or_path, _read_mjcf(find_resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path
-    )
+    spec = _read_mjcf(find_resource_dir("scenes") / f"{name_or_path}.xml")
+    return scene_from_spec(name_or_path, spec, name_or_path, target, keyframe)
 
 
 def _read_mjcf(path: Path) -> Any:
