@@ -59,8 +59,8 @@ def name_planes(spec: Any) -> None:
 
 
 def free_name(spec: Any, name: str) -> str:
-    """Return ``name``, or a longer one if a geom of ``spec`` has it."""
-    while spec.geom(name) is not None:
+    """Return ``name``, or a longer one if a geom or height field of ``spec`` has it."""
+    while spec.geom(name) is not None or spec.hfield(name) is not None:
         name += "_"
     return name
 
@@ -104,6 +104,14 @@ def level_planes(model: Any, data: Any) -> BoolArray:
     up = np.array(data.geom_xmat)[:, 8] >= LEVEL
     result: BoolArray = (np.array(model.geom_type) == _PLANE) & up
     return result
+
+
+def find_floor_planes(model: Any) -> tuple[str, ...]:
+    """Return the names of the level planes at z = 0 of a compiled scene."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    even = np.abs(np.array(data.geom_xpos)[:, 2]) <= EVEN
+    return tuple(model.geom(k).name for k in np.flatnonzero(level_planes(model, data) & even))
 
 
 def lay_floor(

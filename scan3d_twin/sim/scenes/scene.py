@@ -188,7 +188,10 @@ def _refuse_unsampled(spec: Any, targets: Mapping[str, tuple[str, ...]], label: 
         if geom is None:
             raise SceneError(f"{label}: the tuple 'target' names {name!r}, which is no geom")
         if geom.type not in SAMPLED_TYPES:
-            raise SceneError(f"{label}: target {name!r} must be a solid primitive or a mesh")
+            kind = geom.type.name.removeprefix("mjGEOM_").lower()
+            raise SceneError(
+                f"{label}: target {name!r} must be a solid primitive or a mesh, not of type {kind}"
+            )
 
 
 def _target_names(spec: Any) -> tuple[list[str], list[str]]:
@@ -209,8 +212,12 @@ def _named_target(spec: Any, name: str) -> tuple[list[str], list[str]]:
 
     Raises:
         UnknownNameError: There is no such body or geom.
+        SceneError: The body has no geom.
     """
-    if spec.body(name) is not None:
+    body = spec.body(name)
+    if body is not None and not body.find_all("geom"):
+        raise SceneError(f"body {name!r} has no geom; name a body or geom with one as the target")
+    if body is not None:
         return [name], []  # before a geom of the same name
     if spec.geom(name) is not None:
         return [], [name]

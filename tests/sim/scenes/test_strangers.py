@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.errors import SceneError, UnknownNameError
+from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
@@ -242,3 +243,92 @@ def test_a_loose_thing_falls_and_kinematic_environments_see_it(scene_of):
         rays = np.array([[0.0, 0.0, 0.1]]), np.array([[1.0, 0.0, 0.0]])
         assert truth.first_hits(*rays) == pytest.approx(1.9, abs=0.01)
     assert KinematicWorld(scene.spawn, scene.model.qpos0).scene_qpos().shape == (7,)
+
+
+BOX = '<body name="box" pos="0 0 .3"><geom type="box" size=".2 .2 .3"/></body>'
+HILL = """<asset>
+  <hfield name="h" nrow="3" ncol="3" size=".5 .5 .3 .1" elevation="0 0 0 0 1 0 0 0 0"/>
+</asset>"""
+TORUS = """<extension><plugin plugin="mujoco.sdf.torus"><instance name="t"/></plugin></extension>
+<asset><mesh name="torus"><plugin instance="t"/></mesh></asset>"""
+RING = """<body name="ring" pos="2 1 .5">
+  <geom type="sdf" mesh="torus"><plugin instance="t"/></geom>
+</body>"""
+MANNERS = {
+    "terrain": (HILL, f'<geom type="hfield" hfield="h"/>{BOX.replace("0 0", ".9 0")}', "box"),
+    "hill": (HILL, f'<geom type="hfield" hfield="h" pos="2 2 0"/>{BOX}', "box"),
+    "replicate": (
+        "",
+        '<replicate count="5" euler="0 0 72"><geom type="box" size=".05 .05 .4" pos=".3 0 .4"/>'
+        '</replicate><body name="seat" pos="0 0 .8"><geom type="cylinder" size=".4 .02"/></body>',
+        "seat",
+    ),
+    "held by a mocap body": (
+        '<equality><weld body1="hand" body2="cup"/></equality>',
+        '<body name="hand" mocap="true" pos="0 0 1"><geom size=".05"/></body>'
+        '<body name="cup" pos="0 0 .9"><freejoint/><geom size=".1"/></body>',
+        "cup",
+    ),
+    "a loose target": ("", BOX.replace("<geom", "<freejoint/><geom"), "box"),
+    "a loose picture": (
+        "",
+        BOX.replace("<geom", '<freejoint/><geom contype="0" conaffinity="0"'),
+        "box",
+    ),
+    "names of ours": (
+        "",
+        '<geom name="floor" type="plane" size="3 3 1"/>'
+        '<geom name="uneven_floor" type="box" size=".1 .1 .1" pos="2 2 .1"/>'
+        '<body name="base" pos="0 0 .3"><geom name="lidar" type="box" size=".2 .2 .3"/></body>',
+        "base",
+    ),
+    "a room with a ceiling": (
+        "",
+        '<geom type="box" size="3 3 .1" pos="0 0 -.1"/>'
+        '<geom type="plane" size="3 3 .1" pos="0 0 2.4" euler="180 0 0"/>'
+        '<geom type="box" size=".1 3 1" pos="1.4 0 1"/><geom type="box" size="3 .1 1" pos="0 2 1"/>'
+        '<body name="table" pos="0 0 .7"><geom type="box" size=".5 .3 .02"/></body>',
+        "table",
+    ),
+    "a floor without contacts": (
+        "",
+        f'<geom name="floor" type="plane" size="3 3 1" contype="0" conaffinity="0"/>{BOX}',
+        "box",
+    ),
+    "an invisible floor": ("", f'<geom type="plane" size="3 3 1" rgba="0 0 0 0"/>{BOX}', "box"),
+}
+
+
+@pytest.mark.parametrize("world", ["typical", "harsh"])
+@pytest.mark.parametrize(("head", "body", "target"), MANNERS.values(), ids=MANNERS)
+def test_files_of_many_manners_open_and_drive(tmp_path, head, body, target, world):
+    path = tmp_path / "scene.xml"
+    path.write_text(f"<mujoco>{head}<worldbody>{body}</worldbody></mujoco>")
+    scene = load_scene(str(path), target=target)
+    with open_sim(scene, 0, TwinConfig.of(world)) as (robot, truth):
+        robot.base.set_velocity(0.1, 0.0)
+        robot.clock.sleep(1.0)
+        assert truth.pose_at(1.0).distance(truth.spawn) == pytest.approx(0.09, abs=0.01)
+        assert robot.base.hazards().active() == ()
+        assert len(truth.surface(0.05)[0])
+
+
+@pytest.mark.parametrize(
+    ("head", "body", "target", "cause"),
+    [
+        (
+            HILL,
+            '<geom name="hill" type="hfield" hfield="h"/>',
+            "hill",
+            "'hill'.*not of type hfield",
+        ),
+        (TORUS, RING, "ring", "'ring/0'.*not of type sdf"),
+        ("", '<body name="empty"/>' + BOX, "empty", "'empty' has no geom"),
+        ("", f'<frame scale="2 2 2"><body name="b"><joint/>{BOX}</body></frame>', "b", "scale"),
+    ],
+)
+def test_what_cannot_be_a_target_is_refused_by_name(tmp_path, head, body, target, cause):
+    path = tmp_path / "scene.xml"
+    path.write_text(f"<mujoco>{head}<worldbody>{body}</worldbody></mujoco>")
+    with pytest.raises(SceneError, match=cause):
+        load_scene(str(path), target=target)
