@@ -40,6 +40,8 @@ class SceneOptions:
     """Its axis that is up: y, z, auto."""
     room: Annotated[str | None, env("ROOM", "{run.room}")] = None
     """Room of a mesh: WxD [m], or none."""
+    keyframe: Annotated[str | None, env("KEYFRAME", "reference pose")] = None
+    """Keyframe for an .xml."""
     robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
     """Name of the base (`twin devices`)."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
@@ -74,10 +76,10 @@ class RunOptions:
     """Save time or memory; same results."""
     target: Annotated[
         str | None,
-        env("TARGET", "the most salient thing"),
+        env("TARGET", "most salient"),
         Parameter(allow_leading_hyphen=True),
     ] = None
-    """x,y [m] by odometry, or a name (twin)."""
+    """x,y [m]; twin: body or geom."""
     targets: int | None = None
     """Number of things to scan, each into OUT/target-K."""
     config: Annotated[Path | None, env("CONFIG")] = None
@@ -110,13 +112,19 @@ def stated_options(options: RunOptions, sections: Options) -> Options:
     return merge_options([file, sections, _flat(options, sections)])
 
 
+_RUN_OPTIONS = (
+    "seed", "preset", "world", "target", "mesh_scale", "mesh_up", "room", "keyframe",
+)  # fmt: skip
+"""Options that are fields of the table ``run``."""
+
+
 def _flat(options: RunOptions, sections: Options) -> Options:
     """Return the flat options where they belong in a configuration, in SI units."""
     run, top = {}, {}
     for name, value in _given(options):
         if name == "scene":
             run[name] = absolute_scene(value)
-        elif name in ("seed", "preset", "world", "target", "mesh_scale", "mesh_up", "room"):
+        elif name in _RUN_OPTIONS:
             run[name] = value
         elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
             top[name] = value

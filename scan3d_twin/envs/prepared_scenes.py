@@ -74,4 +74,4 @@ def _find_coverable(prepared: PreparedScene, config: Config) -> BoolArray:
 
 def _initial_truth(scene: Scene, caster: RayCaster) -> Truth:
     """Return the truth of the scene with the robot where it starts."""
-    return Truth(scene, KinematicWorld(scene.spawn), caster, lambda: None)
+    return Truth(scene, KinematicWorld(scene.spawn, scene.model.qpos0), caster, lambda: None)

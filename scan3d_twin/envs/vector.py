@@ -3,24 +3,25 @@
 Each process steps its share one environment after the other, and loads each scene once for all of
 them, with its ray caster and surface; the calling process takes the first share. The same seeds
 give the same results as ``SyncVectorEnv``, to the last bit.
+
+The processes are fresh interpreters: they never import the caller's main module, which may be a
+script without a main guard, standard input or a notebook (``vector_worker.py``).
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
-from multiprocessing.connection import Connection
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import error
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
 
 from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.envs.vector_worker import Worker, call_method
 
 Infos = dict[str, Any]
 
@@ -51,7 +52,7 @@ class BatchedVectorEnv(VectorEnv[Any, Any, Any]):
         self._shares = np.array_split(np.arange(num_envs), count)
         build = partial(gymnasium.make, f"scan3d_twin.envs:{env_id}", **options)
         self._own = SyncVectorEnv([build] * len(self._shares[0]))
-        self._others = [_Worker(build, len(share)) for share in self._shares[1:]]
+        self._others = [Worker(build, len(share)) for share in self._shares[1:]]
 
         # Describe the batch as gymnasium expects.
         self.metadata = {**self._own.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
@@ -90,7 +91,7 @@ class BatchedVectorEnv(VectorEnv[Any, Any, Any]):
         """Return the results of ``method`` of all shares, which run in parallel."""
         for worker, given in zip(self._others, arguments[1:], strict=True):
             worker.send(method, given)
-        own = _call_method(self._own, method, arguments[0])
+        own = call_method(self._own, method, arguments[0])
         return [own, *(worker.receive() for worker in self._others)]
 
     def _merge_infos(self, parts: list[Infos]) -> Infos:
@@ -103,56 +104,6 @@ class BatchedVectorEnv(VectorEnv[Any, Any, Any]):
         self._own.close()
         for worker in self._others:
             worker.close()
-
-
-class _Worker:
-    """A share of the environments in a process of its own."""
-
-    def __init__(self, build: Callable[[], Any], count: int) -> None:
-        context = multiprocessing.get_context("forkserver")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, build, count), daemon=True)
-        self._process.start()
-        theirs.close()
-
-    def send(self, method: str, arguments: tuple[Any, ...]) -> None:
-        self._pipe.send((method, arguments))
-
-    def receive(self) -> Any:
-        try:
-            result, failure = self._pipe.recv()
-        except EOFError:
-            raise error.Error("a process of the batched environments has died") from None
-        if failure is not None:
-            raise failure
-        return result
-
-    def close(self) -> None:
-        if self._process.is_alive():
-            self._pipe.close()
-            self._process.join()
-
-
-def _serve(pipe: Connection, build: Callable[[], Any], count: int) -> None:
-    """Serve ``count`` environments on ``pipe`` until the other end closes it."""
-    envs = SyncVectorEnv([build] * count)
-    while True:
-        try:
-            method, arguments = pipe.recv()
-        except EOFError:
-            break
-        try:
-            pipe.send((_call_method(envs, method, arguments), None))
-        except Exception as failure:  # noqa: BLE001 - it is raised where the call came from
-            pipe.send((None, failure))
-    envs.close()
-
-
-def _call_method(envs: SyncVectorEnv, method: str, arguments: tuple[Any, ...]) -> Any:
-    if method == "step":
-        return envs.step(*arguments)
-    seeds, options = arguments
-    return envs.reset(seed=seeds, options=options)
 
 
 def _seed_list(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:

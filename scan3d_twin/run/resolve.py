@@ -35,8 +35,15 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
 
 
 def load_run_scene(run: RunConfig) -> Scene:
-    """Return the scene that ``run`` names."""
-    return load_scene(run.scene, run.mesh_scale, run.room, run.mesh_up)
+    """Return the scene that ``run`` names, with its target where that is a name."""
+    return load_scene(
+        run.scene,
+        run.mesh_scale,
+        run.room,
+        run.mesh_up,
+        target="" if "," in run.target else run.target,
+        keyframe=run.keyframe,
+    )
 
 
 def settings_for_scene(scene: Scene, given: Options) -> Settings:

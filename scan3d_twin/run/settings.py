@@ -45,7 +45,10 @@ class RunConfig:
     world: str = DEFAULT_WORLD
     """Named set of the twin's errors: ideal, typical, harsh or unfiltered."""
     target: str = ""
-    """Name of a body of the scene, or x,y [m] in the odometry frame; empty: the most salient."""
+    """Name of a body or geom of the scene, or x,y [m] in the odometry frame; empty: the most
+    salient."""
+    keyframe: str = ""
+    """Keyframe at which the joints of an .xml file are frozen; empty: their reference pose."""
     mesh_scale: float = number(1.0, most=1e6)
     """Metres per unit of a mesh file."""
     room: str = DEFAULT_ROOM

@@ -90,8 +90,15 @@ def thin_config(config: Config, thinning: Thinning) -> Config:
 class KinematicWorld:
     """The true poses of the base over time: knots with linear interpolation."""
 
-    def __init__(self, start: Pose2) -> None:
+    def __init__(self, start: Pose2, qpos: FloatArray | None = None) -> None:
+        """Start at ``start``, ``T_map_base``.
+
+        Args:
+            start: The base's pose at time 0.
+            qpos: Positions of the scene's loose objects, which stay where they are; None for none.
+        """
         self._knots = [(0.0, start.x, start.y, start.yaw)]
+        self._qpos = np.empty(0) if qpos is None else np.array(qpos)
 
     @property
     def latest(self) -> float:
@@ -127,8 +134,8 @@ class KinematicWorld:
         return Pose2(x, y, yaw)
 
     def scene_qpos(self) -> FloatArray:
-        """Return the positions of the scene's moving objects: an empty array."""
-        return np.empty(0)
+        """Return the positions of the scene's loose objects; empty when static."""
+        return self._qpos
 
 
 class KinematicRobot:
@@ -157,7 +164,7 @@ class KinematicRobot:
         # Draw the robot, open the truth
         self._errors = draw_robot(scene, seed, twin.errors)
         self._spec = base_device(twin.robot).spec
-        self.world = KinematicWorld(scene.spawn)
+        self.world = KinematicWorld(scene.spawn, scene.model.qpos0)
         self.here = Pose2()
         self.truth = Truth(scene, self.world, caster, lambda: None)
         self.path = 0.0
@@ -244,5 +251,7 @@ class KinematicRobot:
             self._rng.random((m, n)),
         )
         still = np.zeros(m)
-        readings = self._scanner.measure_upright(np.empty(0), positions, (c, s), draws, still)
+        readings = self._scanner.measure_upright(
+            self.world.scene_qpos(), positions, (c, s), draws, still
+        )
         return readings.ranges, readings.codes

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
+from typing import Any
 
+import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError
@@ -17,12 +19,17 @@ from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.lidar.lidar import SimLidar
 from scan3d_twin.sim.lidar.scanner import Scanner
-from scan3d_twin.sim.ray_casting import MujocoCaster, choose_caster
+from scan3d_twin.sim.ray_casting import MujocoCaster, RayCaster, choose_caster
 from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.scene import Scene
+from scan3d_twin.sim.start_check import check_place, check_stand
 from scan3d_twin.sim.trace import PoseTrace
 from scan3d_twin.sim.truth import Truth
 from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
+
+MANY_MESHES = 8
+"""Number of mesh geoms from which exact rays take too long: a robot arm of 58 was evaluated for
+more than two minutes."""
 
 
 class Stream(IntEnum):
@@ -75,11 +82,17 @@ def open_sim(
     True
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
-    with _open_twin(scene, seed, config, solver, spec) as (world, base, lidar, clock):
+    with _open_twin(scene, seed, config, solver, spec) as (world, base, lidar, clock, caster):
         trace = PoseTrace(world)
         clock.attach(trace)
-        truth = Truth(scene, trace, MujocoCaster(scene.model), lidar.evidence)
+        truth = Truth(scene, trace, _reference(scene.model, caster), lidar.evidence)
         yield Robot(base, lidar, clock), truth
+
+
+def _reference(model: Any, caster: RayCaster) -> RayCaster:
+    """Return the caster of the truth: exact, or the lidar's where many meshes make that slow."""
+    meshes = int(np.count_nonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH))
+    return caster if meshes >= MANY_MESHES else MujocoCaster(model)
 
 
 @contextmanager
@@ -92,7 +105,7 @@ def open_robot(scene: Scene | str, seed: int, config: TwinConfig | None = None) 
         ConfigError, SceneError: See ``open_sim``.
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
-    with _open_twin(scene, seed, config, None, None) as (_, base, lidar, clock):
+    with _open_twin(scene, seed, config, None, None) as (_, base, lidar, clock, _):
         yield Robot(base, lidar, clock)
 
 
@@ -103,7 +116,7 @@ def _open_twin(
     config: TwinConfig | None,
     solver: Solver | None,
     spec: LidarSpec | None,
-) -> Iterator[tuple[World, SimBase, SimLidar, SimClock]]:
+) -> Iterator[tuple[World, SimBase, SimLidar, SimClock, RayCaster]]:
     """Open the parts of the twin; see ``open_sim``."""
     config = TwinConfig() if config is None else config
     if not isinstance(config, TwinConfig):
@@ -111,9 +124,12 @@ def _open_twin(
     if seed < 0:
         raise ConfigError(f"seed must be >= 0, got {seed}")
     errors = draw_robot(scene, seed, config.errors)
-    world = World(scene, build_model(scene, config.robot, errors, solver))
+    model, start = build_model(scene, config.robot, errors, solver), (scene.spawn.x, scene.spawn.y)
+    check_place(model, scene.name, start)
+    world = World(scene, model)
     clock = SimClock(world)
     base = SimBase(world, base_device(config.robot), config.errors)
+    check_stand(world, scene.name, start, base.sense())
     caster = choose_caster(scene.model)
     surfaces = stream(seed, Stream.SURFACE)
     device = lidar_device(config.lidar_model)
@@ -124,6 +140,6 @@ def _open_twin(
     lidar = SimLidar(world, clock, scanner, [seed, Stream.LIDAR])
     clock.attach(lidar, base)
     try:
-        yield world, base, lidar, clock
+        yield world, base, lidar, clock, caster
     finally:
         base.stop()

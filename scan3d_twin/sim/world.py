@@ -15,6 +15,7 @@ from scan3d_twin.devices.registry import base_device
 from scan3d_twin.sim.base.uneven_floor import draw_uneven_floor, lay_floor
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.resources import find_resource_dir
+from scan3d_twin.sim.scenes.floors import find_floor_planes
 from scan3d_twin.sim.scenes.scene import Scene
 
 PREFIX = "robot/"
@@ -116,7 +117,7 @@ def build_model(scene: Scene, robot: str, errors: RobotErrors, solver: Solver | 
     _apply_errors(child, errors)
     spec.attach(child, prefix=PREFIX, frame=frame)
     if errors.floor is not None:
-        lay_floor(spec, errors.floor)
+        lay_floor(spec, errors.floor, find_floor_planes(scene.model))
 
     # Set the solver
     _set_options(spec.option, Solver() if solver is None else solver)

@@ -1,5 +1,8 @@
 """Vector environments: one after the other, in processes and batched give the same bits."""
 
+import subprocess
+import sys
+
 import gymnasium
 import numpy as np
 import pytest
@@ -58,4 +61,42 @@ def test_an_error_in_another_process_comes_here():
     envs.reset(seed=0)
     with pytest.raises(gymnasium.error.InvalidAction):
         envs.step(np.array([5, 99]))
+    envs.close()
+
+
+UNGUARDED = """
+import gymnasium
+envs = gymnasium.make_vec({id!r}, 2, workers=2, scene="three_boxes", fidelity="kinematic")
+envs.reset(seed=1)
+print(envs.step([6, 6])[1].shape)
+envs.close()
+"""
+
+
+@pytest.mark.parametrize("from_stdin", [False, True])
+def test_a_script_needs_no_main_guard(tmp_path, from_stdin):
+    script = UNGUARDED.format(id=ID)
+    (tmp_path / "script.py").write_text(script)
+    run = subprocess.run(
+        [sys.executable, "-" if from_stdin else tmp_path / "script.py"],
+        input=script if from_stdin else None,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (run.returncode, run.stdout) == (0, "(2,)\n"), run.stderr
+
+
+def test_what_only_the_main_program_knows_is_refused_by_name(monkeypatch):
+    class Local(str):
+        __slots__ = ()
+
+    with pytest.raises(ConfigError, match=r"Local.*workers=1"):
+        gymnasium.make_vec(ID, 2, workers=2, scene=[Local("three_boxes")], fidelity="kinematic")
+    Local.__qualname__, Local.__module__ = "Local", "__main__"
+    monkeypatch.setattr(sys.modules["__main__"], "Local", Local, raising=False)
+    envs = gymnasium.make_vec(ID, 2, workers=2, scene=[Local("three_boxes")], fidelity="kinematic")
+    with pytest.raises(ConfigError, match=r"main program.*Local.*workers=1"):
+        envs.reset(seed=0)
     envs.close()

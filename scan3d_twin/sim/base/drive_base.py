@@ -86,6 +86,10 @@ class SimBase:
         """See ``DriveBase.hazards``."""
         return self._hazards
 
+    def sense(self) -> Hazards:
+        """Return what the safety sensors report at rest, between packets too."""
+        return self._feelers.hazards((0.0, 0.0))
+
     def wall(self) -> bool:
         """Return whether the wall sensor sees a wall on the right."""
         return self._feelers.wall()

@@ -5,6 +5,7 @@ The lidar still sees the plane; the difference of a millimetre is below its nois
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -13,6 +14,8 @@ from scipy.ndimage import gaussian_filter
 
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.config import RobotErrorConfig
+from scan3d_twin.sim.scenes.floors import HIDDEN_GROUP, free_name
+from scan3d_twin.sim.scenes.settings import reset_contact
 
 HALF_SIDE = 6.0
 """Half the side of the uneven square around the scene's origin [m]; the floor beyond is even."""
@@ -28,19 +31,25 @@ def draw_uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> Flo
     return heights
 
 
-def lay_floor(spec: Any, heights: FloatArray) -> None:
-    """Let the robot roll on ``heights`` (n, n) [m] instead of the scene's planes."""
+def lay_floor(spec: Any, heights: FloatArray, floors: Sequence[str]) -> None:
+    """Let the robot roll on ``heights`` (n, n) [m] instead of the scene's planes at z = 0.
+
+    Args:
+        spec: The scene with the robot; changed in place.
+        heights: Heights of the uneven floor [m].
+        floors: Names of the planes; a floor made of boxes has its own edges.
+    """
     # Disable contacts of the planes
-    planes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
-    if not planes:
-        return  # a floor made of boxes has its own edges
-    for plane in planes:
-        plane.conaffinity = 0  # the robot touches what has a conaffinity
+    if not floors:
+        return
+    for name in floors:
+        spec.geom(name).conaffinity = 0  # the robot touches what has a conaffinity
 
     # Add a height field instead
     low, high = float(heights.min()), float(heights.max())
+    name = free_name(spec, "uneven_floor")
     field = spec.add_hfield(
-        name="uneven_floor",
+        name=name,
         size=[HALF_SIDE, HALF_SIDE, high - low, 0.1],
         nrow=heights.shape[0],
         ncol=heights.shape[1],
@@ -48,11 +57,12 @@ def lay_floor(spec: Any, heights: FloatArray) -> None:
     field.userdata = ((heights - low) / (high - low)).ravel()
 
     # Hide it from the rays
-    spec.worldbody.add_geom(
-        name="uneven_floor",
+    geom = spec.worldbody.add_geom(
+        name=name,
         type=mujoco.mjtGeom.mjGEOM_HFIELD,
-        hfieldname="uneven_floor",
+        hfieldname=name,
         pos=[0, 0, low],
         rgba=[0, 0, 0, 0],  # rays pass through what is wholly transparent
-        group=3,
     )
+    reset_contact(geom)
+    geom.group = HIDDEN_GROUP

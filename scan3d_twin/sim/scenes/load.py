@@ -29,7 +29,13 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(
-    name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_ROOM, mesh_up: str = "auto"
+    name_or_path: str,
+    mesh_scale: float = 1.0,
+    room: str = DEFAULT_ROOM,
+    mesh_up: str = "auto",
+    *,
+    target: str = "",
+    keyframe: str = "",
 ) -> Scene:
     """Return a built-in scene by name, or an MJCF or mesh file by path.
 
@@ -41,12 +47,15 @@ def load_scene(
             floor; larger where the mesh leaves the robot no way round it.
         mesh_up: Axis of a mesh file that is up: ``y``, ``z``, or ``auto``, which is y in glTF by
             definition and else guessed; ``Scene.notes`` says so.
+        target: Name of the body or geom to scan; empty for those that the scene declares.
+        keyframe: Name of the keyframe at which an MJCF file's joints are frozen; empty for their
+            reference pose.
 
     Raises:
-        UnknownNameError: There is no scene of this name, and it is no path.
+        UnknownNameError: There is no scene, target or keyframe of this name.
         ConfigError: ``mesh_scale`` is not positive, ``room`` is no room, ``mesh_up`` no axis, or
             SEED is not a whole number.
-        SceneError: The file is missing or broken, or holds no target.
+        SceneError: The file is missing or broken, holds no target, or leaves the robot no place.
 
     >>> s3d.load_scene("three_boxes").tour
     'front'
@@ -55,7 +64,10 @@ def load_scene(
         raise ConfigError(f"mesh scale must be > 0, got {mesh_scale:g}")
     size, up = parse_room(room), parse_mesh_up(mesh_up)
     if name_or_path.startswith(NAME_PREFIX):
-        return scene_of_seed(name_or_path)
+        scene = scene_of_seed(name_or_path)
+        if not target and not keyframe:
+            return scene
+        return scene_from_spec(scene.name, scene.spec, name_or_path, target, keyframe)
     path = Path(name_or_path)
     suffix = path.suffix.lower()
     if suffix == ".xml" or suffix in MESH_SUFFIXES:
@@ -66,14 +78,13 @@ def load_scene(
             notes = complete_obj_meshes(spec)
         else:
             spec, notes = mesh_spec(path, mesh_scale, size, up)
-        scene = scene_from_spec(path.stem, spec, name_or_path)
+        scene = scene_from_spec(path.stem, spec, name_or_path, target, keyframe)
         return replace(scene, notes=(*notes, *scene.notes))
     if name_or_path not in scene_names():
         refuse_other_format(path)
         raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))
-    return scene_from_spec(
-        name_or_path, _read_mjcf(find_resource_dir("scenes") / f"{name_or_path}.xml"), name_or_path
-    )
+    spec = _read_mjcf(find_resource_dir("scenes") / f"{name_or_path}.xml")
+    return scene_from_spec(name_or_path, spec, name_or_path, target, keyframe)
 
 
 def _read_mjcf(path: Path) -> Any:

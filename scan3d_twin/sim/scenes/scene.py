@@ -1,7 +1,9 @@
 """Scenes: plain MJCF without a robot, or a mesh file, with the few conventions below.
 
-* site ``spawn``: where the robot starts; its +x is the robot's heading.
-* target: bodies or geoms named ``target*``, or ``<custom><tuple name="target">``.
+* site ``spawn``: where the robot starts; its +x is the robot's heading. Without it, free floor in
+  sight of the target (``free_floor.py``).
+* target: the body or geom that is asked for; else bodies or geoms named ``target*``, or
+  ``<custom><tuple name="target">``.
 * ``<custom><numeric name="scan3d.standoff"/>``: scanning distance [m], optional.
 * ``<custom><numeric name="scan3d.friction"/>``: of the tyres on this floor, optional.
 * ``<custom><text name="scan3d.tour" data="front|full"/>``; for front, a site ``front`` whose +x is
@@ -19,10 +21,20 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.config import Tour
-from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.types import Pose2
+from scan3d_twin.core.errors import SceneError, UnknownNameError
+from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.scenes.facing import Facing
+from scan3d_twin.sim.scenes.floors import (
+    bound_planes,
+    compile_scene,
+    lay_floor,
+    name_planes,
+    widen_floors,
+)
+from scan3d_twin.sim.scenes.free_floor import choose_spawn, corners, ring
+from scan3d_twin.sim.scenes.freeze import freeze
 from scan3d_twin.sim.scenes.orientation import find_facings
+from scan3d_twin.sim.scenes.settings import reset_settings, unify_contacts
 from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
 from scan3d_twin.sim.scenes.visibility import DRAWN_GROUPS, choose_seen_parts
 
@@ -65,37 +77,41 @@ class Scene:
         return tuple(dict.fromkeys(name for geoms in self.targets.values() for name in geoms))
 
 
-def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
+def scene_from_spec(
+    name: str, spec: Any, label: str, target: str = "", keyframe: str = ""
+) -> Scene:
     """Return the scene of an ``MjSpec`` without a robot, by the conventions above.
 
     Args:
         name: Name of the scene.
-        spec: The model; a missing floor and missing names of target geoms are added.
+        spec: The model; changed in place: its settings (``settings.py``), joints (``freeze.py``)
+            and floor (``floors.py``) become those of the twin, and target geoms get names.
         label: The file or name in messages.
+        target: Name of the body or geom that is the target; empty, or a target by the conventions,
+            leaves these.
+        keyframe: Name of the keyframe that poses the joints; empty for the reference pose.
 
     Raises:
-        SceneError: The model does not compile, or has no target or spawn.
+        UnknownNameError: There is no such body or geom, or no such keyframe.
+        SceneError: The model does not compile, has no target, or no place for the robot.
     """
-    # Complete and compile the model
-    _add_floor(spec)
-    targets = _targets(spec, label)
-    try:
-        model = spec.copy().compile()
-    except ValueError as error:
-        raise SceneError(f"{label} does not compile: {one_line(error)}") from None
-    targets = choose_seen_parts(model, targets, label)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    # Give it the twin's settings and put it at rest
+    reset_settings(spec)
+    freeze(spec, keyframe, label)
+    unify_contacts(spec)
+    name_planes(spec)
+    targets = _targets(spec, label, target)
 
-    # Read tour, spawn and front
+    # Lay the floor and find the start
+    model, spawn = _place_robot(spec, targets, label)
+    targets = choose_seen_parts(model, targets, label)
+
+    # Read tour and front
     texts = {text.name: text.data for text in spec.texts}
     tour = texts.get("scan3d.tour", "full")
     if tour not in ("front", "full"):
         raise SceneError(f"{label}: scan3d.tour must be front or full, got {tour!r}")
-    spawn = _site_pose(model, data, "spawn")
-    if spawn is None:
-        raise SceneError(f"{label} has no site 'spawn'; add one where the robot starts")
-    front = _site_pose(model, data, "front") if tour == "front" else None
+    front = _site_pose(model, "front") if tour == "front" else None
     if tour == "front" and front is None:
         raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
 
@@ -120,19 +136,40 @@ def scene_from_spec(name: str, spec: Any, label: str) -> Scene:
     )
 
 
-def _add_floor(spec: Any) -> None:
-    """Add a floor at z = 0 unless there is a plane or a geom named ``floor*``."""
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    if not any(geom.type == plane or geom.name.startswith("floor") for geom in spec.geoms):
-        spec.worldbody.add_geom(
-            name="floor", type=plane, size=[0, 0, 0.1], rgba=[0.55, 0.55, 0.55, 1]
-        )
+def _place_robot(
+    spec: Any, targets: Mapping[str, tuple[str, ...]], label: str
+) -> tuple[Any, Pose2]:
+    """Lay the floor of ``spec`` at z = 0; return the compiled model and the robot's start."""
+    # Find the floor, or add one
+    geoms = tuple(dict.fromkeys(name for parts in targets.values() for name in parts))
+    model = compile_scene(spec.copy(), label)
+    around, site = corners(model, geoms), _site_place(model, "spawn")
+    starts = ring(around) if site is None else site[None]
+    fallback = min(0.0, float(around[:, 2].min())) if site is None else float(site[2])
+    if lay_floor(spec, starts, set(geoms), fallback, label):
+        model = compile_scene(spec.copy(), label)
+        around = corners(model, geoms)
+
+    # Let it reach where the robot drives, and walls end where they are seen to end
+    places = around if site is None else np.vstack([around, (site[0], site[1], 0.0)])
+    widened, bounded = widen_floors(spec, model, places), bound_planes(spec, model)
+    if widened or bounded:
+        model = compile_scene(spec.copy(), label)
+
+    # Choose the start where none is given
+    spawn = _site_pose(model, "spawn")
+    return model, choose_spawn(model, geoms, around, label) if spawn is None else spawn
 
 
-def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
-    """Return the geom names of each target, after naming unnamed geoms of target bodies."""
+def _targets(spec: Any, label: str, wanted: str) -> dict[str, tuple[str, ...]]:
+    """Return the geom names of each target, after naming unnamed geoms of target bodies.
+
+    A ``wanted`` body or geom that is no target by the conventions is the only one.
+    """
     # Collect geoms of target bodies
     bodies, geoms = _target_names(spec)
+    if wanted and wanted not in (*bodies, *geoms):
+        bodies, geoms = _named_target(spec, wanted)
     targets = {}
     for name in bodies:
         body = spec.body(name)
@@ -148,18 +185,28 @@ def _targets(spec: Any, label: str) -> dict[str, tuple[str, ...]]:
             targets[name] = (name,)
             _name_neighbours(spec, name)
     if not targets:
+        names = _names(spec)
+        known = f", such as {names[0]}" if names else ""
         raise SceneError(
-            f"{label} has no target; name a geom or body 'target...' or add <tuple name=\"target\">"
+            f"{label} has no target; give --target BODY with a body or geom of the file{known}, or "
+            "name one 'target...'"
         )
 
-    # Refuse geoms that are not solid
+    _refuse_unsampled(spec, targets, label)
+    return targets
+
+
+def _refuse_unsampled(spec: Any, targets: Mapping[str, tuple[str, ...]], label: str) -> None:
+    """Refuse targets whose surface cannot be sampled, or that are no geoms."""
     for name in (name for parts in targets.values() for name in parts):
         geom = spec.geom(name)
         if geom is None:
             raise SceneError(f"{label}: the tuple 'target' names {name!r}, which is no geom")
         if geom.type not in SAMPLED_TYPES:
-            raise SceneError(f"{label}: target {name!r} must be a solid primitive or a mesh")
-    return targets
+            kind = geom.type.name.removeprefix("mjGEOM_").lower()
+            raise SceneError(
+                f"{label}: target {name!r} must be a solid primitive or a mesh, not of type {kind}"
+            )
 
 
 def _name_neighbours(spec: Any, name: str) -> None:
@@ -184,6 +231,30 @@ def _target_names(spec: Any) -> tuple[list[str], list[str]]:
     )
 
 
+def _named_target(spec: Any, name: str) -> tuple[list[str], list[str]]:
+    """Return the body or the geom of this ``name``.
+
+    Raises:
+        UnknownNameError: There is no such body or geom.
+        SceneError: The body has no geom.
+    """
+    body = spec.body(name)
+    if body is not None and not body.find_all("geom"):
+        raise SceneError(f"body {name!r} has no geom; name a body or geom with one as the target")
+    if body is not None:
+        return [name], []  # before a geom of the same name
+    if spec.geom(name) is not None:
+        return [], [name]
+    raise UnknownNameError("target", name, _names(spec))
+
+
+def _names(spec: Any) -> list[str]:
+    """Return the names of all bodies and geoms that can be a target."""
+    bodies = [body.name for body in spec.bodies[1:] if body.find_all("geom")]
+    geoms = [geom.name for geom in spec.geoms if geom.type in SAMPLED_TYPES]
+    return sorted({name for name in (*bodies, *geoms) if name})
+
+
 def _positive(spec: Any, name: str, unit: str, label: str) -> float | None:
     """Return the positive number ``name`` of the scene; None if it states none."""
     for numeric in spec.numerics:
@@ -196,14 +267,26 @@ def _positive(spec: Any, name: str, unit: str, label: str) -> float | None:
     return None
 
 
-def _site_pose(model: Any, data: Any, name: str) -> Pose2 | None:
+def _site_pose(model: Any, name: str) -> Pose2 | None:
     """Return the planar pose of a site in ``map``; None when there is no such site."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     if site < 0:
         return None
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
     return Pose2.from_matrix(T)
+
+
+def _site_place(model: Any, name: str) -> FloatArray | None:
+    """Return the place (3,) [m] of a site in the file's frame; None when there is no such site."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    if site < 0:
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return np.array(data.site_xpos[site])
 
 
 def one_line(error: Exception) -> str:

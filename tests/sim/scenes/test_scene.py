@@ -113,9 +113,12 @@ def test_a_scene_without_a_target_says_how_to_name_one(scene_of):
         scene_of('<geom name="box" type="box" size="1 1 1"/>')
 
 
-def test_a_scene_without_a_spawn_says_so(scene_of):
+def test_a_scene_that_has_neither_a_spawn_nor_room_for_one_says_so(scene_of):
+    crowd = "".join(
+        f'<geom type="box" size=".05 9 .5" pos="{x:g} 0 .5"/>' for x in np.arange(-4, 4.1, 0.4)
+    )
     with pytest.raises(SceneError, match="spawn"):
-        scene_of('<geom name="target" size=".1"/>', spawn="")
+        scene_of('<geom name="target" size=".1" pos="0 0 1.2"/>' + crowd, spawn="")
 
 
 def test_a_front_tour_needs_a_front(scene_of):
