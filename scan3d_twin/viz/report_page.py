@@ -21,6 +21,13 @@ from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Report
 from scan3d_twin.viz import cloud, sections
 
+OFFLINE_POLICY = (
+    '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+    "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
+    "base-uri 'none'; form-action 'none'\">"
+)
+"""What the page may load: nothing, whatever the names in it hold."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
@@ -56,6 +63,7 @@ def render_report_page(
     title = f"{report['scene']}: {report['views']} views"
     parts = [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
+        OFFLINE_POLICY,
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{escape(title)}</title><style>{_read_asset('report.css')}</style></head><body><main>",
         sections.render_head(report),
