@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 from scan3d_twin.bench.journal import JOURNAL_PATTERN, read_journals
 from scan3d_twin.bench.record import Record, from_row, sql_columns, to_json
 from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.run.folder import fresh_part
 
 RESULTS_FILE = "results.parquet"
 
@@ -34,21 +34,19 @@ def write_parquet(records: Iterable[Record], path: Path) -> None:
         FileError: The disk is full or read-only.
     """
     duckdb = _duckdb()
-    part = path.with_name(path.name + ".part")
-
-    # Convert JSON lines, then rename
-    with tempfile.NamedTemporaryFile("w", suffix=".jsonl", encoding="utf-8") as lines:
-        lines.writelines(to_json(record) + "\n" for record in records)
-        lines.flush()
-        try:
-            with duckdb.connect() as database:
-                rows = database.read_json(
-                    lines.name, columns=sql_columns(), format="newline_delimited"
-                )
-                rows.write_parquet(str(part), compression="zstd")
-            os.replace(part, path)
-        except (OSError, duckdb.Error) as error:
-            raise FileError(f"cannot write {path}: {error}") from error
+    try:
+        with (
+            tempfile.NamedTemporaryFile("w", suffix=".jsonl", encoding="utf-8") as lines,
+            fresh_part(path) as part,
+            duckdb.connect() as database,
+        ):
+            # Write JSON lines, then convert them
+            lines.writelines(to_json(record) + "\n" for record in records)
+            lines.flush()
+            rows = database.read_json(lines.name, columns=sql_columns(), format="newline_delimited")
+            rows.write_parquet(str(part), compression="zstd")
+    except (OSError, duckdb.Error) as error:
+        raise FileError(f"cannot write {path}: {error}") from error
 
 
 def read_results(path: Path) -> list[Record]:

@@ -119,6 +119,28 @@ def test_a_dropped_view_is_gone_and_comes_back(run, twin):
     assert {name: after[name] for name in before} == before
 
 
+def test_a_run_from_elsewhere_cannot_change_files_of_mine(run, tmp_path, twin):
+    """Its folder of views leads to another folder, and a backup's name to a file."""
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for k in range(3):
+        (mine / f"{k:03d}.npz").write_text("precious")
+    shutil.rmtree(run / "views")
+    (run / "views").symlink_to(mine)
+    (run / "session.1.mcap").symlink_to(tmp_path / "to_be_made")
+    assert "views is a link to another place" in fails_late(twin, 3, "session", "drop-view", run, 1)
+    assert [path.read_text() for path in sorted(mine.iterdir())] == ["precious"] * 3
+    assert not (tmp_path / "to_be_made").exists()
+
+
+def fails_late(twin, code, *arguments):
+    """Call the program, expect an error after its progress, and return it."""
+    result = twin(*arguments)
+    assert result.code == code
+    assert "Traceback" not in result.err
+    return result.err
+
+
 def test_there_is_no_such_view_to_drop(run, fails):
     assert "there is no view 7: the run has 2" in fails(2, "session", "drop-view", run, 7)
 

@@ -13,6 +13,7 @@ from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
+from scan3d_twin.run.folder import fresh_part
 
 
 def write(parts: Sequence[Piece], path: Path) -> list[Path]:
@@ -28,17 +29,14 @@ def write(parts: Sequence[Piece], path: Path) -> list[Path]:
         raise ConfigError("E57 files need pye57 (on x86-64): pip install pye57") from error
 
     # Write a part file, then rename
-    part_file = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part_file.unlink(missing_ok=True)
-        file = pye57.E57(str(part_file), mode="w")
-        try:
-            for part in parts:
-                _write_scan(file, part)
-        finally:
-            file.close()
-        part_file.replace(path)
+        with fresh_part(path) as part_file:
+            file = pye57.E57(str(part_file), mode="w")
+            try:
+                for part in parts:
+                    _write_scan(file, part)
+            finally:
+                file.close()
     except (OSError, pye57.libe57.E57Exception) as error:
         raise FileError(f"cannot write {path}: {error}") from error
     return [path]

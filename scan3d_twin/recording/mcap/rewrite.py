@@ -125,13 +125,14 @@ def back_up(path: Path) -> Path:
     """
     stem, rest = path.name.split(".", 1)
     number = 1
-    while (backup := path.with_name(f"{stem}.{number}.{rest}")).exists():
+    while os.path.lexists(backup := path.with_name(f"{stem}.{number}.{rest}")):
         number += 1
     try:
         try:
             os.link(path, backup)
         except OSError:  # a file system without links, such as that of a memory stick
-            shutil.copy2(path, backup)
+            with path.open("rb") as old, backup.open("xb") as new:
+                shutil.copyfileobj(old, new)
     except OSError as error:
         raise FileError(f"cannot write {backup}: {error.strerror or error}") from error
     return backup
