@@ -52,7 +52,7 @@ def _row(path: Path, number: int, line: bytes) -> Record:
     try:
         row: dict[str, Any] = json.loads(line)
         return from_row(row)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(
             f"{path}, line {number} is no record ({error}); remove that line to continue"
         ) from error
