@@ -87,7 +87,8 @@ def _read_parquet(path: Path) -> list[Record]:
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     except (duckdb.Error, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FileError(f"{path} holds no results of `twin bench`: {error}") from error
+        reason = str(error).partition("\n")[0]
+        raise FileError(f"{path} holds no results of `twin bench`: {reason}") from error
 
 
 def _fetch(cursor: Any, room: int) -> Iterator[tuple[Any, ...]]:

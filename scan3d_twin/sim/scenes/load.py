@@ -14,6 +14,7 @@ from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
 from scan3d_twin.sim.scenes.meshes import MESH_SUFFIXES, mesh_spec
 from scan3d_twin.sim.scenes.random_scenes import NAME_PREFIX, scene_of_seed
 from scan3d_twin.sim.scenes.scene import Scene, one_line, scene_from_spec
+from scan3d_twin.sim.scenes.trial import check_size, limited_memory, try_mjcf
 
 
 def scene_names() -> tuple[str, ...]:
@@ -54,8 +55,12 @@ def load_scene(name_or_path: str, mesh_scale: float = 1.0, room: str = DEFAULT_R
     if suffix == ".xml" or suffix in MESH_SUFFIXES:
         if not path.is_file():
             raise SceneError(f"no file {name_or_path}")
-        spec = _read_mjcf(path) if suffix == ".xml" else mesh_spec(path, mesh_scale, size)
-        return scene_from_spec(path.stem, spec, name_or_path)
+        if suffix == ".xml":
+            try_mjcf(path)
+            return scene_from_spec(path.stem, _read_mjcf(path), name_or_path)
+        check_size(path)
+        with limited_memory(path):
+            return scene_from_spec(path.stem, mesh_spec(path, mesh_scale, size), name_or_path)
     if name_or_path not in scene_names():
         raise UnknownNameError("scene", name_or_path, (*scene_names(), "random:SEED"))
     return scene_from_spec(
