@@ -8,6 +8,7 @@ A field whose name Python reserves (``lambda_``) is spelled without its undersco
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -175,8 +176,16 @@ def _build(cls: type[T], values: Any, where: str) -> T:
             arguments[field_name] = _build(hint, value, f"{where}{name}.")  # type: ignore[arg-type]
         else:
             value = renames.get(value, value) if isinstance(value, str) else value
-            arguments[field_name] = float(value) if _is_whole(value, hint) else value
+            arguments[field_name] = _to_float(value) if _is_whole(value, hint) else value
     return cls(**arguments)
+
+
+def _to_float(value: int) -> float:
+    """Return ``value`` as a float; infinite where it exceeds all floats, which no option may be."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def _is_whole(value: Any, hint: Any) -> bool:
