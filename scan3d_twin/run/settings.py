@@ -180,8 +180,8 @@ def _build(cls: type[T], values: Any, where: str) -> T:
     return cls(**arguments)
 
 
-def _to_float(value: int) -> float:
-    """Return ``value`` as a float; infinite where it exceeds all floats, which no option may be."""
+def _to_float(value: Any) -> float:
+    """Return a whole number as a float; infinite, which no option may be, beyond all floats."""
     try:
         return float(value)
     except OverflowError:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
+from scan3d_twin.cli.output import say
 from scan3d_twin.core.errors import FileError
 
 if TYPE_CHECKING:
@@ -39,18 +41,19 @@ def info(folder: Path, /, *, json: bool = False) -> None:
     if json:
         print(json_module.dumps(found, indent=2, ensure_ascii=False))
         return
-    print(f"{found['path']}: {found['state']}, {found['size_mb']} MB")
-    print(f"{found['name']}, seed {found['seed']}, planner {found['planner']}")
-    print(f"scan3d_twin {found['version']}, {found['started']}: {found['command']}")
-    views = count(len(found["views"]), "view")
-    print(
-        f"{views}, {found['lines']} lines, {found['duration_s']:.1f} s, "
-        f"{found['path_m']:.1f} m; {found['stop_reason'] or 'did not end'}"
-    )
+    lines = [
+        f"{found['path']}: {found['state']}, {found['size_mb']} MB",
+        f"{found['name']}, seed {found['seed']}, planner {found['planner']}",
+        f"scan3d_twin {found['version']}, {found['started']}: {found['command']}",
+        f"{count(len(found['views']), 'view')}, {found['lines']} lines, "
+        f"{found['duration_s']:.1f} s, {found['path_m']:.1f} m; "
+        f"{found['stop_reason'] or 'did not end'}",
+    ]
     for k, view in enumerate(found["views"]):
         placed = "registered" if view["registered"] else "NOT registered"
         placed = placed if k else "defines the frame world"
-        print(f"view {k}: {view['lines']} lines, {view['target_points']} points, {placed}")
+        lines.append(f"view {k}: {view['lines']} lines, {view['target_points']} points, {placed}")
+    say("\n".join(lines), sys.stdout)
 
 
 def _facts(recorded: RecordedRun) -> dict[str, Any]:
@@ -139,7 +142,7 @@ def recover(folder: Path, /, *, json: bool = False) -> None:
         }
         print(json_module.dumps(facts))
     else:
-        print(_recovered(found))
+        say(_recovered(found), sys.stdout)
     if found.after < found.recorded:
         raise FileError(
             f"{found.recorded - found.after} of {found.recorded} views were in the damaged part "
@@ -197,7 +200,7 @@ def _show(folder: Path, recorded: RecordedRun, *, as_json: bool) -> None:
     from scan3d_twin.run.report import report_json
 
     report = _save_again(recorded)
-    print(report_json(report) if as_json else summary(report, folder), end="")
+    say(report_json(report) if as_json else summary(report, folder), sys.stdout, end="")
 
 
 def _save_again(recorded: RecordedRun) -> Report:
