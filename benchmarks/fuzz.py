@@ -33,7 +33,7 @@ from fuzz_inputs import KINDS, Kind, make_base  # noqa: E402
 
 MAX_TIME, MAX_MEMORY = 5.0, 1e9
 """Processor time [s] and memory [bytes] that an input may take."""
-KILL_TIME = 60.0
+KILL_TIME = 120.0
 """Time after which a child is killed [s]: its processor time is bounded by ``MAX_TIME`` + 1."""
 SEED = 1
 

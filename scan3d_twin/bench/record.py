@@ -142,6 +142,8 @@ class Record:
     steps: tuple[Step, ...] = ()
 
 
+MAX_VIEWS = 100_000
+"""Largest index of a view that is believed: a week of sweeps."""
 MAX_NUMBER, MAX_COUNT = 1e15, 2**63 - 1
 """Largest numbers and counts that are believed: 30 million years in seconds, and what fits into
 Parquet's integers."""
@@ -170,6 +172,8 @@ def from_row(row: Mapping[str, Any]) -> Record:
     if not isinstance(row["steps"], (list, tuple)):
         raise TypeError("steps that are no list")
     steps = tuple(Step(**_select_known(Step, step)) for step in row["steps"])
+    if any(not 0 <= step.view <= MAX_VIEWS for step in steps):
+        raise TypeError(f"a view beyond {MAX_VIEWS}")
     return Record(**{**_select_known(Record, {**row, "steps": ()}), "steps": steps})
 
 

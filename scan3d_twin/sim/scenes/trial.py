@@ -32,6 +32,7 @@ _HARMLESS = frozenset(
 )
 """Elements that take no more memory than their text, several times over."""
 _ELEMENT = re.compile(rb"<\s*([A-Za-z_][\w.-]*)")
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _CHILD = """
 import resource, sys
 path, memory, seconds = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
@@ -109,6 +110,10 @@ def try_mjcf(path: Path) -> None:
         text = path.read_bytes()
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from None
+    try:
+        _COMMENT.sub(b"", text).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path} is not valid MJCF: {error}; save it as UTF-8") from None
     if set(_ELEMENT.findall(text)) <= _HARMLESS:
         return
 

@@ -88,3 +88,12 @@ def test_the_environment_scales_all_limits(monkeypatch, text, factor):
     monkeypatch.setenv(VARIABLE, text)
     assert limit_factor() == factor
     assert scaled(1000) == int(1000 * factor)
+
+
+def test_a_scene_is_utf_8_outside_its_comments(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_bytes(SCENE.format(more="<!-- \xe9 -->").encode("latin-1"))
+    assert load_scene(str(path)).targets
+    path.write_bytes(SCENE.format(more='<geom name="\xe9" size="0.1"/>').encode("latin-1"))
+    with pytest.raises(SceneError, match=r"is not valid MJCF: .*save it as UTF-8"):
+        load_scene(str(path))
