@@ -12,7 +12,13 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import check_planner
 from scan3d_twin.core.session import Session
-from scan3d_twin.recording.load import RecordedRun, load_session, read_commands, read_last_odometry
+from scan3d_twin.recording.load import (
+    RecordedRun,
+    load_session,
+    read_commands,
+    read_journey,
+    read_last_odometry,
+)
 from scan3d_twin.recording.resume import continue_odometry, moved_warning, reenact
 from scan3d_twin.run.closed_loop import EarlierRun
 from scan3d_twin.run.report import Journey
@@ -29,11 +35,13 @@ class ResumedRun:
     Attributes:
         recorded: The run up to its last finished view or plan.
         settings: The effective settings: given options over the recorded ones.
+        journey: How it got there.
         place_robot: Takes a robot that was just opened to where the run was, and returns it.
     """
 
     recorded: RecordedRun
     settings: Settings
+    journey: Journey
     place_robot: Callable[[Robot, Notify], Robot]
 
     @property
@@ -44,8 +52,7 @@ class ResumedRun:
     @property
     def earlier(self) -> EarlierRun:
         """The finished part of the run, for the loop."""
-        mark = self.recorded.mark
-        return EarlierRun(self.recorded.session, Journey(mark.path, mark.turn, mark.stamp))
+        return EarlierRun(self.recorded.session, self.journey)
 
 
 def resume_sim(folder: Path, out: Path | None, given: Options) -> ResumedRun:
@@ -68,7 +75,7 @@ def resume_sim(folder: Path, out: Path | None, given: Options) -> ResumedRun:
             notify("slightly off the recorded place: this computer rounds differently")
         return robot
 
-    return ResumedRun(recorded, effective, place_robot)
+    return ResumedRun(recorded, effective, read_journey(recorded), place_robot)
 
 
 def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
@@ -84,7 +91,7 @@ def resume_real(folder: Path, out: Path | None, given: Options) -> ResumedRun:
         notify("resuming where the robot stopped; it must not have been moved since")
         return continue_odometry(robot, T_odom_here, stamp)
 
-    return ResumedRun(recorded, effective, place_robot)
+    return ResumedRun(recorded, effective, read_journey(recorded), place_robot)
 
 
 def _load(folder: Path, out: Path | None) -> RecordedRun:

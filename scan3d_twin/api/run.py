@@ -18,6 +18,7 @@ from scan3d_twin.api.watch import UNWATCHED, RunWatcher, WatchOptions
 from scan3d_twin.core.errors import FileError, HazardError, LinkError, ScanError
 from scan3d_twin.core.observer import Observer, Observers
 from scan3d_twin.core.session import Session
+from scan3d_twin.recording.mcap.file import RecordingError
 from scan3d_twin.recording.recorder import Recorder, SerialTaps
 from scan3d_twin.run.closed_loop import LoopOutcome, RobotContext, close_loop
 from scan3d_twin.run.folder import release_folder
@@ -115,7 +116,9 @@ def open_recorder(
     try:
         yield recorder
     except BaseException as error:
-        recorder.abandon(keep=isinstance(error, LinkError | HazardError))
+        kept = recorder.abandon(keep=isinstance(error, LinkError | HazardError))
+        if isinstance(error, RecordingError) and not kept:
+            raise error.before_first_view() from None
         raise
 
 

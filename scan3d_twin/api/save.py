@@ -21,7 +21,7 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.recording.ply import model_ply
 from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.closed_loop import Truth
-from scan3d_twin.run.folder import write_file
+from scan3d_twin.run.folder import require_own_folders, write_file, write_inside
 from scan3d_twin.run.report import Effort, Journey, Report, build_report, report_json
 from scan3d_twin.run.settings import Settings, settings_toml
 from scan3d_twin.viz.packing import show_run
@@ -73,7 +73,7 @@ def save_run(
 
     # Write views in their final poses
     for index, each in enumerate(session.views):
-        write_file(view_path(folder, index), view_bytes(each))
+        write_inside(folder, view_path(folder, index), view_bytes(each))
     _remove_views_from(len(session.views), folder)
 
     # Write top view, model and report
@@ -105,6 +105,7 @@ def save_run(
 
 def _remove_views_from(count: int, folder: Path) -> None:
     """Remove the files of views that the final alignment has dropped."""
+    require_own_folders(folder, view_path(folder, count).parent)
     while (path := view_path(folder, count)).exists():
         path.unlink()
         count += 1

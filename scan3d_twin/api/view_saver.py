@@ -8,7 +8,7 @@ from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.image import NO_COMPRESSION
 from scan3d_twin.recording.views import view_bytes, view_path
-from scan3d_twin.run.folder import write_file
+from scan3d_twin.run.folder import write_file, write_inside
 from scan3d_twin.run.settings import Settings, settings_toml
 
 
@@ -29,6 +29,7 @@ class ViewSaver(Unobserved):
         if not self._settings_saved:
             write_file(self._folder / "config.toml", settings_toml(self._settings))
             self._settings_saved = True
-        write_file(view_path(self._folder, index), view_bytes(session.views[index], NO_COMPRESSION))
+        data = view_bytes(session.views[index], NO_COMPRESSION)
+        write_inside(self._folder, view_path(self._folder, index), data)
         if session.config.optimize_for == "memory":
             session.compress()

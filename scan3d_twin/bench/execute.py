@@ -10,7 +10,7 @@ from scan3d_twin.bench.engine import Engine, run_on_workers
 from scan3d_twin.bench.journal import JOURNAL_PATTERN, Journal, read_journals
 from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.task import Task
-from scan3d_twin.run.folder import write_file
+from scan3d_twin.run.folder import write_inside
 
 PICTURES_FOLDER = "top_views"
 """Folder with the top view of each variant's first seed."""
@@ -45,7 +45,7 @@ def execute_tasks(
     """
     for done in run_on_workers(tasks, engine):
         if done.picture is not None:
-            write_file(picture_path(folder, done.record), done.picture)
+            write_inside(folder, picture_path(folder, done.record), done.picture)
         journal.append(done.record)
         on_done(done.record)
 

@@ -52,7 +52,7 @@ def _row(path: Path, number: int, line: bytes) -> Record:
     try:
         row: dict[str, Any] = json.loads(line)
         return from_row(row)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(
             f"{path}, line {number} is no record ({error}); remove that line to continue"
         ) from error
@@ -70,7 +70,8 @@ class Journal:
         # Create and open the file
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
+            self._file = os.open(path, flags, 0o644)
         except OSError as error:
             raise FileError(f"cannot write {path}: {error.strerror}") from error
 

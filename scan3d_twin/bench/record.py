@@ -142,6 +142,11 @@ class Record:
     steps: tuple[Step, ...] = ()
 
 
+MAX_VIEWS = 100_000
+"""Largest index of a view that is believed: a week of sweeps."""
+MAX_NUMBER, MAX_COUNT = 1e15, 2**63 - 1
+"""Largest numbers and counts that are believed: 30 million years in seconds, and what fits into
+Parquet's integers."""
 TIMING_FIELDS = ("plan_cpu", "cpu", "wall", "attempts")
 """Fields of a record and of its steps that differ between two runs of one task."""
 
@@ -164,8 +169,12 @@ def from_row(row: Mapping[str, Any]) -> Record:
     Raises:
         KeyError, TypeError: The row is no record.
     """
+    if not isinstance(row["steps"], (list, tuple)):
+        raise TypeError("steps that are no list")
     steps = tuple(Step(**_select_known(Step, step)) for step in row["steps"])
-    return Record(**{**_select_known(Record, row), "steps": steps})
+    if any(not 0 <= step.view <= MAX_VIEWS for step in steps):
+        raise TypeError(f"a view beyond {MAX_VIEWS}")
+    return Record(**{**_select_known(Record, {**row, "steps": ()}), "steps": steps})
 
 
 def sql_columns(cls: type = Record) -> dict[str, str]:
@@ -192,8 +201,27 @@ def _sql_type(hint: Any) -> str:
 
 def _select_known(cls: type, row: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that ``cls`` has fields for; records of a later version may have more."""
-    names = {field.name for field in fields(cls)}
-    return {name: value for name, value in row.items() if name in names}
+    hints = get_type_hints(cls)
+    known = {name: value for name, value in row.items() if name in hints}
+    for name, value in known.items():
+        if not _fits(hints[name], value):
+            raise TypeError(f"{name} is {value!r:.40}")
+    return known
+
+
+def _fits(hint: Any, value: Any) -> bool:
+    """Return whether ``value`` is one of type ``hint``; None stands for any number not finite."""
+    if get_origin(hint) in (Union, types.UnionType):
+        return value is None or any(_fits(each, value) for each in get_args(hint))
+    if get_origin(hint) is Literal:
+        return isinstance(value, str) and value in get_args(hint)
+    if get_origin(hint) is tuple:
+        return isinstance(value, (list, tuple))
+    if hint is float and type(value) in (int, float):
+        return bool(-MAX_NUMBER <= value <= MAX_NUMBER)
+    if hint is int and type(value) is int:
+        return bool(-MAX_COUNT <= value <= MAX_COUNT)
+    return value is None if hint is float else bool(type(value) is hint)
 
 
 def replace_nonfinite(value: Any) -> Any:

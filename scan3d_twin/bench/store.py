@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from scan3d_twin.bench.journal import JOURNAL_PATTERN, read_journals
 from scan3d_twin.bench.record import Record, from_row, sql_columns, to_json
 from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.limits import how_to_raise, scaled
+from scan3d_twin.run.folder import fresh_part
 
 RESULTS_FILE = "results.parquet"
+FREE_EXPANSION, EXPANSION = 64 * 1024 * 1024, 32
+"""What a Parquet file may expand to: this many bytes, and so many times its size."""
+ROWS_AT_ONCE, VALUE_SIZE = 64, 32
+"""Rows that are taken at once, and the memory of a value that is no text [bytes]."""
 
 
 def collect_records(folder: Path) -> list[Record]:
@@ -34,21 +39,19 @@ def write_parquet(records: Iterable[Record], path: Path) -> None:
         FileError: The disk is full or read-only.
     """
     duckdb = _duckdb()
-    part = path.with_name(path.name + ".part")
-
-    # Convert JSON lines, then rename
-    with tempfile.NamedTemporaryFile("w", suffix=".jsonl", encoding="utf-8") as lines:
-        lines.writelines(to_json(record) + "\n" for record in records)
-        lines.flush()
-        try:
-            with duckdb.connect() as database:
-                rows = database.read_json(
-                    lines.name, columns=sql_columns(), format="newline_delimited"
-                )
-                rows.write_parquet(str(part), compression="zstd")
-            os.replace(part, path)
-        except (OSError, duckdb.Error) as error:
-            raise FileError(f"cannot write {path}: {error}") from error
+    try:
+        with (
+            tempfile.NamedTemporaryFile("w", suffix=".jsonl", encoding="utf-8") as lines,
+            fresh_part(path) as part,
+            duckdb.connect() as database,
+        ):
+            # Write JSON lines, then convert them
+            lines.writelines(to_json(record) + "\n" for record in records)
+            lines.flush()
+            rows = database.read_json(lines.name, columns=sql_columns(), format="newline_delimited")
+            rows.write_parquet(str(part), compression="zstd")
+    except (OSError, duckdb.Error) as error:
+        raise FileError(f"cannot write {path}: {error}") from error
 
 
 def read_results(path: Path) -> list[Record]:
@@ -77,11 +80,29 @@ def _read_parquet(path: Path) -> list[Record]:
         raise FileError(f"no file or folder {path}")
     try:
         with duckdb.connect() as database:
-            table = database.read_parquet(str(path))
-            rows = table.fetchall()
-            return [from_row(dict(zip(table.columns, row, strict=True))) for row in rows]
-    except (duckdb.Error, KeyError, TypeError) as error:
-        raise FileError(f"{path} holds no results of `twin bench`: {error}") from error
+            cursor = database.execute("SELECT * FROM read_parquet(?)", [str(path)])
+            names = [column[0] for column in cursor.description]
+            rows = _fetch(cursor, scaled(FREE_EXPANSION + EXPANSION * path.stat().st_size))
+            return [from_row(dict(zip(names, row, strict=True))) for row in rows]
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    except (duckdb.Error, KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = str(error).partition("\n")[0]
+        raise FileError(f"{path} holds no results of `twin bench`: {reason}") from error
+
+
+def _fetch(cursor: Any, room: int) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of ``cursor`` as long as they fit into ``room`` [bytes].
+
+    Raises:
+        ValueError: They do not: repeated values are stored once in a Parquet file.
+    """
+    while rows := cursor.fetchmany(ROWS_AT_ONCE):
+        for row in rows:
+            room -= sum(len(each) if isinstance(each, str) else VALUE_SIZE for each in row)
+            if room < 0:
+                raise ValueError(f"it expands to far more than its size; {how_to_raise()}")
+            yield row
 
 
 def _duckdb() -> Any:

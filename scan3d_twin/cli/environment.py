@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Iterator
 from typing import Any, get_args, get_type_hints
 
+from scan3d_twin import limits
 from scan3d_twin.cli.defaults import PREFIX
 from scan3d_twin.core.errors import ConfigError, find_near_name
 
@@ -21,7 +22,7 @@ def refuse_unknown_variables(*_: Any) -> None:
     present = sorted(name for name in os.environ if name.startswith(PREFIX))
     if not present:
         return
-    known = known_variables()
+    known = {*known_variables(), limits.VARIABLE}
     for name in present:
         if name not in known:
             raise ConfigError(f"the variable {name} sets no option; {_suggest_cure(name, known)}")

@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from typing import IO
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+"""Control characters other than tab and line feed: with them a text would steer the terminal."""
+
+
+def printable(text: str) -> str:
+    """Return ``text``, which may come from a file, without characters that steer a terminal."""
+    return _CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def say(text: str, stream: IO[str] | None = None, end: str = "\n") -> None:
@@ -14,7 +23,7 @@ def say(text: str, stream: IO[str] | None = None, end: str = "\n") -> None:
     """
     stream = sys.stderr if stream is None else stream
     try:
-        print(text, file=stream, end=end, flush=True)
+        print(printable(text), file=stream, end=end, flush=True)
     except BrokenPipeError:
         discard(stream)
 

@@ -16,7 +16,7 @@ class ViewOptions:
     view: Annotated[bool, env("VIEW")] = False
     """Show, pause and stop the run on a web page."""
     host: Annotated[str, env("HOST")] = "127.0.0.1"
-    """Page address; 0.0.0.0 lets others watch and stop."""
+    """Page address; 0.0.0.0 lets those with the token watch and stop."""
     view_port: Annotated[int, env("VIEW_PORT")] = 8080
     """Port of the page; 0 takes a free one."""
 

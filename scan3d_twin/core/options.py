@@ -6,6 +6,7 @@ Importing this module costs nothing (no numpy), so that ``twin --help`` can list
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
@@ -147,6 +148,8 @@ def _check(name: str, value: Any, hint: Any, bounds: Bounds | None) -> None:
     expected = (int, float) if hint is float else hint
     if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):
         raise ConfigError(f"{name} must be {_WORDS.get(hint, hint.__name__)}, got {value!r}")
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        raise ConfigError(f"{name} must be finite, got a number of {value.bit_length()} bits")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name} must be finite, got {value:g}")
     if bounds is not None and (wanted := bounds.find_violation(value)):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d_twin.core.errors import ConfigError, FileError, RegistrationError
+from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.model.evaluation import Distances
 from scan3d_twin.core.model.fused_cloud import Model, build_model
 from scan3d_twin.core.neighbours import find_nearest
@@ -20,6 +19,7 @@ from scan3d_twin.core.registration import register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.load import RecordedRun, load_session, run_folder
+from scan3d_twin.recording.run_list import REPORT, read_report
 from scan3d_twin.run.report import Report
 from scan3d_twin.run.settings import settings_toml
 
@@ -147,7 +147,7 @@ def _compare(
     distances, _ = find_nearest(cKDTree(other.points), model.points, MAX_DISTANCE)
     near = distances[np.isfinite(distances)]
     return ComparedRun(
-        name, _options(run), _read_report(run), run.session, model, T_first_own, distances,
+        name, _options(run), _report(run), run.session, model, T_first_own, distances,
         Distances.of(near) if len(near) else None, len(near) / max(1, len(distances)),
     )  # fmt: skip
 
@@ -156,8 +156,20 @@ def _unrelated(name: str, run: RecordedRun, model: Model) -> ComparedRun:
     """Return a run whose model does not fit on the first one's."""
     nowhere = np.full(len(model), np.inf)
     return ComparedRun(
-        name, _options(run), _read_report(run), run.session, model, Pose2(), nowhere, None, 0.0
+        name,
+        _options(run),
+        read_report(run_folder(run.path) / REPORT)[0],
+        run.session,
+        model,
+        Pose2(),
+        nowhere,
+        None,
+        0.0,
     )
+
+
+def _report(run: RecordedRun) -> Report:
+    return read_report(run_folder(run.path) / REPORT)[0]
 
 
 def _options(run: RecordedRun) -> dict[str, Any]:
@@ -171,21 +183,3 @@ def _flatten(table: Mapping[str, Any], where: str) -> list[tuple[str, Any]]:
         name = f"{where}{key}"
         found += _flatten(value, f"{name}.") if isinstance(value, dict) else [(name, value)]
     return found
-
-
-def _read_report(run: RecordedRun) -> Report:
-    """Return the report beside the session of ``run``; empty where there is none.
-
-    Raises:
-        FileError: It is no JSON object.
-    """
-    path = run_folder(run.path) / "report.json"
-    if not path.is_file():
-        return {}
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise FileError(f"cannot read {path}: {error}") from error
-    if not isinstance(report, dict):
-        raise FileError(f"cannot read {path}: it holds no report")
-    return report

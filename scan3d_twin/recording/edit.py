@@ -14,32 +14,11 @@ from scan3d_twin.core.mapping.loop_closure import Alignment, align, apply_alignm
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.load import RecordedRun, find_session_file, load_session
 from scan3d_twin.recording.mcap import ros_records
-from scan3d_twin.recording.mcap.recovering_reader import is_finished, is_sound, is_written
+from scan3d_twin.recording.mcap.recovering_reader import is_written
 from scan3d_twin.recording.mcap.rewrite import back_up, find_latest_backup, reopen
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
 from scan3d_twin.recording.recorder import finish_file, write_display
 from scan3d_twin.recording.session_log import SessionLog
-
-
-def recover_session(folder: Path, wall: Callable[[], float]) -> Path | None:
-    """Write a complete session file from one that was cut off or damaged, and keep the old one.
-
-    Args:
-        folder: Folder of the run.
-        wall: Returns the computer's time [s]; only differences count.
-
-    Returns:
-        The path of the backup; None if the file was complete already.
-
-    Raises:
-        FileError: There is no session, or a run is writing to it.
-    """
-    path = find_session_file(folder)
-    if is_finished(path) and is_sound(path):
-        return None
-    reopened = reopen(path, wall, whole=True)
-    finish_file(reopened.file, path.with_name(SESSION_FILE))
-    return reopened.backup
 
 
 def remove_view(session: Session, index: int) -> Session:

@@ -11,11 +11,11 @@ import math
 import types
 from dataclasses import Field, fields, is_dataclass
 from functools import cache
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.errors import FileError, TwinError
 from scan3d_twin.core.options import former_names
 
 Packed = tuple[str, bytes]
@@ -115,8 +115,19 @@ def unpack_fields(cls: type, packed: Packed) -> dict[str, Any]:
         raise FileError(f"no valid {cls.__name__} in the file: {error}") from None
 
 
-_DECODE_ERRORS = (ValueError, TypeError, KeyError, IndexError, AttributeError)
-"""Errors raised where the content does not match the type hint."""
+_DECODE_ERRORS = (
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    TwinError,
+)
+"""Errors raised where the content does not match the type hint, or is refused by its class."""
+_NUMBERS = "biuf"
+"""Kinds of arrays that are stored: bool, integer and floating point."""
 
 
 def is_array(hint: Any) -> bool:
@@ -133,6 +144,7 @@ class _Unpacker:
 
     def __init__(self, blob: bytes) -> None:
         self._blob = blob
+        self._left = len(blob)
         self._arrays: dict[str, Array] = {}
 
     def value(self, hint: Any, tree: Any) -> Any:
@@ -151,7 +163,7 @@ class _Unpacker:
         if is_dataclass(hint):
             assert isinstance(hint, type)
             return hint(**self.fields(hint, tree))
-        return float(tree) if hint is float else tree
+        return _plain(hint, tree)
 
     def fields(self, cls: type, tree: Any) -> dict[str, Any]:
         """Return the fields of ``cls`` that are in ``tree``."""
@@ -171,13 +183,32 @@ class _Unpacker:
         return tuple(self.value(hint, each) for hint, each in zip(hints, tree, strict=True))
 
     def _array(self, place: Any) -> Array:
+        """Return the array at ``place``; arrays do not overlap, so their sum is bounded."""
         if str(place) not in self._arrays:
             dtype, shape, stored, offset = place
+            self._left -= math.prod(shape) * np.dtype(stored).itemsize
+            if self._left < 0 or {np.dtype(dtype).kind, np.dtype(stored).kind} - set(_NUMBERS):
+                raise ValueError(f"an array {place} that does not fit into the data")
             flat = np.frombuffer(self._blob, np.dtype(stored), math.prod(shape), offset)
             array = flat.reshape(shape).astype(dtype, copy=False)
             array.flags.writeable = False
             self._arrays[str(place)] = array
         return self._arrays[str(place)]
+
+
+def _plain(hint: Any, tree: Any) -> Any:
+    """Return the plain value ``tree`` of type ``hint``.
+
+    Raises:
+        TypeError: It is of another type.
+    """
+    if hint is float and isinstance(tree, int | float | str):
+        return float(tree)
+    known = get_origin(hint) is not Literal and hint in (bool, int, str)
+    fits = type(tree) is hint if known else tree in get_args(hint) or hint is Any
+    if not fits:
+        raise TypeError(f"{tree!r:.40} is no {getattr(hint, '__name__', hint)}")
+    return tree
 
 
 def _narrowed(array: Array) -> Array:

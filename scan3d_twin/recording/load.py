@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.records import Metadata
 
-from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2, ScanLine
-from scan3d_twin.recording.mcap import ros_messages as ros
+from scan3d_twin.recording.checks import check_session
+from scan3d_twin.recording.mcap.decode import decode_message
 from scan3d_twin.recording.mcap.recovering_reader import (
     RawMessage,
     is_finished,
@@ -32,8 +31,14 @@ from scan3d_twin.recording.names import (
     SCANS,
     SESSION_FILE,
 )
-from scan3d_twin.recording.session_log import Mark, SessionState
+from scan3d_twin.recording.session_log import Mark, Record, SessionState
+from scan3d_twin.run.report import Journey, thin_track
 from scan3d_twin.run.settings import Settings, build_settings
+from scan3d_twin.run.toml import parse_toml
+
+
+class NoViewError(FileError):
+    """A session file holds no finished view."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,51 @@ class RecordedRun:
     before_end: Session
     mark: Mark
     provenance: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What the file of a run holds that ended before its first view was finished.
+
+    Attributes:
+        path: The file.
+        running: Whether a run is writing to it now.
+        name: Name of the scene; empty if the file does not say it.
+        settings: The effective settings, if they are there.
+        provenance: Versions, command and date of the program that wrote the file.
+        duration: Time of the last message on the robot's clock [s].
+    """
+
+    path: Path
+    running: bool
+    name: str
+    settings: Settings | None
+    provenance: Mapping[str, str]
+    duration: float
+
+
+def read_beginning(place: Path) -> Beginning:
+    """Return what is known of a run without a finished view.
+
+    Raises:
+        FileError: There is no session file, or it is damaged.
+    """
+    path = find_session_file(place)
+    texts, last = {}, 0
+    for each in read_contents(path):
+        if isinstance(each, Metadata):
+            texts[each.name] = each.metadata
+        else:
+            last = max(last, each.nanoseconds)
+    described = texts.get("settings")
+    return Beginning(
+        path=path,
+        running=is_written(path),
+        name="" if described is None else described.get("name", ""),
+        settings=None if described is None else read_options(described, path),
+        provenance=texts.get("provenance", {}),
+        duration=last / 1e9,
+    )
 
 
 def run_folder(run: Path) -> Path:
@@ -100,11 +150,19 @@ def load_session(place: Path) -> RecordedRun:
         if isinstance(each, Metadata):
             texts[each.name] = each.metadata
         else:
-            message = _decoded(each)
-            packed = message.json, message.data.tobytes()
-            state.apply((message.kind, message.index, packed))
+            try:
+                state.apply(decode_record(each))
+            except FileError as error:
+                raise FileError(f"{path}: {error}") from None
     if state.session is None or state.mark is None or "settings" not in texts:
-        raise FileError(f"{path} holds no finished view: there is nothing to load or resume")
+        raise NoViewError(f"{path} holds no finished view: there is nothing to load or resume")
+
+    # Check it
+    try:
+        check_session(state.session)
+        check_session(state.open_session or state.session)
+    except FileError as error:
+        raise FileError(f"{path} holds a session that cannot be right: {error}") from None
 
     # Return it with its settings
     described = texts["settings"]
@@ -112,13 +170,25 @@ def load_session(place: Path) -> RecordedRun:
         path=path,
         finished=is_finished(path),
         running=is_written(path),
-        name=described["name"],
-        settings=build_settings([tomllib.loads(described["toml"])]),
+        name=described.get("name", ""),
+        settings=read_options(described, path),
         session=state.session,
         before_end=state.open_session or state.session,
         mark=state.mark,
         provenance=texts.get("provenance", {}),
     )
+
+
+def read_options(described: Mapping[str, str], source: object) -> Settings:
+    """Return the effective settings that the metadata of a session file describe.
+
+    Raises:
+        FileError: They are damaged; ``source`` says in messages where they come from.
+    """
+    try:
+        return build_settings([parse_toml(described.get("toml", ""), f"the settings of {source}")])
+    except ConfigError as error:
+        raise FileError(f"the settings of {source} are damaged: {error}") from None
 
 
 def read_commands(path: Path) -> Iterator[tuple[float, float, float]]:
@@ -128,7 +198,7 @@ def read_commands(path: Path) -> Iterator[tuple[float, float, float]]:
     """
     for each in read_to_last_mark(path, COMMANDS):
         if isinstance(each, RawMessage) and each.topic == COMMANDS:
-            twist = _decoded(each).twist
+            twist = decode_message(each).twist
             yield each.nanoseconds / 1e9, float(twist.linear.x), float(twist.angular.z)
 
 
@@ -144,7 +214,7 @@ def read_last_odometry(path: Path) -> tuple[float, Pose2]:
             last = each
     if last is None:
         raise FileError(f"{path} holds no odometry")
-    pose = _decoded(last).pose.pose
+    pose = decode_message(last).pose.pose
     yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
     return last.nanoseconds / 1e9, Pose2(pose.position.x, pose.position.y, yaw)
 
@@ -154,12 +224,19 @@ def read_track(path: Path) -> FloatArray:
     track = []
     for each in read_contents(path, ODOMETRY):
         if isinstance(each, RawMessage):
-            pose = _decoded(each).pose.pose
+            pose = decode_message(each).pose.pose
             yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
             track.append((each.nanoseconds / 1e9, pose.position.x, pose.position.y, yaw))
     result = np.array(track).reshape(-1, 4)
     result[:, 3] = np.unwrap(result[:, 3])
     return result
+
+
+def read_journey(run: RecordedRun) -> Journey:
+    """Return the journey up to the mark of ``run``."""
+    track = read_track(run.path)
+    until = track[track[:, 0] <= run.mark.stamp]
+    return Journey(run.mark.path, run.mark.turn, run.mark.stamp, thin_track(until))
 
 
 def read_lines(path: Path) -> Iterator[ScanLine]:
@@ -172,7 +249,7 @@ def read_lines(path: Path) -> Iterator[ScanLine]:
     for each in read_contents(path, SCANS, ANGLES):
         if not isinstance(each, RawMessage):
             continue
-        scan = _decoded(each)
+        scan = decode_message(each)
         if each.topic == ANGLES:  # of the line that follows
             angles = scan
             continue
@@ -183,5 +260,7 @@ def read_lines(path: Path) -> Iterator[ScanLine]:
         angles = None
 
 
-def _decoded(each: RawMessage) -> Any:
-    return ros.typestore().deserialize_cdr(each.data, each.name)
+def decode_record(each: RawMessage) -> Record:
+    """Return the record of the session log in a message."""
+    message = decode_message(each)
+    return message.kind, message.index, (message.json, message.data.tobytes())

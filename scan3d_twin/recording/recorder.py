@@ -211,18 +211,23 @@ class Recorder:
         self._keep(session)
         finish_file(self._file, self.path)
 
-    def abandon(self, *, keep: bool = False) -> None:
+    def abandon(self, *, keep: bool = False) -> bool:
         """Close the file; keep it if it holds a view or ``keep`` is set, else delete it.
 
         A resumed run without a new view restores the file that it continued.
+
+        Returns:
+            Whether something is kept.
         """
         self.close()
         if self._kept:
-            return
+            return True
         if self._reopened is not None:
             self._reopened.restore_old()
         elif not keep:
             self._file.sink.path.unlink(missing_ok=True)
+            return False
+        return True
 
     def close(self) -> None:
         """Close the file unfinished, to be recovered later; closing twice does nothing."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,9 +10,15 @@ import numpy as np
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.types import FloatArray, LidarSpec, RangeImage, read_only
 from scan3d_twin.devices.registry import DEFAULT_LIDAR, lidar_device
+from scan3d_twin.recording.checks import check_image
+from scan3d_twin.recording.npz import read_arrays
 
 SCAN_FILE, BACK_SCAN_FILE = "scan.npz", "scan_back.npz"
 """Files of ``twin scan``: a sweep, and with --back the sweep in the other direction."""
+_ARRAYS = ("stamps", "yaws", "ranges", "codes", "elevations", "beam_times", "T_base_lidar")
+"""Arrays that each file holds."""
+_OPTIONAL = ("range_limits", "line_elevations")
+"""Arrays that old files, or those of other lidars, lack."""
 
 
 def read_image(path: Path) -> RangeImage:
@@ -22,30 +27,39 @@ def read_image(path: Path) -> RangeImage:
     Raises:
         FileError: The file is missing or holds no range image.
     """
+    arrays = read_arrays(path, (*_ARRAYS, *_OPTIONAL))
+    missing = [name for name in _ARRAYS if name not in arrays]
+    if missing:
+        raise FileError(f"{path} is no sweep of twin scan, sim or real: no {missing[0]}")
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            low, high = _range_limits(arrays)
-            return RangeImage(
-                stamps=read_only(arrays["stamps"]),
-                yaws=read_only(arrays["yaws"]),
-                ranges=read_only(arrays["ranges"]),
-                codes=read_only(arrays["codes"], np.int64),
-                spec=LidarSpec(
-                    elevations=read_only(arrays["elevations"]),
-                    beam_times=read_only(arrays["beam_times"]),
-                    line_period=float(np.median(np.abs(np.diff(arrays["stamps"])))),
-                    min_range=low,
-                    max_range=high,
-                ),
-                T_base_lidar=read_only(arrays["T_base_lidar"]),
-                elevations=read_only(arrays["line_elevations"])
-                if "line_elevations" in arrays
-                else None,
-            )
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise FileError(f"{path} is no sweep of twin scan, sim or real: {error}") from error
+        image = _image_of(arrays)
+        check_image(image)
+    except (FileError, ValueError, TypeError, IndexError) as error:
+        raise FileError(f"{path} is no sweep of twin scan, sim or real: {error}") from None
+    return image
+
+
+def _image_of(arrays: Mapping[str, FloatArray]) -> RangeImage:
+    low, high = _range_limits(arrays)
+    steps = np.abs(np.diff(arrays["stamps"]))
+    own = arrays.get("line_elevations")
+    if arrays["codes"].dtype.kind not in "iu":
+        raise ValueError("codes that are no integers")
+    return RangeImage(
+        stamps=read_only(arrays["stamps"]),
+        yaws=read_only(arrays["yaws"]),
+        ranges=read_only(arrays["ranges"]),
+        codes=read_only(arrays["codes"], np.int64),
+        spec=LidarSpec(
+            elevations=read_only(arrays["elevations"]),
+            beam_times=read_only(arrays["beam_times"]),
+            line_period=float(np.median(steps)) if len(steps) else 0.0,
+            min_range=low,
+            max_range=high,
+        ),
+        T_base_lidar=read_only(arrays["T_base_lidar"]),
+        elevations=None if own is None else read_only(own),
+    )
 
 
 def _range_limits(arrays: Mapping[str, FloatArray]) -> tuple[float, float]:

@@ -42,7 +42,7 @@ class Mark:
 
 
 @cache
-def _lists() -> dict[str, Any]:
+def list_types() -> dict[str, Any]:
     """Return the list fields of a session with the type of their items."""
     hints = get_type_hints(Session)
     return {
@@ -61,12 +61,12 @@ class SessionLog:
     def changes(self, session: Session, mark: Mark) -> Iterator[Record]:
         """Yield the records that turn the last session into this one, ``mark`` at the end."""
         last, self._last = self._last, session
-        for name in _lists():
+        for name in list_types():
             before = () if last is None else getattr(last, name)
             yield from _item_changes(name, getattr(session, name), before)
-        nothing: dict[str, Any] = dict.fromkeys(_lists(), ())
+        nothing: dict[str, Any] = dict.fromkeys(list_types(), ())
         yield SESSION, 0, pack(replace(session, **nothing))
-        lengths = {name: len(getattr(session, name)) for name in _lists()}
+        lengths = {name: len(getattr(session, name)) for name in list_types()}
         text, _ = pack(mark)
         yield MARK, 0, (json.dumps({**json.loads(text), "lengths": lengths}), b"")
 
@@ -113,19 +113,19 @@ class SessionState:
         for kind, index, packed in records[:-1]:
             if kind == SESSION:
                 base = unpack(Session, packed)
-            elif kind in _lists():
+            elif kind in list_types():
                 items = self._items.setdefault(kind, {})
-                items[index] = _item(_lists()[kind], items.get(index), packed)
+                items[index] = unpack_item(list_types()[kind], items.get(index), packed)
         if base is None:
             raise FileError("no valid session in the file: it begins in the middle")
 
         # Cut lists to the marked lengths
         text = records[-1][2][0]
-        lengths = json.loads(text)["lengths"]
+        lengths = mark_lengths(text)
         try:
             lists: dict[str, Any] = {
                 name: tuple(self._items.get(name, {})[k] for k in range(lengths.get(name, 0)))
-                for name in _lists()
+                for name in list_types()
             }
         except KeyError as error:
             raise FileError(f"no valid session in the file: item {error} is missing") from None
@@ -136,7 +136,27 @@ class SessionState:
             self.open_session = self.session
 
 
-def _item(hint: Any, old: Any, packed: Packed) -> Any:
+def mark_lengths(text: str) -> dict[str, int]:
+    """Return how many items of each list a mark counts; ``text`` is its JSON.
+
+    Raises:
+        FileError: It is no mark.
+    """
+    try:
+        lengths = json.loads(text)["lengths"]
+        if all(type(each) is int for each in lengths.values()):
+            return dict(lengths)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        pass
+    raise FileError("no valid mark in the file")
+
+
+def unpack_item(hint: Any, old: Any, packed: Packed) -> Any:
+    """Return the item of type ``hint`` whose changes against ``old`` were packed.
+
+    Raises:
+        FileError: The content is not of this type, or only a part of an item without ``old``.
+    """
     if not is_dataclass(hint):
         return unpack(hint, packed)
     assert isinstance(hint, type)

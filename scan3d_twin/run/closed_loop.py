@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -17,12 +16,10 @@ from scan3d_twin.core.navigation.motion_control import measure_travel
 from scan3d_twin.core.observer import Observer, Observers, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray, Plan
-from scan3d_twin.run.report import Journey
+from scan3d_twin.core.types import Plan
+from scan3d_twin.run.report import Journey, thin_track
 from scan3d_twin.run.settings import NAME_OR_PLACE, Settings, parse_place
 
-TRACK_STEP = 0.03
-"""Distance between the places of a track [m]: a hundredth of a picture that shows a room."""
 Timer = Callable[[], float]
 """Returns the computer's time [s] since some moment."""
 
@@ -152,7 +149,7 @@ class JourneyMeter:
     def __init__(self, base: DriveBase, earlier: Journey | None = None) -> None:
         earlier = Journey(0.0, 0.0, 0.0) if earlier is None else earlier
         self.path, self.turn = earlier.path, earlier.turn
-        self._track = [tuple(each) for each in earlier.track]
+        self.track = earlier.track
         self._base = base
         self._stamp = earlier.duration
 
@@ -164,15 +161,8 @@ class JourneyMeter:
         path, turn = measure_travel(samples)
         self.path, self.turn = self.path + path, self.turn + turn
         self._stamp = samples[-1].stamp
-        for each in samples:
-            x, y, yaw = each.T_odom_base.x, each.T_odom_base.y, each.T_odom_base.yaw
-            if not self._track or math.dist(self._track[-1][1:3], (x, y)) >= TRACK_STEP:
-                self._track.append((each.stamp, x, y, yaw))
-
-    @property
-    def track(self) -> FloatArray:
-        """Where the base was, as in ``Journey``."""
-        return np.array(self._track).reshape(-1, 4)
+        poses = [(s.stamp, s.T_odom_base.x, s.T_odom_base.y, s.T_odom_base.yaw) for s in samples]
+        self.track = thin_track(np.vstack([self.track, poses]))
 
 
 class _ProgressLog(Unobserved):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
@@ -56,11 +59,53 @@ def write_file(path: Path, content: bytes | str) -> None:
     Raises:
         FileError: The disk is full, or the folder is gone or read-only.
     """
-    part = path.with_name(path.name + ".part")
     data = content.encode() if isinstance(content, str) else content
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(data)
-        os.replace(part, path)
+        with fresh_part(path) as part:
+            part.write_bytes(data)
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def write_inside(folder: Path, path: Path, content: bytes | str) -> None:
+    """Write ``content`` to ``path`` in ``folder``, which may come from someone else.
+
+    Raises:
+        FileError: As ``write_file``; or a folder between the two is a link that leads elsewhere.
+    """
+    require_own_folders(folder, path.parent)
+    write_file(path, content)
+
+
+def require_own_folders(folder: Path, below: Path) -> None:
+    """Check that no folder on the way from ``folder`` to the folder ``below`` is a link.
+
+    Raises:
+        FileError: One is; what is written or deleted there would be someone else's.
+    """
+    for place in (below, *below.parents):
+        if place == folder:
+            return
+        if place.is_symlink():
+            raise FileError(f"{place} is a link to another place; remove it to go on")
+
+
+@contextmanager
+def fresh_part(path: Path) -> Iterator[Path]:
+    """Give the path of a new, empty file beside ``path``, which replaces it at the end.
+
+    It is opened exclusively under an unforeseeable name, so that no file or link that lies there
+    is written through; after an error it is removed.
+
+    Raises:
+        OSError: The file cannot be made or renamed.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{secrets.token_hex(8)}.part")
+    os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
+    try:
+        yield part
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise

@@ -23,6 +23,8 @@ from scan3d_twin.run.settings import Settings
 
 Report = dict[str, Any]
 
+TRACK_STEP = 0.03
+"""Distance between the places of a track [m]: a hundredth of a picture that shows a room."""
 _JUDGED = (
     "coverable_share", "coverage_20mm", "coverage_by_view", "accuracy_mm", "completeness_mm",
     "f_score",
@@ -61,6 +63,15 @@ class Journey:
     turn: float
     duration: float
     track: FloatArray = field(default_factory=lambda: np.zeros((0, 4)), compare=False, repr=False)
+
+
+def thin_track(track: FloatArray) -> FloatArray:
+    """Return the places of ``track`` (n, 4) that are ``TRACK_STEP`` or more from the one before."""
+    kept: list[int] = []
+    for k in range(len(track)):
+        if not kept or math.dist(track[kept[-1], 1:3], track[k, 1:3]) >= TRACK_STEP:
+            kept.append(k)
+    return track[kept]
 
 
 def build_report(

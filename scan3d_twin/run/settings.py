@@ -8,7 +8,7 @@ A field whose name Python reserves (``lambda_``) is spelled without its undersco
 from __future__ import annotations
 
 import difflib
-import tomllib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -18,10 +18,11 @@ import tomli_w
 
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.errors import ConfigError, FileError, UnknownNameError
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import check_options, former_names, number, option_key
 from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.devices.registry import Devices, base_device, lidar_device
+from scan3d_twin.run.toml import read_toml
 from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
 from scan3d_twin.sim.mesh_up import parse_mesh_up
 from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
@@ -130,12 +131,7 @@ def read_settings(path: Path) -> Options:
     Raises:
         FileError: It is missing, unreadable or not TOML.
     """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise FileError(f"{path} is not valid TOML: {error}") from error
+    return read_toml(path)
 
 
 def settings_toml(effective: Settings) -> str:
@@ -187,8 +183,16 @@ def _build(cls: type[T], values: Any, where: str) -> T:
             arguments[field_name] = _build(hint, value, f"{where}{name}.")  # type: ignore[arg-type]
         else:
             value = renames.get(value, value) if isinstance(value, str) else value
-            arguments[field_name] = float(value) if _is_whole(value, hint) else value
+            arguments[field_name] = _to_float(value) if _is_whole(value, hint) else value
     return cls(**arguments)
+
+
+def _to_float(value: Any) -> float:
+    """Return a whole number as a float; infinite, which no option may be, beyond all floats."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def _is_whole(value: Any, hint: Any) -> bool:

@@ -23,7 +23,7 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.colours import view_colour, view_colours_rgb
 from scan3d_twin.recording.load import RecordedRun, read_track, run_folder
-from scan3d_twin.recording.run_list import read_report
+from scan3d_twin.recording.run_list import REPORT, read_report
 from scan3d_twin.run.resolve import load_run_scene
 from scan3d_twin.run.settings import REAL_SCENE
 from scan3d_twin.sim.config import RobotErrorConfig
@@ -276,8 +276,8 @@ def _points_by_time(
 
 def _errors(run: RecordedRun) -> FloatArray:
     """Return time [s], predicted and realised error [mm] of each view but the first (n, 3)."""
-    report, _ = read_report(run_folder(run.path) / "report.json")
-    realised = {row["view"]: row["error_mm"] for row in report.get("registration", [])}
+    report, _ = read_report(run_folder(run.path) / REPORT)
+    realised = {row["view"]: row.get("error_mm") for row in report.get("registration", [])}
     rows = []
     for k, view in enumerate(run.session.views[1:], start=1):
         predicted = 1e3 * run.session.plans[k - 1].predicted_rmse

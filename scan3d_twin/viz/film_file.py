@@ -10,6 +10,7 @@ from typing import Any
 
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.png import Picture
+from scan3d_twin.run.folder import fresh_part
 
 MAX_GIF_COLOURS = 128
 """Colours of a GIF: half the most there can be, as few show and the file is half as long."""
@@ -44,15 +45,11 @@ def write_film(path: Path, frames: Iterable[Picture], fps: int) -> None:
         "gif": _write_gif,
     }
     kind = film_kind(path)
-    part = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write[kind](part, frames, fps)
-        part.replace(path)
+        with fresh_part(path) as part:
+            write[kind](part, frames, fps)
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _write_mp4(path: Path, frames: Iterable[Picture], fps: int) -> None:

@@ -17,7 +17,8 @@ from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import LidarSpec, Pose2, ScanLine
-from scan3d_twin.viz.server import open_server
+from scan3d_twin.viz.markdown import as_text
+from scan3d_twin.viz.server import describe_reach, open_server
 from scan3d_twin.viz.stage import Stage, add_look_controls
 
 REFRESH_PERIOD = 0.1
@@ -116,7 +117,7 @@ class LiveView:
 
     def on_event(self, text: str) -> None:
         """See ``Observer``."""
-        self._status.content = f"**{text}**"
+        self._status.content = f"**{as_text(text)}**"
 
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``; stops as ``attend`` does."""
@@ -175,7 +176,7 @@ class LiveView:
 
     def finish(self, text: str) -> None:
         """Show ``text`` as the end of the run, and hide the buttons."""
-        self._status.content = f"**{text}**"
+        self._status.content = f"**{as_text(text)}**"
         self.stage.hide_line()
         for button in (self._pause_button, self._continue_button, self._stop_button):
             button.visible = False
@@ -232,7 +233,7 @@ class _Pace:
 def format_plan(session: Session) -> str:
     """Return the last plan of ``session`` as a table in Markdown."""
     plan = session.plans[-1]
-    rows = ["", f"{plan.reason}", ""]
+    rows = ["", as_text(plan.reason), ""]
     known = [each for each in plan.candidates if not np.isnan(each.predicted_rmse)]
     if known:
         rows += ["| overlap | predicted error |", "|---:|---:|"]
@@ -255,4 +256,6 @@ def open_live_view(
     """
     with open_server(host, port, f"{name} - scan3d_twin") as (server, address):
         notify(f"live view: {address}")
+        if warning := describe_reach(host):
+            notify(warning)
         yield LiveView(server, name, speed)

@@ -8,6 +8,12 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
+OFFLINE_POLICY = (
+    '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+    "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
+    "base-uri 'none'; form-action 'none'\">"
+)
+"""What the page may load: nothing, whatever the names in it hold."""
 SCRIPTS = ("report_drawing.js", "report_files.js", "report.js")
 """Scripts of a page with a model: they read what the page holds, and stand at its end."""
 
@@ -26,6 +32,7 @@ def render_page(title: str, parts: Iterable[str], data: Any, *, drawn: bool) -> 
     """
     document = [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
+        OFFLINE_POLICY,
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{escape(title)}</title><style>{_read_asset('report.css')}</style></head><body><main>",
         *parts,

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import viser
 
 from scan3d_twin.core.errors import LinkError
+from scan3d_twin.viz.guard import ANYWHERE, Guard, is_loopback
 
 LOOPBACK = "127.0.0.1"
 BRAND = (11, 98, 196)
@@ -20,26 +21,39 @@ BRAND = (11, 98, 196)
 def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserServer, str]]:
     """Serve a page at ``host`` and ``port``; yield the server and the page's address.
 
+    The address holds a random token: without it, and for pages of other origins, nothing is served.
+
     Args:
-        host: ``LOOPBACK`` for this machine alone; 0.0.0.0 for every machine that can reach it,
-            including the use of the buttons.
+        host: ``LOOPBACK`` for this machine alone; 0.0.0.0 for every machine that can reach it and
+            is given the address, including the use of the buttons.
         port: TCP port; 0 takes a free one.
         title: Title of the page.
 
     Raises:
         LinkError: The port is in use, or the host is not an address of this machine.
     """
-    chosen = _free_port(host, port)
+    chosen, guard = _free_port(host, port), Guard(host)
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a closed page is no error
-    with _silence_stdout():
+    with _silence_stdout(), guard.install():
         server = viser.ViserServer(host=host, port=chosen, label=title, verbose=False)
     try:
         set_theme(server, dark=False)
-        name = LOOPBACK if host in ("0.0.0.0", "") else host
-        yield server, f"http://{name}:{server.get_port()}"
+        name = LOOPBACK if host in ANYWHERE else host
+        yield server, f"http://{name}:{server.get_port()}/?token={guard.token}"
     finally:
         with _silence_stdout():
             server.stop()
+
+
+def describe_reach(host: str) -> str:
+    """Return a warning of who can reach a page at ``host``; empty for this machine alone."""
+    if is_loopback(host):
+        return ""
+    where = "every address of this machine" if host in ANYWHERE else host
+    return (
+        f"the page and its buttons are open at {where} to everyone who has this address with its "
+        "token; it is not encrypted"
+    )
 
 
 def set_theme(server: viser.ViserServer, *, dark: bool) -> None:

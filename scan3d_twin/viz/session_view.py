@@ -10,6 +10,7 @@ import viser
 from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.session import Session
 from scan3d_twin.viz.live import format_plan
+from scan3d_twin.viz.markdown import as_text
 from scan3d_twin.viz.stage import Stage, add_look_controls
 
 
@@ -51,7 +52,7 @@ class SessionView:
         share = measure_scanned_share(past)
         self._bar.value = 100.0 * share
         last = len(whole.views) - 1
-        ended = f": {whole.stop_reason}" if count > last and whole.stop_reason else ""
+        ended = f": {as_text(whole.stop_reason)}" if count > last and whole.stop_reason else ""
         self._words.content = (
             f"**view {count - 1} ({count} of {len(whole.views)} views)**, outline in top view "
             f"{share:.0%} scanned{ended}"

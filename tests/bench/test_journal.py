@@ -87,3 +87,22 @@ def test_an_unwritable_folder_is_told(tmp_path):
 def test_each_shard_has_a_journal_of_its_own(tmp_path):
     names = {journal_path(tmp_path, shard).name for shard in [(1, 1), (1, 2), (2, 2), (1, 3)]}
     assert len(names) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("seed", "1"), ("seed", 1.5), ("seed", True), ("seed", None), ("views", 10**30),
+        ("epsilon", "0.01"), ("epsilon", 1e300), ("status", "over"), ("complete", 1),
+        ("scene", None), ("coverage", []), ("steps", {}), ("steps", [1]), ("steps", None),
+        ("steps", [{"view": 10**9, "x": 0, "y": 0, "yaw": 0, "path": 0, "turn": 0, "time": 0}]),
+    ],
+)  # fmt: skip
+def test_a_value_of_another_type_or_beyond_reason_is_told(make, tmp_path, name, value):
+    path = journal_path(tmp_path, (1, 1))
+    row = json.loads(to_json(make("a", 0)))
+    path.write_text(json.dumps(row) + "\n")
+    assert read_journals([path])
+    path.write_text(json.dumps({**row, name: value}) + "\n")
+    with pytest.raises(FileError, match="line 1 is no record"):
+        read_journals([path])

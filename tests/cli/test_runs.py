@@ -37,6 +37,8 @@ def test_runs_that_are_not_whole_are_listed_as_what_they_are(two, twin):
     (two[0] / "report.json").write_text("{")
     (two[1] / "session.mcap").rename(two[1] / "session.mcap.part")
     told = twin("runs", two[0].parent).out
+    (two[0] / "report.json").write_text('{"views": "many", "registration": [3]}')
+    assert "its report cannot be read" in twin("runs", two[0]).out
     assert f"{two[0]} (its report cannot be read)" in told
     assert f"{two[1]} (not finished: twin session recover" in told
 

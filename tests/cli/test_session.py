@@ -7,6 +7,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+from mcap.reader import make_reader
 
 from scan3d_twin.recording.load import load_session
 from scan3d_twin.run.report import report_schema
@@ -59,10 +60,46 @@ def test_a_killed_run_can_be_looked_at_and_made_whole(run, twin):
     assert result == {
         "path": str(run / "session.mcap"),
         "kept": str(run / "session.1.mcap.part"),
+        "views_before": 2,
+        "views_after": 2,
+        "views_recorded": 2,
+        "lost_messages": 0,
+        "lost_settings": False,
     }
     assert (run / "session.1.mcap.part").read_bytes() == before
     assert json.loads(twin("session", "info", run, "--json").out)["state"] == "finished"
     assert "nothing to do" in twin("session", "recover", run).out
+
+
+def test_a_view_in_a_damaged_part_is_the_only_loss_and_is_told(run, twin):
+    """The run's largest chunk is the record of a view; the messages of the others are counted."""
+    path = run / "session.mcap"
+    data = bytearray(path.read_bytes())
+    with path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    largest = max(chunks, key=lambda each: each.compressed_size)
+    data[largest.chunk_start_offset + largest.chunk_length // 2] ^= 0x10
+    path.write_bytes(data)
+    result = twin("session", "recover", run)
+    assert result.code == 3
+    assert "0 views before, 1 after, 1 message lost" in result.out
+    assert "1 of 2 views were in the damaged part and are lost" in result.err
+    assert json.loads(twin("session", "info", run, "--json").out)["state"] == "finished"
+    assert twin("session", "recover", run).code == 0
+
+
+def test_info_tells_of_a_run_that_was_killed_before_its_first_view(run, twin):
+    data = (run / "session.mcap").read_bytes()
+    (run / "session.mcap").unlink()
+    (run / "session.mcap.part").write_bytes(data[:40_000])
+    found = json.loads(twin("session", "info", run, "--json").out)
+    assert (found["state"], found["name"], found["views"]) == ("killed", "three_boxes", [])
+    assert found["planner"] == "fisher"
+    assert found["duration_s"] > 0
+    result = twin("session", "info", run)
+    assert result.code == 0
+    assert "0 views" in result.out
+    assert "no view was finished" in result.out
 
 
 def test_a_dropped_view_is_gone_and_comes_back(run, twin):
@@ -80,6 +117,28 @@ def test_a_dropped_view_is_gone_and_comes_back(run, twin):
     assert "2 views" in result.out
     after = files(run)
     assert {name: after[name] for name in before} == before
+
+
+def test_a_run_from_elsewhere_cannot_change_files_of_mine(run, tmp_path, twin):
+    """Its folder of views leads to another folder, and a backup's name to a file."""
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for k in range(3):
+        (mine / f"{k:03d}.npz").write_text("precious")
+    shutil.rmtree(run / "views")
+    (run / "views").symlink_to(mine)
+    (run / "session.1.mcap").symlink_to(tmp_path / "to_be_made")
+    assert "views is a link to another place" in fails_late(twin, 3, "session", "drop-view", run, 1)
+    assert [path.read_text() for path in sorted(mine.iterdir())] == ["precious"] * 3
+    assert not (tmp_path / "to_be_made").exists()
+
+
+def fails_late(twin, code, *arguments):
+    """Call the program, expect an error after its progress, and return it."""
+    result = twin(*arguments)
+    assert result.code == code
+    assert "Traceback" not in result.err
+    return result.err
 
 
 def test_there_is_no_such_view_to_drop(run, fails):

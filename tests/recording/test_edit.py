@@ -11,9 +11,10 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
-from scan3d_twin.recording.edit import drop_view, recover_session, remove_view, undo_last_change
+from scan3d_twin.recording.edit import drop_view, remove_view, undo_last_change
 from scan3d_twin.recording.mcap.recovering_reader import is_finished
 from scan3d_twin.recording.recorder import Recorder
+from scan3d_twin.recording.recover import recover_session
 
 PLACES = (0.2, 0.0, -0.2)
 
@@ -86,6 +87,6 @@ def test_what_a_robot_said_before_it_failed_can_be_made_whole(tmp_path):
     recorder = Recorder(tmp_path, lambda: 0.0, {})
     recorder.attach(make_robot())
     recorder.abandon(keep=True)
-    assert recover_session(tmp_path, lambda: 0.0) == tmp_path / "session.1.mcap.part"
+    assert recover_session(tmp_path, lambda: 0.0).backup == tmp_path / "session.1.mcap.part"
     assert is_finished(tmp_path / "session.mcap")
-    assert recover_session(tmp_path, lambda: 0.0) is None
+    assert recover_session(tmp_path, lambda: 0.0).backup is None

@@ -10,6 +10,7 @@ from recorded import LINES, drive, line, make_robot, record
 from rosbags.highlevel import AnyReader
 from same import same
 
+from scan3d_twin.api.run import open_recorder
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.load import load_session, read_commands, read_lines
 from scan3d_twin.recording.mcap import file as mcap_file
@@ -218,6 +219,18 @@ def test_a_full_disk_stops_the_robot_and_keeps_what_was_before(
     assert not recorder.path.exists()
     if seen[-1] is not None:
         assert same(load_session(tmp_path).session, seen[-1])
+
+
+def test_a_full_disk_before_the_first_view_does_not_promise_what_is_gone(tmp_path, monkeypatch):
+    def run():
+        with open_recorder(tmp_path) as recorder:
+            robot = recorder.attach(make_robot())
+            monkeypatch.setattr(mcap_file, "os", Os(FullDisk(0)))
+            robot.clock.sleep(1.0)
+
+    with pytest.raises(FileError, match="no view was finished, so nothing is kept: free disk"):
+        run()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_full_disk_never_keeps_a_byte_from_the_robot(tmp_path, monkeypatch):

@@ -1,7 +1,14 @@
 import pytest
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.run.folder import claim_folder, find_free_folder, release_folder, write_file
+from scan3d_twin.run.folder import (
+    claim_folder,
+    find_free_folder,
+    fresh_part,
+    release_folder,
+    write_file,
+    write_inside,
+)
 
 
 def test_a_claimed_folder_exists_and_is_empty(tmp_path):
@@ -55,3 +62,45 @@ def test_only_an_empty_folder_is_released(tmp_path):
     release_folder(tmp_path / "empty")
     release_folder(tmp_path / "full")
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+def test_nothing_is_written_through_a_link(tmp_path):
+    """A run's folder from elsewhere may hold any links."""
+    mine = tmp_path / "mine.txt"
+    mine.write_text("precious")
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("report.json", "report.json.part"):
+        (run / name).symlink_to(mine)
+    write_file(run / "report.json", "{}")
+    assert mine.read_text() == "precious"
+    assert (run / "report.json").read_text() == "{}"
+    assert not (run / "report.json").is_symlink()
+
+
+def test_a_link_is_no_folder_of_a_run(tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "views").symlink_to(tmp_path / "mine")
+    with pytest.raises(FileError, match="views is a link to another place; remove it"):
+        write_inside(tmp_path / "run", tmp_path / "run" / "views" / "000.npz", b"view")
+    assert list((tmp_path / "mine").iterdir()) == []
+
+
+def test_a_run_may_lie_behind_a_link(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "run").symlink_to(tmp_path / "disk")
+    write_inside(tmp_path / "run", tmp_path / "run" / "views" / "000.npz", b"view")
+    assert (tmp_path / "disk" / "views" / "000.npz").read_bytes() == b"view"
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_file_that_cannot_be_finished_leaves_nothing(tmp_path, error):
+    def fail_halfway():
+        with fresh_part(tmp_path / "x.json") as part:
+            part.write_text("half")
+            raise error
+
+    with pytest.raises(type(error)):
+        fail_halfway()
+    assert list(tmp_path.iterdir()) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -89,7 +90,7 @@ def draw_pareto(scene: str, group: Group, paint: dict[str, str]) -> Figure | Non
 
     # Return it with its caption
     caption = "One dot a run; below the dashed line every registration met epsilon."
-    return Figure(f"F2-{scene}", caption, plot.render(), rows)
+    return Figure(f"F2-{_in_file_name(scene)}", caption, plot.render(), rows)
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def draw_coverage(
         f"Coverage of the coverable surface over {along.name}: median of the runs and its 95 % "
         "interval. A run that has ended keeps what it covered."
     )
-    return Figure(f"F3-{scene}-{along.name}", caption, plot.render(), rows)
+    return Figure(f"F3-{_in_file_name(scene)}-{along.name}", caption, plot.render(), rows)
 
 
 def _covered(run: Record, along: CoverageAxis, at: float) -> float:
@@ -174,7 +175,7 @@ def draw_calibration(scene: str, group: Group, paint: dict[str, str]) -> Figure 
         "One dot a registration; on the dashed diagonal the prediction was right, above it the "
         "error was larger. In the legend: the median of realised over predicted."
     )
-    return Figure(f"F4-{scene}", caption, plot.render(), rows)
+    return Figure(f"F4-{_in_file_name(scene)}", caption, plot.render(), rows)
 
 
 def _has_both_errors(step: Step) -> bool:
@@ -226,7 +227,7 @@ def draw_overlaps(scene: str, group: Group, paint: dict[str, str]) -> Figure | N
 
     # Return it with its caption
     caption = "One dot a step, and their running median, for planners that choose the overlap."
-    return Figure(f"F5a-{scene}", caption, plot.render(), rows)
+    return Figure(f"F5a-{_in_file_name(scene)}", caption, plot.render(), rows)
 
 
 def draw_features(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
@@ -258,7 +259,7 @@ def draw_features(scene: str, group: Group, paint: dict[str, str]) -> Figure | N
         "correlation \N{GREEK SMALL LETTER RHO} of length and feature score is positive. Feature "
         "score: the spread of the normals over the half of the view that the robot leaves by."
     )
-    return Figure(f"F5b-{scene}", caption, plot.render(), rows)
+    return Figure(f"F5b-{_in_file_name(scene)}", caption, plot.render(), rows)
 
 
 def _test_claim(
@@ -308,7 +309,7 @@ def draw_success_by_lambda(scene: str, group: Group, paint: dict[str, str]) -> F
 
     # Return it with its caption
     caption = "Runs with every error within epsilon, over the translation error that eq. (2) draws."
-    return Figure(f"F6-{scene}", caption, plot.render(), rows)
+    return Figure(f"F6-{_in_file_name(scene)}", caption, plot.render(), rows)
 
 
 def draw_success_bars(scene: str, group: Group, paint: dict[str, str]) -> Figure | None:
@@ -324,7 +325,7 @@ def draw_success_bars(scene: str, group: Group, paint: dict[str, str]) -> Figure
         plot.add_bar(k + 0.5, 0.35, estimate, paint[variant])
         rows.append([variant, *_cells(estimate)])
     caption = "Share of successful runs with its 95 % interval; in brackets the number of runs."
-    return Figure(f"F7-{scene}", caption, plot.render(), rows)
+    return Figure(f"F7-{_in_file_name(scene)}", caption, plot.render(), rows)
 
 
 def _running_median(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -344,3 +345,8 @@ def _cells(estimate: Estimate) -> list[str | float | int | None]:
 
 def _mm(metres: float | None) -> float:
     return math.nan if metres is None else 1e3 * metres
+
+
+def _in_file_name(scene: str) -> str:
+    """Return the name of a ``scene`` as a part of a file's name; results may name any scene."""
+    return re.sub(r"[^\w.-]", "_", scene)

@@ -14,7 +14,7 @@ from scan3d_twin.bench.reporting.compare import compare_variants, compare_with_o
 from scan3d_twin.bench.reporting.figures import Cells, draw_figures
 from scan3d_twin.bench.reporting.measures import MEASURES, SummaryRow, summarise
 from scan3d_twin.bench.reporting.page import comparison_cells, render_page
-from scan3d_twin.run.folder import write_file
+from scan3d_twin.run.folder import write_file, write_inside
 
 PAGE_FILE = "report.html"
 
@@ -34,8 +34,8 @@ def write_report(records: Sequence[Record], title: str, pictures: Path, out: Pat
     # Write the figures
     rows, compared, figures = summarise(records), compare_variants(records), draw_figures(records)
     for figure in figures:
-        write_file(out / "figures" / f"{figure.name}.svg", figure.svg)
-        write_file(out / "figures" / f"{figure.name}.csv", csv_text(figure.rows))
+        write_inside(out, out / "figures" / f"{figure.name}.svg", figure.svg)
+        write_inside(out, out / "figures" / f"{figure.name}.csv", csv_text(figure.rows))
 
     # Write the tables
     write_file(out / "summary.csv", csv_text(_summary_rows(rows)))

@@ -13,6 +13,7 @@ from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.reporting.compare import Comparison, Regret
 from scan3d_twin.bench.reporting.figures import Cells, Figure
 from scan3d_twin.bench.reporting.measures import MEASURES, SummaryRow, format_estimate, format_table
+from scan3d_twin.viz.page import OFFLINE_POLICY
 
 MAX_PICTURES = 12
 """Most top views on the page, each up to 2 MB; the others stay in their folder."""
@@ -58,6 +59,7 @@ def _head(title: str) -> str:
     style = (files("scan3d_twin.bench") / "report.css").read_text(encoding="utf-8")
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f"{OFFLINE_POLICY}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<link rel="icon" href="data:,">'
         f"<title>{escape(title)}</title><style>{style}</style></head><body>"

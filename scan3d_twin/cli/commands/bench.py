@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 import os
+import sys
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from cyclopts import App, Parameter
 
 from scan3d_twin.cli.defaults import default_text
 from scan3d_twin.cli.dotted import dotted_options, stated
+from scan3d_twin.cli.output import say
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.run.settings import Options, merge_options
@@ -226,7 +228,7 @@ def _print_figures(records: list[Record], folder: Path, *, as_json: bool) -> Non
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     for row in cells:
         padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        print("  ".join(padded).rstrip())
+        say("  ".join(padded).rstrip(), sys.stdout)
     print(f"\n[low, high]: 95 % intervals; {folder}: {RESULTS_FILE} journal top_views/")
     codes = {record.code for record in records if record.code}
     if len(codes) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from scan3d_twin.cli.dotted import dotted_options, stated
+from scan3d_twin.cli.output import say
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.run.settings import (
@@ -82,7 +84,7 @@ def replay(
         step = steps(progress, "replayed view", len(session.views))
         again = run_again(session, effective.config, planner, step)
     found = _findings(recorded.session, session, again, recorded.settings, effective)
-    print(json_module.dumps(found, indent=2) if options.json else _words(found))
+    say(json_module.dumps(found, indent=2) if options.json else _words(found), sys.stdout)
 
 
 def _effective(recorded: Settings, options: ReplayOptions, sections: Options) -> Settings:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
+from scan3d_twin.cli.output import say
+from scan3d_twin.core.errors import FileError
+
 if TYPE_CHECKING:
-    from scan3d_twin.recording.load import RecordedRun
+    from scan3d_twin.recording.load import Beginning, RecordedRun
+    from scan3d_twin.recording.recover import Recovery
     from scan3d_twin.run.report import Report
 
 app = App(
@@ -27,24 +32,28 @@ def info(folder: Path, /, *, json: bool = False) -> None:
         json: Print one JSON document instead of lines.
     """
     from scan3d_twin.cli.summary import count
-    from scan3d_twin.recording.load import load_session
+    from scan3d_twin.recording.load import NoViewError, load_session, read_beginning
 
-    found = _facts(load_session(folder))
+    try:
+        found = _facts(load_session(folder))
+    except NoViewError:
+        found = _first_facts(read_beginning(folder))
     if json:
         print(json_module.dumps(found, indent=2, ensure_ascii=False))
         return
-    print(f"{found['path']}: {found['state']}, {found['size_mb']} MB")
-    print(f"{found['name']}, seed {found['seed']}, planner {found['planner']}")
-    print(f"scan3d_twin {found['version']}, {found['started']}: {found['command']}")
-    views = count(len(found["views"]), "view")
-    print(
-        f"{views}, {found['lines']} lines, {found['duration_s']:.1f} s, "
-        f"{found['path_m']:.1f} m; {found['stop_reason'] or 'did not end'}"
-    )
+    lines = [
+        f"{found['path']}: {found['state']}, {found['size_mb']} MB",
+        f"{found['name']}, seed {found['seed']}, planner {found['planner']}",
+        f"scan3d_twin {found['version']}, {found['started']}: {found['command']}",
+        f"{count(len(found['views']), 'view')}, {found['lines']} lines, "
+        f"{found['duration_s']:.1f} s, {found['path_m']:.1f} m; "
+        f"{found['stop_reason'] or 'did not end'}",
+    ]
     for k, view in enumerate(found["views"]):
         placed = "registered" if view["registered"] else "NOT registered"
         placed = placed if k else "defines the frame world"
-        print(f"view {k}: {view['lines']} lines, {view['target_points']} points, {placed}")
+        lines.append(f"view {k}: {view['lines']} lines, {view['target_points']} points, {placed}")
+    say("\n".join(lines), sys.stdout)
 
 
 def _facts(recorded: RecordedRun) -> dict[str, Any]:
@@ -80,28 +89,83 @@ def _facts(recorded: RecordedRun) -> dict[str, Any]:
     }
 
 
+def _first_facts(begun: Beginning) -> dict[str, Any]:
+    """Return the facts of a run without a finished view."""
+    from scan3d_twin.recording.load import read_lines
+    from scan3d_twin.recording.mcap.recovering_reader import is_finished
+
+    state = "going on" if begun.running else "finished" if is_finished(begun.path) else "killed"
+    settings, origin = begun.settings, begun.provenance
+    return {
+        "path": str(begun.path),
+        "state": state,
+        "size_mb": round(begun.path.stat().st_size / 1e6, 1),
+        "name": begun.name,
+        "seed": settings and settings.run.seed,
+        "planner": settings and settings.config.planner,
+        "version": settings and settings.run.version,
+        "started": origin.get("started", ""),
+        "command": origin.get("command", ""),
+        "versions": {k: v for k, v in origin.items() if k not in ("started", "command")},
+        "stop_reason": "no view was finished",
+        "duration_s": round(begun.duration, 3),
+        "path_m": 0.0,
+        "lines": sum(1 for _ in read_lines(begun.path)),
+        "plans": 0,
+        "views": [],
+    }
+
+
 @app.command
 def recover(folder: Path, /, *, json: bool = False) -> None:
-    """Repair the session file of a run that was killed.
+    """Repair the session file of a run that was killed, or a damaged one.
 
-    `twin` itself reads such a file as it is; other programs need it repaired. The old file is kept
-    beside the new one.
+    `twin` itself reads the file of a killed run as it is; other programs need it repaired. Of a
+    damaged file everything but the damaged parts is kept. The old file stays beside the new one.
 
     Args:
         folder: Folder of a run.
         json: Print one JSON document instead of a line.
     """
-    from scan3d_twin.recording.edit import recover_session as make_whole
-    from scan3d_twin.recording.load import find_session_file
+    from scan3d_twin.recording.recover import recover_session
 
-    backup = make_whole(folder, time.monotonic)
-    path = find_session_file(folder)
+    found = recover_session(folder, time.monotonic)
     if json:
-        print(json_module.dumps({"path": str(path), "kept": backup and str(backup)}))
-    elif backup is None:
-        print(f"{path} is intact: nothing to do")
+        facts = {
+            "path": str(found.path),
+            "kept": found.backup and str(found.backup),
+            "views_before": found.before,
+            "views_after": found.after,
+            "views_recorded": found.recorded,
+            "lost_messages": found.lost_messages,
+            "lost_settings": found.lost_settings,
+        }
+        print(json_module.dumps(facts))
     else:
-        print(f"{path} is repaired; the old file: {backup}")
+        say(_recovered(found), sys.stdout)
+    if found.after < found.recorded:
+        raise FileError(
+            f"{found.recorded - found.after} of {found.recorded} views were in the damaged part "
+            "and are lost"
+        )
+
+
+def _recovered(found: Recovery) -> str:
+    """Return what a repair did, in words."""
+    from scan3d_twin.cli.summary import count
+
+    if found.backup is None:
+        return f"{found.path} is intact: nothing to do"
+    lost = (
+        "an unknown number of messages"
+        if found.lost_messages is None
+        else count(found.lost_messages, "message")
+    )
+    settings = "; its options are lost, too" if found.lost_settings else ""
+    return (
+        f"{found.path} is repaired: {count(found.before, 'view')} before, {found.after} after, "
+        f"{lost} lost{settings}; the old file: {found.backup}"
+    )
 
 
 @app.command(name="drop-view")
@@ -136,20 +200,19 @@ def _show(folder: Path, recorded: RecordedRun, *, as_json: bool) -> None:
     from scan3d_twin.run.report import report_json
 
     report = _save_again(recorded)
-    print(report_json(report) if as_json else summary(report, folder), end="")
+    say(report_json(report) if as_json else summary(report, folder), sys.stdout, end="")
 
 
 def _save_again(recorded: RecordedRun) -> Report:
     """Write the model and the report of a changed session; in the twin, against the truth."""
     from scan3d_twin.api.save import save_run
     from scan3d_twin.cli.progress import make_progress
-    from scan3d_twin.recording.load import read_commands
+    from scan3d_twin.recording.load import read_commands, read_journey
     from scan3d_twin.recording.resume import reenact
-    from scan3d_twin.run.report import Journey
     from scan3d_twin.run.settings import REAL_SCENE
 
     run, mark, folder = recorded.settings.run, recorded.mark, recorded.path.parent
-    journey = Journey(mark.path, mark.turn, mark.stamp)
+    journey = read_journey(recorded)
     what = recorded.name, recorded.settings, recorded.session, journey, _effort(folder)
     with make_progress() as progress:
         if run.scene == REAL_SCENE:

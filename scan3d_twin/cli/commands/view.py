@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from scan3d_twin.cli.options import env
+from scan3d_twin.cli.output import say
 
 
 def view(
@@ -24,12 +25,12 @@ def view(
 
     Args:
         run: The run's folder, or its session file.
-        host: Address of the page; 0.0.0.0 lets others watch.
+        host: Address of the page; 0.0.0.0 lets others watch who have the address with its token.
         view_port: TCP port of the page; 0 takes a free one.
         json: Print the page's address as JSON.
     """
     from scan3d_twin.recording.load import load_session
-    from scan3d_twin.viz.server import open_server
+    from scan3d_twin.viz.server import describe_reach, open_server
     from scan3d_twin.viz.session_view import SessionView
 
     recorded = load_session(run)
@@ -37,6 +38,8 @@ def view(
         SessionView(server, recorded.name, recorded.session)
         found = json_module.dumps({"address": address, "views": len(recorded.session.views)})
         print(found if json else f"{address} (until Ctrl-C)", flush=True)
+        if warning := describe_reach(host):
+            say(warning)
         try:
             while True:
                 time.sleep(3600)

@@ -10,7 +10,6 @@ import hashlib
 import math
 import uuid
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece
+from scan3d_twin.run.folder import fresh_part
 
 _AXES = ("X", "Y", "Z")
 _CHANNELS = ("Red", "Green", "Blue")
@@ -41,19 +41,14 @@ def write(parts: Sequence[Piece], path: Path) -> list[Path]:
         raise ConfigError("E57 files need pye57 (on x86-64): pip install pye57") from error
 
     # Write a part file, then rename
-    part_file = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part_file.unlink(missing_ok=True)
-        file = libe57.ImageFile(str(part_file), "w")
-        try:
-            _E57Nodes(libe57, file).write(parts)
-        finally:
-            file.close()
-        part_file.replace(path)
+        with fresh_part(path) as part_file:
+            file = libe57.ImageFile(str(part_file), "w")
+            try:
+                _E57Nodes(libe57, file).write(parts)
+            finally:
+                file.close()
     except (OSError, libe57.E57Exception) as error:
-        with suppress(OSError):
-            part_file.unlink(missing_ok=True)
         raise FileError(f"cannot write {path}: {error}") from error
     return [path]
 

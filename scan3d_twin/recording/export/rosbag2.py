@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import shutil
 from pathlib import Path
 
@@ -44,18 +45,18 @@ def write(session_file: Path, path: Path) -> int:
     Raises:
         FileError: The folder exists, or cannot be written.
     """
-    part = path.with_name(path.name + ".part")
+    part = path.with_name(f".{secrets.token_hex(8)}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             raise FileError(f"{path} exists; name another folder with --out")
-        if part.exists():
-            shutil.rmtree(part)
         count = _copy(session_file, part)
         _rename_inside(part, path.name)
         part.replace(path)
     except (OSError, WriterError) as error:
         raise FileError(f"cannot write {path}: {error}") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
     return count
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from scan3d_twin.recording.mcap.ros_display import (
     find_target,
 )
 from scan3d_twin.recording.names import SCANS
+from scan3d_twin.run.folder import fresh_part
 
 TIMELINE = "robot_time"
 """Time on the robot's clock, from when it was opened [s]."""
@@ -58,27 +58,18 @@ def write(session_file: Path, path: Path) -> None:
     except ImportError as error:
         raise ConfigError("rrd files need rerun: pip install 'scan3d-twin[rerun]'") from error
 
-    # Open a part file
+    # Write a part file, then rename
     recorded = load_session(session_file)
-    part = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.unlink(missing_ok=True)
-        part.touch(exist_ok=False)
-    except OSError as error:
-        raise FileError(f"cannot write {path}: {error.strerror or error}") from error
-
-    # Write it, then rename
-    try:
-        with rerun.RecordingStream(f"scan3d_twin {recorded.name}") as stream:
+        with (
+            fresh_part(path) as part,
+            rerun.RecordingStream(f"scan3d_twin {recorded.name}") as stream,
+        ):
             stream.save(part, default_blueprint=_blueprint(recorded.session))
             _RerunWriter(rerun, stream).write(recorded.session, session_file)
             stream.flush()
             stream.disconnect()
-        part.replace(path)
     except (OSError, RuntimeError) as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
         raise FileError(f"cannot write {path}: {error}") from error
 
 

@@ -34,6 +34,23 @@ LATCHED = f"""- history: 1
 1 is transient_local)."""
 
 
+class RecordingError(FileError):
+    """A session file cannot be written to: the disk is full or gone."""
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        self._cause = f"cannot record to {path}: {error.strerror or error}"
+        super().__init__(
+            f"{self._cause}; earlier data is kept: free disk space and continue with --resume"
+        )
+
+    def before_first_view(self) -> FileError:
+        """Return the error of a run without a finished view, of which nothing is kept."""
+        return FileError(
+            f"{self._cause}; no view was finished, so nothing is kept: free disk space and start "
+            "again"
+        )
+
+
 class Sink:
     """A file for appending: each write reaches the operating system or leaves the file as it was.
 
@@ -78,7 +95,7 @@ class Sink:
             with suppress(OSError):
                 os.ftruncate(self._fd, self._size)
                 os.lseek(self._fd, self._size, os.SEEK_SET)
-            self._failure = _cannot_record(self.path, error)
+            self._failure = RecordingError(self.path, error)
             raise self._failure from error
 
         # Count the bytes
@@ -98,7 +115,7 @@ class Sink:
         try:
             os.fsync(self._fd)
         except OSError as error:
-            raise _cannot_record(self.path, error) from error
+            raise RecordingError(self.path, error) from error
 
     def rename(self, path: Path) -> None:
         """Rename the file to ``path``, replacing a file of that name.
@@ -122,13 +139,6 @@ class Sink:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-
-
-def _cannot_record(path: Path, error: OSError) -> FileError:
-    return FileError(
-        f"cannot record to {path}: {error.strerror or error}; earlier data is kept: free disk "
-        "space and continue with --resume"
-    )
 
 
 class McapFile:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.records import Metadata
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.recording.mcap import ros_messages as ros
+from scan3d_twin.recording.mcap.decode import decode_message
 from scan3d_twin.recording.mcap.file import McapFile
 from scan3d_twin.recording.mcap.recovering_reader import RawMessage, is_written, read_contents
 from scan3d_twin.recording.names import PART, RECORDS, SESSION_FILE
@@ -39,7 +39,13 @@ class Reopened:
         os.replace(self.backup, self.old)
 
 
-def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reopened:
+def reopen(
+    path: Path,
+    wall: Callable[[], float],
+    *,
+    whole: bool = False,
+    content: Iterable[RawMessage | Metadata] | None = None,
+) -> Reopened:
     """Begin a new unfinished session file with the content of the one at ``path``.
 
     At every moment one of the two is complete in the folder.
@@ -48,6 +54,7 @@ def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reo
         path: The session file.
         wall: Returns the computer's time [s]; only differences count.
         whole: Also copy what follows the last mark: the drive towards an unfinished view.
+        content: What to copy instead of the content that the index or a scan gives.
 
     Raises:
         FileError: A run is writing to the file, it cannot be read, or the disk is full.
@@ -60,7 +67,9 @@ def reopen(path: Path, wall: Callable[[], float], *, whole: bool = False) -> Reo
     copy.unlink(missing_ok=True)
     file = McapFile(copy, wall)
     try:
-        for each in read_contents(path) if whole else read_to_last_mark(path):
+        if content is None:
+            content = read_contents(path) if whole else read_to_last_mark(path)
+        for each in content:
             copy_record(each, file)
         file.flush(0.0)
         file.sink.sync()
@@ -96,7 +105,7 @@ def is_mark(each: RawMessage | Metadata) -> bool:
     """Return whether ``each`` is a mark: the state recorded before it is consistent."""
     if isinstance(each, Metadata) or each.topic != RECORDS:
         return False
-    kind: str = ros.typestore().deserialize_cdr(each.data, each.name).kind
+    kind: str = decode_message(each).kind
     return kind == MARK
 
 
@@ -116,13 +125,14 @@ def back_up(path: Path) -> Path:
     """
     stem, rest = path.name.split(".", 1)
     number = 1
-    while (backup := path.with_name(f"{stem}.{number}.{rest}")).exists():
+    while os.path.lexists(backup := path.with_name(f"{stem}.{number}.{rest}")):
         number += 1
     try:
         try:
             os.link(path, backup)
         except OSError:  # a file system without links, such as that of a memory stick
-            shutil.copy2(path, backup)
+            with path.open("rb") as old, backup.open("xb") as new:
+                shutil.copyfileobj(old, new)
     except OSError as error:
         raise FileError(f"cannot write {backup}: {error.strerror or error}") from error
     return backup

@@ -17,6 +17,7 @@ from scan3d_twin.sim.scenes.mesh_files import MESH_SUFFIXES, refuse_other_format
 from scan3d_twin.sim.scenes.meshes import complete_obj_meshes, mesh_spec
 from scan3d_twin.sim.scenes.random_scenes import NAME_PREFIX, scene_of_seed
 from scan3d_twin.sim.scenes.scene import Scene, one_line, scene_from_spec
+from scan3d_twin.sim.scenes.trial import check_size, limited_memory, try_mjcf
 
 
 def scene_names() -> tuple[str, ...]:
@@ -74,11 +75,16 @@ def load_scene(
         if not path.is_file():
             raise SceneError(f"no file {name_or_path}")
         if suffix == ".xml":
-            spec = _read_mjcf(path)
-            notes = complete_obj_meshes(spec)
+            try_mjcf(path)
         else:
-            spec, notes = mesh_spec(path, mesh_scale, size, up)
-        scene = scene_from_spec(path.stem, spec, name_or_path, target, keyframe)
+            check_size(path)
+        with limited_memory(path):
+            if suffix == ".xml":
+                spec = _read_mjcf(path)
+                notes = complete_obj_meshes(spec)
+            else:
+                spec, notes = mesh_spec(path, mesh_scale, size, up)
+            scene = scene_from_spec(path.stem, spec, name_or_path, target, keyframe)
         return replace(scene, notes=(*notes, *scene.notes))
     if name_or_path not in scene_names():
         refuse_other_format(path)
