@@ -46,6 +46,7 @@ TESTS = {
     REAL / "clock.py": ["tests/real/test_clock.py"],
     DEVICES / "create/driver.py": CREATE,
     DEVICES / "create/hazards.py": ["tests/devices/create/test_hazards.py"],
+    DEVICES / "create/identification.py": ["tests/devices/create/test_identification.py"],
     DEVICES / "create/link.py": ["tests/devices/create/test_link.py", *CREATE],
     DEVICES / "create/dead_reckoning.py": ["tests/devices/create/test_dead_reckoning.py"],
     DEVICES / "create/reading_filter.py": ["tests/devices/create/test_reading_filter.py"],

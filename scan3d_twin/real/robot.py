@@ -93,7 +93,7 @@ def open_over(
     """
     devices = Devices() if devices is None else devices
     open_lidar = lidar_device(devices.lidar).open_driver
-    open_base = base_device(devices.base).open_driver
+    open_base = base_device(devices.base).opener(is_stated=devices.is_base_stated)
     serviced = ServicedClock(clock)
     with ExitStack() as stack:
         # Open the base last, so that it is closed first.
@@ -117,7 +117,7 @@ def open_real(
     base_port: str,
     lidar_port: str,
     *,
-    base: str = DEFAULT_BASE,
+    base: str | None = None,
     lidar: str = DEFAULT_LIDAR,
     link: str | None = None,
     taps: Taps | None = None,
@@ -127,15 +127,16 @@ def open_real(
     Args:
         base_port: Port of the base, such as ``/dev/ttyUSB0``.
         lidar_port: Port of the lidar, such as ``/dev/ttyACM0``.
-        base: Name of the base (``twin devices`` lists them).
+        base: Name of the base (``twin devices`` lists them); None finds out if it is a Create 1 or
+            a Create 2.
         lidar: Name of the lidar.
         link: How the lidar is connected, one of its links; None is the first of them.
         taps: Receive every byte sent and received.
 
     Raises:
         UnknownNameError: There is no such device or link.
-        LinkError: A port cannot be opened, or the device on it does not answer; the message says
-            what to do.
+        LinkError: A port cannot be opened, or the device on it does not answer or is another one;
+            the message says what to do.
 
     >>> with s3d.open_real("/dev/ttyUSB9", "/dev/ttyACM9") as robot:
     ...     session = s3d.digitize(robot)
@@ -143,8 +144,13 @@ def open_real(
     scan3d_twin.core.errors.LinkError: ...
     """
     # Clock and guard
-    devices = Devices(base, lidar, link or lidar_device(lidar).links[0])
-    device, clock = base_device(base), RealClock()
+    devices = Devices(
+        base or DEFAULT_BASE,
+        lidar,
+        link or lidar_device(lidar).links[0],
+        is_base_stated=base is not None,
+    )
+    device, clock = base_device(devices.base), RealClock()
     guard = PortGuard(device.farewell, clock)
 
     def open_base_link() -> Transport:
