@@ -19,6 +19,7 @@ from scan3d_twin.devices.registry import (
     lidar_device,
 )
 from scan3d_twin.real.clock import RealClock
+from scan3d_twin.real.ports import refuse_same_port
 
 SLICE = 0.005
 """Interval at which the drivers are serviced while the robot's clock sleeps [s]."""
@@ -150,6 +151,7 @@ def open_real(
         link or lidar_device(lidar).links[0],
         is_base_stated=base is not None,
     )
+    refuse_same_port(base_port, lidar_port)
     device, clock = base_device(devices.base), RealClock()
     guard = PortGuard(device.farewell, clock)
 

@@ -9,7 +9,7 @@ import logging
 import os
 import select
 import termios
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -81,6 +81,9 @@ class SerialTransport:
                 what to do.
         """
         self.port = port
+        # Before opening it: neither a lock nor TIOCEXCL keeps out who has it open already
+        if others := holders(port):
+            raise LinkError(_name_holders(port, others))
         try:
             self._serial = serial.serial_for_url(port, baud, timeout=0, **_options(port))
         except (OSError, ValueError, termios.error) as error:
@@ -259,8 +262,13 @@ def is_away(transport: Transport) -> bool:
 
 
 def holders(port: str) -> list[str]:
-    """Return the processes known to have ``port`` open, for example ``42 (cat)``."""
+    """Return the other processes known to have ``port`` open, for example ``42 (cat)``.
+
+    Processes of other users are known to root only.
+    """
     target = os.path.realpath(port)
+    if not os.path.exists(target):
+        return []
     found = set()
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
@@ -291,11 +299,14 @@ def _explain_open_error(port: str, error: Exception) -> str:
 
     # Port in use, or not a serial port
     if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-        others = ", ".join(holders(port)) or "another process"
-        return f"{port} is in use by {others}: end it first"
+        return _name_holders(port, holders(port))
     if "configure port" in str(error) or isinstance(error, termios.error):
         return f"{port} is no serial port: give a device such as /dev/ttyUSB0"
     return f"cannot open {port}: {error}"
+
+
+def _name_holders(port: str, others: Sequence[str]) -> str:
+    return f"{port} is in use by {', '.join(others) or 'another process'}: end it first"
 
 
 def _group(port: str) -> str:
