@@ -52,6 +52,7 @@ TESTS = {
     DEVICES / "create/reading_filter.py": ["tests/devices/create/test_reading_filter.py"],
     DEVICES / "links/guard.py": ["tests/devices/links/test_guard.py"],
     DEVICES / "links/guard_process.py": ["tests/devices/links/test_guard.py"],
+    REAL / "suspension.py": ["tests/devices/links/test_guard.py"],
     REAL / "ports.py": ["tests/real/test_ports.py"],
     REAL / "robot.py": ["tests/contract", "tests/devices/links/test_unplugged.py"],
     DEVICES / "links/transport.py": [

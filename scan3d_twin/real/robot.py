@@ -20,6 +20,7 @@ from scan3d_twin.devices.registry import (
 )
 from scan3d_twin.real.clock import RealClock
 from scan3d_twin.real.ports import refuse_same_port
+from scan3d_twin.real.suspension import count_continuations
 
 SLICE = 0.005
 """Interval at which the drivers are serviced while the robot's clock sleeps [s]."""
@@ -153,7 +154,8 @@ def open_real(
     )
     refuse_same_port(base_port, lidar_port)
     device, clock = base_device(devices.base), RealClock()
-    guard = PortGuard(device.farewell, clock)
+    stack = ExitStack()
+    guard = PortGuard(device.farewell, clock, stack.enter_context(count_continuations()))
 
     def open_base_link() -> Transport:
         port = SerialTransport(base_port)
@@ -165,7 +167,7 @@ def open_real(
         return line if taps is None else Tapped(line, clock, taps.lidar)
 
     # Open the ports, then the drivers
-    with ExitStack() as stack:
+    with stack:
         stack.callback(guard.close)
         base_link = stack.enter_context(
             closing(Reopening(open_base_link, clock, device.halt, guard.close))
