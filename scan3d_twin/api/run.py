@@ -103,8 +103,8 @@ def open_recorder(
 ) -> Iterator[Recorder]:
     """Open the session file of the run in ``folder``.
 
-    If the run ends without a view, the file is removed, unless the robot failed: then it is kept
-    for diagnosis.
+    If the run ends without a view, the file is removed, unless the robot failed while it scanned:
+    then it is kept for diagnosis.
     """
     started = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     origin = {**collect_versions(), "command": shlex.join(sys.argv), "started": started}

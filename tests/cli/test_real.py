@@ -84,12 +84,16 @@ def test_the_doctor_names_cause_and_cure():
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", [["real", "--dry-run"], ["scan"]])
-def test_without_a_robot_one_line_says_what_to_do(command):
-    result = call(*command, "--port", "/dev/nowhere", "--lidar-port", "/dev/nowhere")
+@pytest.mark.parametrize("command", [["real", "--dry-run"], ["real"], ["scan"]])
+def test_without_a_robot_one_line_says_what_to_do_and_nothing_is_left(command, tmp_path):
+    nowhere = ["--port", "/dev/nowhere", "--lidar-port", "/dev/nowhere"]
+    result = subprocess.run(
+        [*TWIN, *command, *nowhere], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
     assert result.returncode == 3
     assert result.stdout == ""
-    assert result.stderr == (
+    assert not list(tmp_path.rglob("*.*"))
+    assert result.stderr.splitlines(keepends=True)[-1] == (
         "error: there is no port /dev/nowhere: plug the device in; `twin doctor` lists the ports\n"
     )
 
