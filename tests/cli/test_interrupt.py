@@ -68,7 +68,7 @@ def test_a_closed_terminal_saves_the_finished_views(tmp_path):
     assert load_session(tmp_path / "run").finished
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT])
 def test_a_signal_before_the_first_view_leaves_nothing_behind(tmp_path, number):
     command = [sys.executable, "-m", "scan3d_twin.cli", "sim", "--out", str(tmp_path / "run")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
