@@ -8,6 +8,7 @@ import grp
 import logging
 import os
 import select
+import stat
 import termios
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -23,6 +24,8 @@ WRITE_TIMEOUT = 1.0
 """Time-out for sending a command, which has at most 100 bytes [s]."""
 RETRY = (0.1, 0.5)
 """First and longest wait between two attempts to reopen a port [s]; it doubles each time."""
+MEMORY_DEVICES = 1
+"""Major number of /dev/null and its like; Linux, Documentation/admin-guide/devices.txt."""
 _CHUNK = 4096
 
 log = logging.getLogger(__name__)
@@ -267,7 +270,7 @@ def holders(port: str) -> list[str]:
     Processes of other users are known to root only.
     """
     target = os.path.realpath(port)
-    if not os.path.exists(target):
+    if not _may_be_serial(target):
         return []
     found = set()
     for link in Path("/proc").glob("[0-9]*/fd/*"):
@@ -275,6 +278,15 @@ def holders(port: str) -> list[str]:
             if os.readlink(link) == target and link.parts[2] != str(os.getpid()):
                 found.add(f"{link.parts[2]} ({(link.parents[1] / 'comm').read_text().strip()})")
     return sorted(found)
+
+
+def _may_be_serial(path: str) -> bool:
+    """Return whether a device is there, other than those that everybody has open."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return False
+    return stat.S_ISCHR(found.st_mode) and os.major(found.st_rdev) != MEMORY_DEVICES
 
 
 def _options(port: str) -> dict[str, Any]:
