@@ -84,6 +84,13 @@ def test_the_doctor_names_cause_and_cure():
     assert result.stderr.count("\n") == 1
 
 
+def test_the_doctor_says_that_one_port_is_given_for_both():
+    result = call("doctor", "--port", "/dev/null", "--lidar-port", "/dev/../dev/null")
+    assert result.returncode == 3
+    assert "BAD  ports: one for both" in result.stdout
+    assert "/dev/null, which is /dev/../dev/null," in result.stdout
+
+
 @pytest.mark.parametrize("command", [["real", "--dry-run"], ["real"], ["scan"]])
 def test_without_a_robot_one_line_says_what_to_do_and_nothing_is_left(command, tmp_path):
     nowhere = ["--port", "/dev/nowhere", "--lidar-port", "/dev/nowhere"]

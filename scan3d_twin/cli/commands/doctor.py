@@ -85,12 +85,18 @@ def words(finding: Finding) -> str:
 def examine(options: PortOptions) -> Iterator[Finding]:
     """Yield the result of each check, the simplest first."""
     from scan3d_twin.real.clock import RealClock
-    from scan3d_twin.real.ports import choose_ports, usb_ports
+    from scan3d_twin.real.ports import choose_ports, refuse_same_port, usb_ports
 
     yield _libraries()
     yield from _modem_manager()
     listed = ", ".join(map(str, usb_ports())) or "none"
     yield Finding("serial ports on USB", True, listed)
+    if options.port and options.lidar_port:
+        try:
+            refuse_same_port(options.port, options.lidar_port)
+        except LinkError as error:
+            yield Finding("ports", False, "one for both", str(error))
+            return
     base = base_device(options.robot or DEFAULT_BASE)
     lidar = lidar_device(options.lidar or DEFAULT_LIDAR)
     devices, clock = Devices(base.name, lidar.name, lidar.links[0]), RealClock()

@@ -168,8 +168,8 @@ def _decide(evidence: Evidence, stated: Model | None) -> Model:
         )
     if stated is not None and shown not in (stated, None):
         raise LinkError(
-            f"the base on the port is no {stated.name}: {evidence}; leave out --robot, or name "
-            "another port with --port"
+            f"the base on the port is no {stated.name}: {evidence}; leave out --robot (in a "
+            "--config file too: robot), or name another port with --port"
         )
     model = stated if shown is None else shown
     assert model is not None
