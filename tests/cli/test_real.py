@@ -58,6 +58,12 @@ def test_a_dry_run_reads_everything_and_moves_nothing(ports):
     assert 0 < found["lidar_seen_percent"] <= 100
 
 
+def test_another_base_than_is_stated_is_refused(ports):
+    result = call("real", *ports, "--dry-run", "--robot", "create1")
+    assert result.returncode == 3
+    assert result.stderr.startswith("error: the base on the port is no create1: encoder counts")
+
+
 def topic(each):
     return getattr(each, "topic", "")
 

@@ -161,19 +161,19 @@ def _decide(evidence: Evidence, stated: Model | None) -> Model:
         LinkError: It is not clear, or not the one that is stated.
     """
     shown = evidence.model()
-    if shown is None and stated is None:
+    if shown is None:
+        if stated is not None:
+            return stated
         raise LinkError(
             f"a base answers at {evidence.baud} baud, but not clearly which: {evidence}; check the "
             f"cable, or state it with --robot {CREATE1.name} or --robot {CREATE2.name}"
         )
-    if stated is not None and shown not in (stated, None):
+    if stated not in (shown, None):
         raise LinkError(
             f"the base on the port is no {stated.name}: {evidence}; leave out --robot (in a "
             "--config file too: robot), or name another port with --port"
         )
-    model = stated if shown is None else shown
-    assert model is not None
-    return model
+    return shown
 
 
 class _Questioner:
