@@ -71,7 +71,8 @@ def turning(folder):
         command += ["--lidar-port", lidar, "--width", "340", "--rate", "20", "--out", str(folder)]
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
             try:
-                devices.serve(devices.drives)
+                devices.serve(lambda: devices.drives() or process.poll() is not None)
+                assert process.poll() is None, process.stderr.read()
                 devices.serve_for(0.3)
                 yield devices, process
             finally:

@@ -310,8 +310,10 @@ class CreateBase:
         if self._is_safe():
             return
 
-        # Request Safe mode up to three times
-        for _ in range(3):
+        # Request Safe mode until it is reported; where the cause is known, three times are enough
+        asked, give_up = 0, self._clock.now() + LOST_AFTER
+        while self._clock.now() < give_up and not (asked >= 3 and self._hazards.active()):
+            asked += 1
             self._transport.write(oi.command(Op.SAFE))
             deadline = self._clock.now() + MODE_SETTLE + 3 * self.spec.sample_period
             self._clock.sleep(MODE_SETTLE)

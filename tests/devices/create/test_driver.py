@@ -370,6 +370,17 @@ def test_plugging_in_the_charger_while_driving_is_said(rig):
         rig.wait(1.0)
 
 
+@pytest.mark.parametrize("latency", [0.15, 0.3])
+def test_a_line_or_a_computer_that_is_slow_is_no_refusal_to_drive(latency):
+    rig = Rig().open()
+    rig.line.latency = latency
+    rig.wait(0.5)
+    rig.driver.set_velocity(0.1, 0.0)
+    assert rig.driver.mode is Mode.SAFE
+    rig.wait(0.1)
+    assert rig.base.speed == (0.1, 0.0)
+
+
 def test_hanging_wheels_keep_it_from_driving_off(rig):
     rig.base.hazard = HAZARDS["wheel drop left"]
     with pytest.raises(HazardError):
