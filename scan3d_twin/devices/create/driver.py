@@ -317,11 +317,12 @@ class CreateBase:
             self._transport.write(oi.command(Op.SAFE))
             deadline = self._clock.now() + MODE_SETTLE + 3 * self.spec.sample_period
             self._clock.sleep(MODE_SETTLE)
-            while self._clock.now() < deadline:
-                self.service(self._clock.now())
-                if self._is_safe():
-                    return
+            self.service(self._clock.now())
+            while not self._is_safe() and self._clock.now() < deadline:
                 self._clock.sleep(oi.PERIOD / 3)
+                self.service(self._clock.now())
+            if self._is_safe():
+                return
 
         causes = ", ".join(self._hazards.active()) or "unknown to the driver"
         raise HazardError(

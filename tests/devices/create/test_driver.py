@@ -381,6 +381,13 @@ def test_a_line_or_a_computer_that_is_slow_is_no_refusal_to_drive(latency):
     assert rig.base.speed == (0.1, 0.0)
 
 
+def test_a_program_that_wakes_up_late_sees_the_answer_all_the_same(rig):
+    sleep = rig.clock.sleep
+    rig.clock.sleep = lambda seconds: sleep(max(seconds, 0.15))
+    rig.driver.set_velocity(0.1, 0.0)
+    assert rig.driver.mode is Mode.SAFE
+
+
 def test_hanging_wheels_keep_it_from_driving_off(rig):
     rig.base.hazard = HAZARDS["wheel drop left"]
     with pytest.raises(HazardError):
