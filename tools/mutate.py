@@ -46,11 +46,13 @@ TESTS = {
     REAL / "clock.py": ["tests/real/test_clock.py"],
     DEVICES / "create/driver.py": CREATE,
     DEVICES / "create/hazards.py": ["tests/devices/create/test_hazards.py"],
+    DEVICES / "create/identification.py": ["tests/devices/create/test_identification.py"],
     DEVICES / "create/link.py": ["tests/devices/create/test_link.py", *CREATE],
     DEVICES / "create/dead_reckoning.py": ["tests/devices/create/test_dead_reckoning.py"],
     DEVICES / "create/reading_filter.py": ["tests/devices/create/test_reading_filter.py"],
     DEVICES / "links/guard.py": ["tests/devices/links/test_guard.py"],
     DEVICES / "links/guard_process.py": ["tests/devices/links/test_guard.py"],
+    REAL / "suspension.py": ["tests/devices/links/test_guard.py"],
     REAL / "ports.py": ["tests/real/test_ports.py"],
     REAL / "robot.py": ["tests/contract", "tests/devices/links/test_unplugged.py"],
     DEVICES / "links/transport.py": [

@@ -23,6 +23,7 @@ from scan3d_twin.recording.recorder import Recorder, SerialTaps
 from scan3d_twin.run.closed_loop import LoopOutcome, RobotContext, close_loop
 from scan3d_twin.run.folder import release_folder
 from scan3d_twin.run.report import Effort, Report, failure_reason
+from scan3d_twin.run.run_warnings import OdometryCheck
 from scan3d_twin.run.settings import Settings
 from scan3d_twin.run.versions import collect_versions
 
@@ -104,8 +105,8 @@ def open_recorder(
 ) -> Iterator[Recorder]:
     """Open the session file of the run in ``folder``.
 
-    If the run ends without a view, the file is removed, unless the robot failed: then it is kept
-    for diagnosis.
+    If the run ends without a view, the file is removed, unless the robot failed while it scanned:
+    then it is kept for diagnosis.
     """
     started = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     origin = {**collect_versions(), "command": shlex.join(sys.argv), "started": started}
@@ -138,6 +139,7 @@ def _digitize_and_save(
         settings = replace(settings, twin=replace(settings.twin, robot=robot.base.spec.name))
         recorder.describe(name, settings)
         watching: Observer = Observers(recorder, ViewSaver(folder, settings), observer)
+        watching = Observers(watching, OdometryCheck(watching.on_event))
 
         # Resume an earlier run
         earlier = None

@@ -6,17 +6,16 @@ Commands are imported when they are called, so that help and typing errors answe
 from __future__ import annotations
 
 import shlex
-import signal
 import sys
 from collections.abc import Sequence
-from types import FrameType
-from typing import TYPE_CHECKING, NoReturn, get_args
+from typing import TYPE_CHECKING, get_args
 
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from scan3d_twin.cli.environment import refuse_unknown_variables
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
 from scan3d_twin.cli.output import discard, say
+from scan3d_twin.cli.signals import catch_ending_signals
 from scan3d_twin.core.errors import ConfigError, TwinError
 
 if TYPE_CHECKING:
@@ -100,8 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     A reader that closes the output early, such as ``head``, is no error.
     """
-    signal.signal(signal.SIGINT, _interrupt)
-    signal.signal(signal.SIGTERM, _interrupt)
+    catch_ending_signals()
     tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
         if tokens in ([], ["--help"], ["-h"]):
@@ -134,18 +132,6 @@ def _overview() -> str:
     rows = {**{name: text for name, (_, text) in COMMANDS.items()}, **flags}
     lines = [f"  {name:<20}  {text}" for name, text in rows.items()]
     return "\n".join(["Usage: twin COMMAND", "", ABOUT, "", *lines, "", EXIT_CODES])
-
-
-class _Interrupt(KeyboardInterrupt):
-    """Ctrl-C, or SIGTERM.
-
-    CPython ends ``python -m`` by SIGINT, whatever its exit code, if a plain ``KeyboardInterrupt``
-    has left an ``exec``, as it may while dataclasses are imported (3.11: run_eval_code_obj).
-    """
-
-
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise _Interrupt
 
 
 def _explain(error: CycloptsError) -> str:

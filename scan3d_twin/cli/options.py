@@ -96,8 +96,8 @@ class RunOptions:
 class PortOptions:
     """What the robot is made of, and where it is plugged in."""
 
-    robot: Annotated[str | None, env("ROBOT", "create2")] = None
-    """Base (`twin devices`); create2 also finds a Create 1."""
+    robot: Annotated[str | None, env("ROBOT", "create1 or create2, by its answers")] = None
+    """Name of the base (`twin devices`)."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
     """Name of the lidar (`twin devices`)."""
     port: Annotated[str | None, env("PORT", "by its USB id")] = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import sys
@@ -17,14 +18,17 @@ def printable(text: str) -> str:
 
 
 def say(text: str, stream: IO[str] | None = None, end: str = "\n") -> None:
-    """Print ``text`` at once, by default on standard error; a reader that is gone is no error.
+    """Print ``text`` at once, by default on standard error.
 
-    For what is said during a run, which goes on whether anybody reads or not.
+    For what is said during a run, which goes on whether anybody reads or not: a reader that is gone
+    is no error, nor is a terminal that was closed.
     """
     stream = sys.stderr if stream is None else stream
     try:
         print(printable(text), file=stream, end=end, flush=True)
-    except BrokenPipeError:
+    except OSError as error:
+        if error.errno not in (errno.EPIPE, errno.EIO):
+            raise
         discard(stream)
 
 

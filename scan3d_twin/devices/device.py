@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar
 from scan3d_twin.core.types import LidarSpec
@@ -61,6 +61,10 @@ class BaseDriver(DriveBase, Protocol):
     def close(self) -> None:
         """Stop the wheels and leave the base at rest; the line stays open."""
         ...
+
+
+BaseOpener: TypeAlias = "Callable[[Transport, Clock, Guard | None], BaseDriver]"
+"""Opens a base on a line; the clock times it, and the guard stops the wheels if we cannot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +187,9 @@ class BaseDevice:
         open_driver: Opens the base on a line. Its other arguments are a clock and a guard that
             stops the wheels if this process cannot. Raises ``LinkError`` if there is no such base.
         emulate: Returns an emulated device that moves a ``DriveBase``.
+        open_stated: Like ``open_driver``, which may find another base of the same family, but for a
+            user who has stated this one: decides where the base's answers do not, and raises
+            ``LinkError`` where they contradict. None where ``open_driver`` knows only this base.
         usb_ids: Makers by USB id, to find its port: ``0403``, or with the product ``10c4:ea60``.
         halt: Bytes that stop the wheels; sent when a lost line is open again.
         farewell: Bytes that stop the wheels and leave the base at rest, whatever was sent before; a
@@ -200,8 +207,9 @@ class BaseDevice:
     name: str
     summary: str
     spec: BaseSpec
-    open_driver: Callable[[Transport, Clock, Guard | None], BaseDriver]
+    open_driver: BaseOpener
     emulate: Callable[[DriveBase], Device]
+    open_stated: BaseOpener | None = None
     usb_ids: Mapping[str, str] = field(default_factory=dict)
     halt: bytes = b""
     farewell: bytes = b""
@@ -210,3 +218,7 @@ class BaseDevice:
     mjcf: Path | None = None
     counts: bool = True
     options: ConfigTables = field(default_factory=dict)
+
+    def opener(self, *, is_stated: bool) -> BaseOpener:
+        """Return what opens this base where the user has stated it, or has not."""
+        return self.open_stated if is_stated and self.open_stated else self.open_driver

@@ -7,7 +7,7 @@ Importing this module is cheap (no numpy).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, TypeVar
 
@@ -41,11 +41,14 @@ class Devices:
         base: Name of the base.
         lidar: Name of the lidar.
         link: How the lidar is connected: one of its ``links``; where it is given empty, the first.
+        is_base_stated: Whether the user has stated the base; otherwise its driver may find another
+            one of the same family.
     """
 
     base: str = DEFAULT_BASE
     lidar: str = DEFAULT_LIDAR
     link: str = ""
+    is_base_stated: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.base not in _OWN_BASES and self.base not in base_names():

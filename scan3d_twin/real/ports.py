@@ -74,6 +74,25 @@ def choose_ports(
     )
 
 
+def refuse_same_port(base: str, lidar: str) -> None:
+    """Refuse one port for both devices, also under two names.
+
+    Raises:
+        LinkError: Base and lidar are on the same port.
+    """
+    is_same = base == lidar if "://" in base else _is_same_file(base, lidar)
+    if is_same:
+        names = base if base == lidar else f"{base}, which is {lidar},"
+        raise LinkError(f"{names} cannot be the port of both base and lidar: name another for one")
+
+
+def _is_same_file(a: str, b: str) -> bool:
+    try:
+        return Path(a).samefile(b)
+    except OSError:
+        return False
+
+
 def _choose_only(ports: list[Port], usb_ids: Mapping[str, str], what: str, option: str) -> str:
     found = [port for port in ports if port.is_one_of(usb_ids)]
     if not found:

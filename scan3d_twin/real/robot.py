@@ -19,6 +19,8 @@ from scan3d_twin.devices.registry import (
     lidar_device,
 )
 from scan3d_twin.real.clock import RealClock
+from scan3d_twin.real.ports import refuse_same_port
+from scan3d_twin.real.suspension import count_continuations
 
 SLICE = 0.005
 """Interval at which the drivers are serviced while the robot's clock sleeps [s]."""
@@ -93,7 +95,7 @@ def open_over(
     """
     devices = Devices() if devices is None else devices
     open_lidar = lidar_device(devices.lidar).open_driver
-    open_base = base_device(devices.base).open_driver
+    open_base = base_device(devices.base).opener(is_stated=devices.is_base_stated)
     serviced = ServicedClock(clock)
     with ExitStack() as stack:
         # Open the base last, so that it is closed first.
@@ -117,7 +119,7 @@ def open_real(
     base_port: str,
     lidar_port: str,
     *,
-    base: str = DEFAULT_BASE,
+    base: str | None = None,
     lidar: str = DEFAULT_LIDAR,
     link: str | None = None,
     taps: Taps | None = None,
@@ -127,15 +129,16 @@ def open_real(
     Args:
         base_port: Port of the base, such as ``/dev/ttyUSB0``.
         lidar_port: Port of the lidar, such as ``/dev/ttyACM0``.
-        base: Name of the base (``twin devices`` lists them).
+        base: Name of the base (``twin devices`` lists them); None finds out if it is a Create 1 or
+            a Create 2.
         lidar: Name of the lidar.
         link: How the lidar is connected, one of its links; None is the first of them.
         taps: Receive every byte sent and received.
 
     Raises:
         UnknownNameError: There is no such device or link.
-        LinkError: A port cannot be opened, or the device on it does not answer; the message says
-            what to do.
+        LinkError: A port cannot be opened, or the device on it does not answer or is another one;
+            the message says what to do.
 
     >>> with s3d.open_real("/dev/ttyUSB9", "/dev/ttyACM9") as robot:
     ...     session = s3d.digitize(robot)
@@ -143,9 +146,16 @@ def open_real(
     scan3d_twin.core.errors.LinkError: ...
     """
     # Clock and guard
-    devices = Devices(base, lidar, link or lidar_device(lidar).links[0])
-    device, clock = base_device(base), RealClock()
-    guard = PortGuard(device.farewell, clock)
+    devices = Devices(
+        base or DEFAULT_BASE,
+        lidar,
+        link or lidar_device(lidar).links[0],
+        is_base_stated=base is not None,
+    )
+    refuse_same_port(base_port, lidar_port)
+    device, clock = base_device(devices.base), RealClock()
+    stack = ExitStack()
+    guard = PortGuard(device.farewell, clock, stack.enter_context(count_continuations()))
 
     def open_base_link() -> Transport:
         port = SerialTransport(base_port)
@@ -157,7 +167,7 @@ def open_real(
         return line if taps is None else Tapped(line, clock, taps.lidar)
 
     # Open the ports, then the drivers
-    with ExitStack() as stack:
+    with stack:
         stack.callback(guard.close)
         base_link = stack.enter_context(
             closing(Reopening(open_base_link, clock, device.halt, guard.close))

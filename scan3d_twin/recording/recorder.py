@@ -122,7 +122,7 @@ class Recorder:
         self._last: Odometry | None = None
         self._framed = 0.0
         self._path = [] if earlier is None else _path_of_views(earlier.session)
-        self._kept = False
+        self._kept = self._has_lines = False
         self._failure: FileError | None = None
         self._file.metadata("provenance", provenance)
 
@@ -169,6 +169,7 @@ class Recorder:
         if line.elevations is not None or line.beam_times is not None:
             self._file.write(ANGLES, complete, ros_records.encode_angles(line, spec))
         self._file.write(SCANS, complete, cdr.encode_scan(line, spec))
+        self._has_lines = True
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
@@ -212,9 +213,10 @@ class Recorder:
         finish_file(self._file, self.path)
 
     def abandon(self, *, keep: bool = False) -> bool:
-        """Close the file; keep it if it holds a view or ``keep`` is set, else delete it.
+        """Close the file; keep it if it holds a view, or a scan line and ``keep`` is set.
 
-        A resumed run without a new view restores the file that it continued.
+        Else delete it: where nothing was scanned, the error says all there is to know. A resumed
+        run without a new view restores the file that it continued.
 
         Returns:
             Whether something is kept.
@@ -224,7 +226,7 @@ class Recorder:
             return True
         if self._reopened is not None:
             self._reopened.restore_old()
-        elif not keep:
+        elif not (keep and self._has_lines):
             self._file.sink.path.unlink(missing_ok=True)
             return False
         return True

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from scan3d_twin.core.mapping.odometry_check import measure_turn_error
 from scan3d_twin.core.model.evaluation import MIN_F_SCORE, Evaluation
+from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import UNMEASURED
 
@@ -33,8 +35,23 @@ def find_warnings(
         return [*notes, "Nothing was scanned: there is no view."]
     found = [*notes, *_check_returns(session), *_check_fallbacks(session)]
     found += _check_registrations(session)
-    found += [*_check_misfits(session), *_check_errors(session, evaluation)]
+    found += [*_check_misfits(session), *_check_odometry(session)]
+    found += _check_errors(session, evaluation)
     return found if evaluation is None else [*found, *_check_model(evaluation)]
+
+
+class OdometryCheck(Unobserved):
+    """Warns once, as soon as several views show that the odometry is wrong."""
+
+    def __init__(self, notify: Callable[[str], None]) -> None:
+        self._notify = notify
+        self._is_told = False
+
+    def on_view(self, session: Session) -> None:
+        """See ``Observer``."""
+        for words in () if self._is_told else _check_odometry(session):
+            self._is_told = True
+            self._notify(f"warning: {words}")
 
 
 def _check_returns(session: Session) -> Iterator[str]:
@@ -102,6 +119,12 @@ def _check_misfits(session: Session) -> Iterator[str]:
             f"View {k} does not fit the others: most of its links contradict them. Inspect it, or "
             "drop it (alignment.misfits = drop)."
         )
+
+
+def _check_odometry(session: Session) -> Iterator[str]:
+    error = measure_turn_error(session)
+    if error.is_significant:
+        yield str(error)
 
 
 def _check_model(evaluation: Evaluation) -> Iterator[str]:

@@ -1,6 +1,7 @@
-"""Ctrl-C and SIGTERM during a sweep: the program stops, and what was scanned is saved."""
+"""Signals that end the program during a sweep: it stops, and what was scanned is saved."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import jsonschema
 import pytest
 
 import scan3d_twin.cli.app as program
+from scan3d_twin.cli import signals
 from scan3d_twin.recording.load import load_session
 from scan3d_twin.run.report import report_schema
 
@@ -42,11 +44,36 @@ def test_a_signal_during_a_sweep_saves_the_finished_views(tmp_path, number):
     assert (recorded.finished, recorded.session.stop_reason) == (True, "interrupted")
 
 
-def test_a_signal_before_the_first_view_leaves_nothing_behind(tmp_path):
+def test_a_closed_terminal_saves_the_finished_views(tmp_path):
+    """As ssh closes it: nobody reads any more, and SIGHUP comes twice."""
+    ours, theirs = os.openpty()
+    command = [sys.executable, "-m", "scan3d_twin.cli", "sim", "--scene", "sine_box"]
+    command += ["--sweep.width", "0.8", "--sweep.yaw-rate", "0.5"]
+    lead = "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0);"
+    lead += "os.execv(sys.argv[1], sys.argv[1:])"
+    with subprocess.Popen(
+        [sys.executable, "-c", lead, *command, "--out", str(tmp_path / "run")],
+        stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+        env={**os.environ, "TERM": "xterm"},
+    ) as process:  # fmt: skip
+        os.close(theirs)
+        seen = b""
+        while b"scanning" not in seen.partition(b" scanned")[2]:
+            seen += os.read(ours, 4096)
+        os.close(ours)
+        process.send_signal(signal.SIGHUP)
+        assert process.wait(60) == 130
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert (report["stop_reason"], report["views"]) == ("interrupted", 1)
+    assert load_session(tmp_path / "run").finished
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT])
+def test_a_signal_before_the_first_view_leaves_nothing_behind(tmp_path, number):
     command = [sys.executable, "-m", "scan3d_twin.cli", "sim", "--out", str(tmp_path / "run")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr.readline() != ""
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, rest = process.communicate(timeout=60)
     assert process.returncode == 130
     assert rest.splitlines()[-1] == "error: interrupted"
@@ -80,3 +107,34 @@ def test_an_interrupt_that_python_has_wrapped_is_one(monkeypatch, capsys):
     monkeypatch.setattr(program, "app", wrapped)
     assert program.main(["sim"]) == 130
     assert capsys.readouterr().err == "error: interrupted\n"
+
+
+@pytest.fixture
+def handler():
+    """The handler of the ending signals; those of the tests come back afterwards."""
+    before = {number: signal.getsignal(number) for number in signals.ENDING}
+    signals.catch_ending_signals()
+    yield signal.getsignal(signal.SIGTERM)
+    for number, each in before.items():
+        signal.signal(number, each)
+
+
+def test_a_signal_that_comes_in_pairs_interrupts_once_and_ctrl_c_always(handler, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(signals.time, "monotonic", lambda: now[0])
+    with pytest.raises(KeyboardInterrupt):
+        handler(signal.SIGHUP, None)
+    handler(signal.SIGHUP, None)
+    handler(signal.SIGTERM, None)
+    with pytest.raises(KeyboardInterrupt):
+        handler(signal.SIGINT, None)
+    now[0] += signals.REPEATED + 0.1
+    with pytest.raises(KeyboardInterrupt):
+        handler(signal.SIGTERM, None)
+
+
+def test_a_hang_up_that_is_ignored_stays_ignored(handler):
+    """So does ``nohup`` start the program."""
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signals.catch_ending_signals()
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN

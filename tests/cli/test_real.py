@@ -58,6 +58,12 @@ def test_a_dry_run_reads_everything_and_moves_nothing(ports):
     assert 0 < found["lidar_seen_percent"] <= 100
 
 
+def test_another_base_than_is_stated_is_refused(ports):
+    result = call("real", *ports, "--dry-run", "--robot", "create1")
+    assert result.returncode == 3
+    assert result.stderr.startswith("error: the base on the port is no create1: encoder counts")
+
+
 def topic(each):
     return getattr(each, "topic", "")
 
@@ -84,12 +90,23 @@ def test_the_doctor_names_cause_and_cure():
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", [["real", "--dry-run"], ["scan"]])
-def test_without_a_robot_one_line_says_what_to_do(command):
-    result = call(*command, "--port", "/dev/nowhere", "--lidar-port", "/dev/nowhere")
+def test_the_doctor_says_that_one_port_is_given_for_both():
+    result = call("doctor", "--port", "/dev/null", "--lidar-port", "/dev/../dev/null")
+    assert result.returncode == 3
+    assert "BAD  ports: one for both" in result.stdout
+    assert "/dev/null, which is /dev/../dev/null," in result.stdout
+
+
+@pytest.mark.parametrize("command", [["real", "--dry-run"], ["real"], ["scan"]])
+def test_without_a_robot_one_line_says_what_to_do_and_nothing_is_left(command, tmp_path):
+    nowhere = ["--port", "/dev/nowhere", "--lidar-port", "/dev/nowhere"]
+    result = subprocess.run(
+        [*TWIN, *command, *nowhere], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
     assert result.returncode == 3
     assert result.stdout == ""
-    assert result.stderr == (
+    assert not list(tmp_path.rglob("*.*"))
+    assert result.stderr.splitlines(keepends=True)[-1] == (
         "error: there is no port /dev/nowhere: plug the device in; `twin doctor` lists the ports\n"
     )
 

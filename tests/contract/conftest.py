@@ -59,7 +59,7 @@ def open_in(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Robot]]:
 
     def real(_: str) -> AbstractContextManager[Robot]:
         ports = choose_ports(option("--port"), option("--lidar-port"), devices)
-        return open_real(*ports, base=devices.base, lidar=devices.lidar)
+        return open_real(*ports, base=option("--robot"), lidar=devices.lidar)
 
     opener = {**backends(request.config), "hardware": real}[request.param]
     with ExitStack() as stack:

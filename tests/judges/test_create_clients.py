@@ -52,3 +52,15 @@ def test_pyroombaadapter_drives_and_reads():
     assert truth.x > 0.15
     assert mode in (2, "Safe", "Safe Mode")
     assert voltage in (16.0, 16000)
+
+
+def test_create_serial_drives_and_reads():
+    """It writes each command byte by byte, and integrates the encoder counts itself."""
+    rows, base = judge("create_serial")
+    truth = base.odometry().T_odom_base
+    (_, middle, after) = (row[:3] for row in rows)
+    assert truth.x > 0.15
+    assert middle == pytest.approx([1000 * truth.x, 0.0, 0.0], abs=2)
+    assert after[:2] == pytest.approx([1000 * truth.x, 1000 * truth.y], abs=2)
+    assert after[2] == pytest.approx(turned(base), abs=0.02)
+    assert [row[3:] for row in rows] == [[2, 16000]] * 3

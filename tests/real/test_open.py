@@ -1,15 +1,27 @@
 """``open_real``: devices are named, and wrong names are refused before any port is opened."""
 
 import os
-from contextlib import closing
+import subprocess
+from contextlib import closing, contextmanager
 
 import pytest
 
 import scan3d_twin as s3d
 from scan3d_twin.core.errors import LinkError, UnknownNameError
+from scan3d_twin.devices.links.transport import holders
 from scan3d_twin.devices.registry import Devices
 from scan3d_twin.real import robot
 from scan3d_twin.real.robot import open_real
+
+
+@contextmanager
+def terminal():
+    """Yield the path of a pseudo-terminal that this process does not hold open."""
+    ours, theirs = os.openpty()
+    path = os.ttyname(theirs)
+    os.close(theirs)
+    with closing(os.fdopen(ours, "rb")):
+        yield path
 
 
 @pytest.mark.parametrize(
@@ -34,10 +46,32 @@ def test_the_named_devices_are_opened(monkeypatch):
         raise LinkError("far enough")
 
     monkeypatch.setattr(robot, "open_over", open_over)
-    ours, theirs = os.openpty()
-    with closing(os.fdopen(ours, "rb")), closing(os.fdopen(theirs, "rb")):
-        port = os.ttyname(theirs)
+    with terminal() as port, terminal() as other:
         for names in ({}, {"base": "create1", "link": "115200"}):
-            with pytest.raises(LinkError, match="far enough"), open_real(port, port, **names):
+            with pytest.raises(LinkError, match="far enough"), open_real(port, other, **names):
                 pass
     assert opened == [Devices(), Devices("create1", "urg04lx", "115200")]
+    assert [devices.is_base_stated for devices in opened] == [False, True]
+
+
+def test_one_port_for_both_devices_is_refused_by_either_name(tmp_path):
+    (tmp_path / "by-id").symlink_to("/dev/null")
+    for names in (("/dev/null", "/dev/null"), ("/dev/null", str(tmp_path / "by-id"))):
+        with pytest.raises(LinkError, match="port of both base and lidar"), open_real(*names):
+            pass
+    url = "socket://127.0.0.1:9"
+    with pytest.raises(LinkError, match="port of both base and lidar"), open_real(url, url):
+        pass
+
+
+def test_who_reads_a_port_already_is_named_before_it_is_opened(tmp_path):
+    """``cat`` takes no lock: it would go on and take its share of the bytes."""
+    with terminal() as port, subprocess.Popen(["cat", port]) as cat:
+        while not holders(port):
+            assert cat.poll() is None
+        with (
+            pytest.raises(LinkError, match=rf"{port} is in use by {cat.pid} \(cat\): end it first"),
+            open_real(port, "/dev/null"),
+        ):
+            pass
+        cat.kill()

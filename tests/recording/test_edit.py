@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import synthetic
 from paper import paper_alignment, paper_config
-from recorded import make_robot, record
+from recorded import line, make_robot, record
 from same import same
 
 from scan3d_twin.core.digitize import integrate
@@ -86,6 +86,7 @@ def test_what_a_robot_said_before_it_failed_can_be_made_whole(tmp_path):
     """No view was finished, and so there is nothing to go on from; others can read it still."""
     recorder = Recorder(tmp_path, lambda: 0.0, {})
     recorder.attach(make_robot())
+    recorder.on_line(line(0.5))
     recorder.abandon(keep=True)
     assert recover_session(tmp_path, lambda: 0.0).backup == tmp_path / "session.1.mcap.part"
     assert is_finished(tmp_path / "session.mcap")

@@ -4,9 +4,11 @@ from dataclasses import replace
 import numpy as np
 from paper import paper_config
 
+from scan3d_twin.core.mapping.odometry_check import TurnError
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, read_only
+from scan3d_twin.run import run_warnings
 from scan3d_twin.run.run_warnings import find_warnings
 
 
@@ -111,3 +113,15 @@ def test_a_model_of_much_else_and_other_targets_are_told(session):
     (told,) = warns(session, "other targets", evaluation=of_pairs(left_out=("right",)))
     assert "right" in told
     assert "judged by left" in told
+
+
+def test_odometry_that_disagrees_is_told_once(session, monkeypatch):
+    error = TurnError(scale=0.07, sigma=0.005, proofs=3, gamma=0.013)
+    monkeypatch.setattr(run_warnings, "measure_turn_error", lambda session: error)
+    assert warns(session, "turns 7.0% more than it says", "wrong model")
+    told = []
+    check = run_warnings.OdometryCheck(told.append)
+    check.on_view(session)
+    check.on_view(session)
+    assert len(told) == 1
+    assert told[0].startswith("warning: The base turns 7.0% more")

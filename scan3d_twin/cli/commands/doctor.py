@@ -28,7 +28,13 @@ from scan3d_twin.devices.registry import (
 
 if TYPE_CHECKING:
     from scan3d_twin.core.hal import Clock
-    from scan3d_twin.devices.device import BaseDevice, BaseDriver, LidarDevice, LidarDriver
+    from scan3d_twin.devices.device import (
+        BaseDevice,
+        BaseDriver,
+        BaseOpener,
+        LidarDevice,
+        LidarDriver,
+    )
 
 LIBRARIES = ("numpy", "scipy", "serial", "mujoco", "trimesh")
 WATCHED = 1.0
@@ -79,16 +85,23 @@ def words(finding: Finding) -> str:
 def examine(options: PortOptions) -> Iterator[Finding]:
     """Yield the result of each check, the simplest first."""
     from scan3d_twin.real.clock import RealClock
-    from scan3d_twin.real.ports import choose_ports, usb_ports
+    from scan3d_twin.real.ports import choose_ports, refuse_same_port, usb_ports
 
     yield _libraries()
     yield from _modem_manager()
     listed = ", ".join(map(str, usb_ports())) or "none"
     yield Finding("serial ports on USB", True, listed)
+    if options.port and options.lidar_port:
+        try:
+            refuse_same_port(options.port, options.lidar_port)
+        except LinkError as error:
+            yield Finding("ports", False, "one for both", str(error))
+            return
     base = base_device(options.robot or DEFAULT_BASE)
     lidar = lidar_device(options.lidar or DEFAULT_LIDAR)
     devices, clock = Devices(base.name, lidar.name, lidar.links[0]), RealClock()
-    looks: tuple[Look, ...] = (partial(_base, base), partial(_lidar, lidar))
+    open_base = base.opener(is_stated=options.robot is not None)
+    looks: tuple[Look, ...] = (partial(_base, base, open_base), partial(_lidar, lidar))
     for what, index, look in (("base", 0, looks[0]), ("lidar", 1, looks[1])):
         given = (options.port, options.lidar_port)[index]
         try:
@@ -160,13 +173,13 @@ def _answers(what: str, port: str, clock: Clock, look: Look) -> Iterator[Finding
         yield Finding(what, False, "does not work", str(error))
 
 
-def _base(device: BaseDevice, port: str, clock: Clock) -> Iterator[Finding]:
+def _base(device: BaseDevice, open_base: BaseOpener, port: str, clock: Clock) -> Iterator[Finding]:
     """Yield what the base says; it stays at rest."""
     from scan3d_twin.devices.links.transport import SerialTransport
 
     with (
         closing(SerialTransport(port)) as link,
-        closing(device.open_driver(link, clock, None)) as base,
+        closing(open_base(link, clock, None)) as base,
     ):
         # Listen for a while.
         until, start = clock.now() + WATCHED, len(base.odometry_since(0.0))

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
@@ -17,11 +18,15 @@ from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR
 if TYPE_CHECKING:
     from scan3d_twin.core.hal import Clock
     from scan3d_twin.devices.device import LidarDevice, Wiring
-    from scan3d_twin.devices.links.line_model import Line
+    from scan3d_twin.devices.links.line_model import Device
     from scan3d_twin.devices.links.serve import Port
 
 NICENESS = -10
 """Scheduling priority of the emulator, -20 (first) to 19; assumption."""
+ADAPTER_LATENCY = 0.0015
+"""Time that a USB serial adapter adds to a reply [s]; assumption: it is polled every 1 ms, and
+holds bytes back for 1 ms or more. A client that flushes its input right after it has written loses
+no reply."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +51,12 @@ class EmulateOptions:
     """Seed of the robot's errors, the lidar's noise and the faults of the lines."""
     tcp: bool = False
     """Serve on TCP ports (`socket://HOST:PORT`) instead of pseudo-terminals."""
+    tcp_base_port: int | None = None
+    """Number of the base's TCP port (default: any that is free); implies --tcp."""
+    tcp_lidar_port: int | None = None
+    """Number of the lidar's TCP port (default: any that is free); implies --tcp."""
+    link: Path | None = None
+    """Folder for the links `base` and `lidar` to the terminals, whose own names change."""
     json: bool = False
     """Print one line of JSON with base_port and lidar_port."""
 
@@ -59,11 +70,15 @@ def emulate(*, options: Annotated[EmulateOptions, Parameter(name="*")] = Emulate
     from scan3d_twin.devices.links.serve import serve
 
     # Ctrl-C is how this is meant to end.
-    with suppress(KeyboardInterrupt), ports(options) as (clock, base, lidar):
+    with (
+        suppress(KeyboardInterrupt),
+        ports(options) as (clock, base, lidar),
+        _named(options.link, base, lidar) as (base_path, lidar_path),
+    ):
         if options.json:
-            line = json_module.dumps({"base_port": base.path, "lidar_port": lidar.path})
+            line = json_module.dumps({"base_port": base_path, "lidar_port": lidar_path})
         else:
-            line = f"twin real --port {base.path} --lidar-port {lidar.path}"
+            line = f"twin real --port {base_path} --lidar-port {lidar_path}"
         print(line, flush=True)
         _raise_priority()
         serve([base, lidar], clock)
@@ -73,6 +88,45 @@ def _raise_priority() -> None:
     """Run before other programs where that is permitted: a real device is never busy elsewhere."""
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+
+
+@contextmanager
+def _named(folder: Path | None, base: Port, lidar: Port) -> Iterator[tuple[str, str]]:
+    """Yield the paths of the ports for their clients: links in ``folder`` if there is one.
+
+    Raises:
+        FileError: The links cannot be made.
+    """
+    if folder is None:
+        yield base.path, lidar.path
+        return
+    from scan3d_twin.devices.links.pty import linked
+
+    with (
+        linked(base.path, folder / "base") as first,
+        linked(lidar.path, folder / "lidar") as second,
+    ):
+        yield str(first), str(second)
+
+
+def _tcp_ports(options: EmulateOptions) -> tuple[int, int] | None:
+    """Return the numbers of the TCP ports of base and lidar, 0 for any; None without TCP.
+
+    Raises:
+        ConfigError: A number is out of range, or links to TCP ports are wanted.
+    """
+    stated = {
+        "--tcp-base-port": options.tcp_base_port,
+        "--tcp-lidar-port": options.tcp_lidar_port,
+    }
+    for name, number in stated.items():
+        if number is not None and not 1 <= number <= 65535:
+            raise ConfigError(f"{name} must be within 1 and 65535, got {number}")
+    if not options.tcp and not any(stated.values()):
+        return None
+    if options.link is not None:
+        raise ConfigError("--link names terminals; TCP ports have numbers: --tcp-base-port")
+    return options.tcp_base_port or 0, options.tcp_lidar_port or 0
 
 
 def _wiring(options: EmulateOptions, lidar: LidarDevice) -> Wiring:
@@ -113,11 +167,14 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
     errors = RobotErrorConfig(reckoning="wheels")
     config = TwinConfig(options.robot, options.lidar, lidar_model.links[0], errors=errors)
 
-    def port(line: Line) -> PtyPort | TcpPort:
-        opened = TcpPort(line) if options.tcp else PtyPort(line)
+    numbers = _tcp_ports(options)
+
+    def port(device: Device, index: int) -> PtyPort | TcpPort:
+        line = Line(device, faults, options.seed + index, ADAPTER_LATENCY)
+        opened = PtyPort(line) if numbers is None else TcpPort(line, port=numbers[index])
         return stack.enter_context(closing(opened))
 
     with open_robot(options.scene, options.seed, config) as robot, ExitStack() as stack:
-        base = port(Line(base_model.emulate(robot.base), faults, options.seed))
-        lidar = port(Line(lidar_model.emulate(robot.lidar, wiring), faults, options.seed + 1))
+        base = port(base_model.emulate(robot.base), 0)
+        lidar = port(lidar_model.emulate(robot.lidar, wiring), 1)
         yield robot.clock, base, lidar

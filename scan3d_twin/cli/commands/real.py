@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_module
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -78,7 +78,7 @@ def real(
     resume = None if options.resume is None else _going_on(options, options.resume, given)
     effective = resolve(options, given) if resume is None else resume.settings
     taps = SerialTaps()
-    opening = open_robot(options, effective.twin.devices, taps)
+    opening = open_robot(options, _devices(options, effective, given), taps)
     if options.dry_run:
         with opening as (robot, _):
             rehearse(robot, as_json=options.json)
@@ -120,6 +120,12 @@ def resolve(options: RealOptions, sections: Options) -> Settings:
     return effective
 
 
+def _devices(options: RealOptions, effective: Settings, sections: Options) -> Devices:
+    """Return the devices; the base is stated by the user or the earlier run, or to be found out."""
+    is_stated = options.resume is not None or "robot" in stated_options(options, sections)
+    return replace(effective.twin.devices, is_base_stated=is_stated)
+
+
 def _going_on(options: RealOptions, folder: Path, sections: Options) -> ResumedRun:
     """Return how the run in ``folder`` goes on."""
     from scan3d_twin.api.resume import resume_real
@@ -139,8 +145,9 @@ def open_robot(
     @contextmanager
     def opened() -> Iterator[tuple[Robot, None]]:
         ports = choose_ports(options.port, options.lidar_port, devices)
+        base = devices.base if devices.is_base_stated else None
         with open_real(
-            *ports, base=devices.base, lidar=devices.lidar, link=devices.link, taps=taps
+            *ports, base=base, lidar=devices.lidar, link=devices.link, taps=taps
         ) as robot:
             yield robot, None
 

@@ -62,7 +62,10 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
     devices = Devices(
-        options.robot or DEFAULT_BASE, options.lidar or DEFAULT_LIDAR, options.lidar_link or ""
+        options.robot or DEFAULT_BASE,
+        options.lidar or DEFAULT_LIDAR,
+        options.lidar_link or "",
+        is_base_stated=options.robot is not None,
     )
     if options.scene and (options.port or options.lidar_port):
         raise ConfigError("--scene is for the twin, --port and --lidar-port for the real robot")

@@ -73,17 +73,17 @@ class Op(IntEnum):
 
 
 _COMMON = {
-    Op.START: 0, Op.BAUD: 1, Op.CONTROL: 0, Op.SAFE: 0, Op.FULL: 0, Op.SPOT: 0, Op.CLEAN: 0,
-    Op.DRIVE: 4, Op.LOW_SIDE_DRIVERS: 1, Op.LEDS: 3, Op.SONG: 2, Op.PLAY: 1, Op.SENSORS: 1,
-    Op.DOCK: 0, Op.PWM_LOW_SIDE_DRIVERS: 3, Op.DRIVE_DIRECT: 4, Op.STREAM: 1, Op.QUERY_LIST: 1,
-    Op.PAUSE_RESUME: 1,
+    Op.RESET: 0, Op.START: 0, Op.BAUD: 1, Op.CONTROL: 0, Op.SAFE: 0, Op.FULL: 0, Op.SPOT: 0,
+    Op.CLEAN: 0, Op.DRIVE: 4, Op.LOW_SIDE_DRIVERS: 1, Op.LEDS: 3, Op.SONG: 2, Op.PLAY: 1,
+    Op.SENSORS: 1, Op.DOCK: 0, Op.PWM_LOW_SIDE_DRIVERS: 3, Op.DRIVE_DIRECT: 4, Op.STREAM: 1,
+    Op.QUERY_LIST: 1, Op.PAUSE_RESUME: 1,
 }  # fmt: skip
 _CREATE1 = {
     Op.DEMO: 1, Op.DIGITAL_OUTPUTS: 1, Op.SEND_IR: 1, Op.SCRIPT: 1, Op.PLAY_SCRIPT: 0,
     Op.SHOW_SCRIPT: 0, Op.WAIT_TIME: 1, Op.WAIT_DISTANCE: 2, Op.WAIT_ANGLE: 2, Op.WAIT_EVENT: 1,
 }  # fmt: skip
 _CREATE2 = {
-    Op.RESET: 0, Op.POWER: 0, Op.DEMO: 0, Op.DRIVE_PWM: 4, Op.SCHEDULING_LEDS: 2,
+    Op.POWER: 0, Op.DEMO: 0, Op.DRIVE_PWM: 4, Op.SCHEDULING_LEDS: 2,
     Op.DIGIT_LEDS_RAW: 4, Op.DIGIT_LEDS_ASCII: 4, Op.PUSH_BUTTONS: 1, Op.SCHEDULE: 15,
     Op.SET_DAY_TIME: 3, Op.STOP: 0,
 }  # fmt: skip
@@ -272,6 +272,11 @@ def encode_frame(packets: Sequence[int], values: dict[int, int], *, header_summe
 def frame_size(packets: Sequence[int]) -> int:
     """Return the size of a stream frame with ``packets`` [bytes]."""
     return 3 + sum(1 + size_of(packet) for packet in packets)
+
+
+def fits_frame(packets: Sequence[int]) -> bool:
+    """Return whether a frame can hold ``packets``: its length is one byte."""
+    return frame_size(packets) - 3 <= 0xFF
 
 
 def fits_stream(packets: Sequence[int], baud: int) -> bool:

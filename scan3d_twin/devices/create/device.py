@@ -1,12 +1,13 @@
 """Descriptions of the iRobot Create 1 and Create 2 for the device registry.
 
-Both share one driver, which detects the model on the line.
+Both share one driver, which detects the model on the line; the user may state it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 from scan3d_twin.core.hal import DriveBase
 from scan3d_twin.devices.create import codec as oi
@@ -47,6 +48,7 @@ CREATE2 = BaseDevice(
     spec=model.CREATE2,
     open_driver=open_create,
     emulate=emulate_create2,
+    open_stated=partial(open_create, stated=oi.CREATE2),
     # The cable that comes with the Create 2 holds an FTDI.
     usb_ids={"0403": "FTDI", "067b": "Prolific", "10c4": "Silicon Labs", "1a86": "WCH"},
     halt=HALF_DRIVE + STOP,
@@ -60,5 +62,6 @@ CREATE1 = replace(
     summary="iRobot Create 1: odometry by the commands, corrected at rest",
     spec=model.CREATE1,
     emulate=emulate_create1,
+    open_stated=partial(open_create, stated=oi.CREATE1),
     counts=False,
 )

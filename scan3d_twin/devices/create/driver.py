@@ -18,7 +18,7 @@ from scan3d_twin.core.hal import Clock
 from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.devices.create import codec as oi
-from scan3d_twin.devices.create.codec import Op
+from scan3d_twin.devices.create.codec import Model, Op
 from scan3d_twin.devices.create.dead_reckoning import (
     CommandedReckoning,
     Reckoning,
@@ -26,6 +26,7 @@ from scan3d_twin.devices.create.dead_reckoning import (
     make_reckoning,
 )
 from scan3d_twin.devices.create.hazards import blocking_hazards, decode_hazards, find_unsafe_causes
+from scan3d_twin.devices.create.identification import find_base
 from scan3d_twin.devices.create.link import (
     BAUDS,
     HALF_ANYTHING,
@@ -36,7 +37,6 @@ from scan3d_twin.devices.create.link import (
     Stream,
     Values,
     base_spec,
-    find_base,
     is_plausible,
     open_source,
     packets_at_rest,
@@ -88,18 +88,22 @@ FAREWELL = STOP + oi.command(Op.PAUSE_RESUME, 0) + oi.command(Op.START)
 """Stops the wheels, pauses the stream and enters Passive, where the base may charge and sleep."""
 
 
-def open_create(transport: Transport, clock: Clock, guard: Guard | None = None) -> CreateBase:
+def open_create(
+    transport: Transport, clock: Clock, guard: Guard | None = None, stated: Model | None = None
+) -> CreateBase:
     """Connect to the base on the line; it stands still, in mode Passive.
 
     Args:
         transport: The line to the base.
         clock: The robot's clock; its ``sleep`` may service the base.
         guard: Stops the wheels if this process cannot; None if no guard is needed.
+        stated: The model that the user states; None to find it out.
 
     Raises:
         LinkTimeoutError: No base answers.
+        LinkError: It is not clear which model answers, or another one than is stated.
     """
-    contact = find_base(transport, clock)
+    contact = find_base(transport, clock, stated)
     return CreateBase(transport, clock, contact, NoGuard() if guard is None else guard)
 
 
@@ -306,16 +310,19 @@ class CreateBase:
         if self._is_safe():
             return
 
-        # Request Safe mode up to three times
-        for _ in range(3):
+        # Request Safe mode until it is reported; where the cause is known, three times are enough
+        asked, give_up = 0, self._clock.now() + LOST_AFTER
+        while self._clock.now() < give_up and not (asked >= 3 and self._hazards.active()):
+            asked += 1
             self._transport.write(oi.command(Op.SAFE))
             deadline = self._clock.now() + MODE_SETTLE + 3 * self.spec.sample_period
             self._clock.sleep(MODE_SETTLE)
-            while self._clock.now() < deadline:
-                self.service(self._clock.now())
-                if self._is_safe():
-                    return
+            self.service(self._clock.now())
+            while not self._is_safe() and self._clock.now() < deadline:
                 self._clock.sleep(oi.PERIOD / 3)
+                self.service(self._clock.now())
+            if self._is_safe():
+                return
 
         causes = ", ".join(self._hazards.active()) or "unknown to the driver"
         raise HazardError(

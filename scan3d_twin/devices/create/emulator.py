@@ -267,11 +267,17 @@ class CreateEmulator:
         self._change_mode(Mode.OFF)
 
     def _reset(self, _: Command) -> None:
-        """Restart the firmware: mode Off, default baud rate, and a banner on the line."""
+        """Restart the firmware: mode Off, default baud rate, and a banner on the line.
+
+        The manual of the Create 1 lacks this command, but drivers written for it have it
+        (turtlebot_create, ``create_driver.py``). What it prints is unknown: nothing is.
+        """
         self._stop(_)
         self._baud = self._model.baud
         self._stream, self._script = [], b""
         self._deaf_until = self._now + BOOT
+        if self._model is oi.CREATE1:
+            return
         lines = BANNER.encode().splitlines(keepends=True)
         self._later.append((self._now + 0.1, b"".join(lines[:3])))
         self._later.append((self._now + BOOT - 0.1, b"".join(lines[3:])))
@@ -351,8 +357,12 @@ class CreateEmulator:
             self._put(encode_packets(known, self._values(known)), self._now)
 
     def _start_stream(self, command: Command) -> None:
+        """Stream packets; ignore a request for an unknown one, or for more than a frame can hold.
+
+        What the firmware does then is not documented; assumption.
+        """
         known = [n for n in command.data[1:] if n in self._model.packets and size_of(n)]
-        if len(known) == command.data[0]:
+        if len(known) == command.data[0] and oi.fits_frame(known):
             self._stream, self._streaming = known, bool(known)
 
     def _pause_or_resume(self, command: Command) -> None:

@@ -1,33 +1,23 @@
-"""Finding a Create on a serial line: its model, its baud rate, and how to read its sensors."""
+"""Reading the sensors of a Create: which packets, and as a stream or by polling."""
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import cycle, product
 from typing import Protocol
 
-from scan3d_twin.core.errors import LinkTimeoutError
-from scan3d_twin.core.hal import BaseSpec, Clock
+from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import CREATE1, CREATE2, Model, Op, StreamParser
 from scan3d_twin.devices.create.packets import Mode, Packet, decode_packets, size_of
 from scan3d_twin.devices.links.transport import Transport
 
-log = logging.getLogger(__name__)
-
 BAUDS = (115200, 57600, 19200)
 """Baud rates to try: Create 2, Create 1, and the slow one both can be switched to [bit/s]."""
-MODE_SETTLE = 0.02
-"""Time after a mode change during which bytes may be lost [s]; Hacking Roomba, page 26."""
-BAUD_SETTLE = 0.1
-"""Wait after a change of the baud rate [s]; Create Open Interface, page 8."""
-CONNECT_TIMEOUT = 8.0
-"""Time within which a base is found, even while it boots after a reset [s]; assumption."""
-ANSWER_TIMEOUT = 0.15
-"""Time-out for the first frames of a stream [s]: ten periods; assumption."""
+MODE_SETTLE = 0.021
+"""Time after a mode change during which bytes may be lost [s]: 20 ms (Hacking Roomba, page 26), and
+a margin of 1 ms."""
 POLL_PERIOD = 2 * oi.PERIOD
 """Time between two polls, used where the line is too slow for a stream [s]."""
 POLL_TIMEOUT = 4 * oi.PERIOD
@@ -74,73 +64,6 @@ class Contact:
     model: Model
     baud: int
     mode_offset: int
-
-
-def find_base(transport: Transport, clock: Clock) -> Contact:
-    """Find the base on the line; afterwards it is in mode Passive and sends nothing.
-
-    The base does not move.
-
-    Raises:
-        LinkTimeoutError: Nothing answers in the Open Interface at any baud rate.
-        LinkError: The port is gone.
-    """
-    give_up = clock.now() + CONNECT_TIMEOUT
-    # At a wrong baud rate the base may hear the start of a long command: complete it every 2nd time
-    for pad, baud in cycle(product((HALF_DRIVE, HALF_ANYTHING), BAUDS)):
-        if clock.now() > give_up:
-            break
-
-        # Start at this baud rate
-        transport.set_baud(baud)
-        clock.sleep(BAUD_SETTLE)
-        transport.write(pad + oi.command(Op.START))
-        clock.sleep(len(pad) * 10 / baud + MODE_SETTLE)
-
-        # Check the reported mode
-        mode = _read_mode(transport, clock)
-        if mode is not None:
-            contact = Contact(_detect_model(transport, clock), baud, mode - Mode.PASSIVE)
-            log.info("found a %s at %d baud", contact.model.name, baud)
-            return contact
-
-    speeds = ", ".join(map(str, BAUDS))
-    raise LinkTimeoutError(
-        f"no Create answers at {speeds} baud: switch it on (Clean or Power button), check the "
-        "cable; after days on the charger take its battery out for 10 s"
-    )
-
-
-def _read_mode(transport: Transport, clock: Clock) -> int | None:
-    """Return the mode that the base reports after Start; None if there is no base."""
-    # Silence a running stream
-    transport.write(oi.command(Op.PAUSE_RESUME, 0))
-    clock.sleep(2 * oi.PERIOD)
-    transport.discard_input()
-
-    # Stream the mode alone
-    source = Stream(transport, [Packet.MODE])
-    deadline = clock.now() + ANSWER_TIMEOUT
-    while clock.now() < deadline:
-        for values in source.take(transport.read(oi.PERIOD), clock.now()):
-            if values[Packet.MODE] in (Mode.PASSIVE, Mode.PASSIVE + 1):
-                return values[Packet.MODE]
-    return None
-
-
-def _detect_model(transport: Transport, clock: Clock) -> Model:
-    """Return the generation of the base: only the Create 2 has encoder counts."""
-    # Silence a running stream
-    transport.write(oi.command(Op.PAUSE_RESUME, 0))
-    clock.sleep(2 * oi.PERIOD)
-    transport.discard_input()
-
-    # Query the encoder counts
-    transport.write(oi.query(COUNTS))
-    deadline, answer = clock.now() + POLL_TIMEOUT, b""
-    while (left := deadline - clock.now()) > 1e-6 and len(answer) < 4:
-        answer += transport.read(left)
-    return CREATE2 if len(answer) == 4 else CREATE1
 
 
 class Source(Protocol):

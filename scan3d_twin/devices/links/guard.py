@@ -12,6 +12,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
@@ -23,6 +24,9 @@ SILENCE = 0.3
 """Time without a heartbeat after which a driving process is taken to hang [s]."""
 INTERVAL = 0.05
 """Time between two heartbeats [s]."""
+MAX_SUSPENSION = 1.0
+"""Time for which a driving process may be suspended (Ctrl-Z, SIGSTOP) and drive on when continued
+[s]: after that, people do not expect the robot to move; assumption."""
 
 
 class Guard(Protocol):
@@ -97,11 +101,25 @@ class PortGuard:
 
     A process that still held the unplugged port would prevent its name from being used again. If
     ``farewell`` is empty there is no process: the base has a watchdog of its own.
+
+    It also notices that this process was suspended while the base drove.
     """
 
-    def __init__(self, farewell: bytes, clock: Clock) -> None:
+    def __init__(
+        self, farewell: bytes, clock: Clock, continuations: Callable[[], int] = lambda: 0
+    ) -> None:
+        """Guard nothing yet.
+
+        Args:
+            farewell: See ``ProcessGuard``.
+            clock: Limits heartbeats, and times suspensions.
+            continuations: Returns how often this process was continued after a suspension.
+        """
         self._farewell, self._clock = farewell, clock
         self._guard: ProcessGuard | None = None
+        self._continuations, self._continued = continuations, continuations()
+        self._moving, self._beaten = False, clock.now()
+        self._suspended = 0.0
 
     def watch(self, port: int) -> None:
         """Guard the open ``port`` (file descriptor) from now on."""
@@ -110,9 +128,34 @@ class PortGuard:
             self._guard = ProcessGuard(port, self._farewell, self._clock)
 
     def beat(self, moving: bool) -> None:
-        """See ``Guard.beat``; does nothing while no port is guarded."""
+        """See ``Guard.beat``; sends nothing while no port is guarded.
+
+        Raises:
+            HazardError: The guard process has ended, or this process was suspended for more than
+                ``MAX_SUSPENSION`` while the base drove: stop it before it drives again.
+        """
         if self._guard is not None:
             self._guard.beat(moving)
+        self._notice_suspension(moving)
+        if self._suspended:
+            raise HazardError(
+                f"stopped: this program was suspended for {self._suspended:.1f} s while the robot "
+                "drove (the guard stopped it meanwhile), and does not drive on by itself"
+            )
+
+    def _notice_suspension(self, moving: bool) -> None:
+        """Keep the length of a long suspension until the base stands."""
+        # What happened since the last heartbeat
+        now, continued = self._clock.now(), self._continuations()
+        away = now - self._beaten
+        was_suspended = continued != self._continued and away > MAX_SUSPENSION
+
+        # Keep it
+        if not moving:
+            self._suspended = 0.0
+        elif self._moving and was_suspended:
+            self._suspended = away
+        self._moving, self._beaten, self._continued = moving, now, continued
 
     def close(self) -> None:
         """End the process; closing twice does nothing."""

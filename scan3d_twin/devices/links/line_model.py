@@ -98,13 +98,18 @@ class Line:
     Attributes:
         device: The emulated device.
         faults: Transmission errors; may be changed at any time.
+        latency: Time from the arrival of a byte at the client's adapter until its program may read
+            it [s].
         plugged: Whether the line is plugged in.
         passed: Number of bytes that have reached the client, after faults.
     """
 
-    def __init__(self, device: Device, faults: Faults = NO_FAULTS, seed: int = 0) -> None:
+    def __init__(
+        self, device: Device, faults: Faults = NO_FAULTS, seed: int = 0, latency: float = 0.0
+    ) -> None:
         self.device = device
         self.faults = faults
+        self.latency = latency
         self.plugged = True
         self.passed = 0
         self._rng = np.random.default_rng(seed)
@@ -172,12 +177,12 @@ class Line:
         if not self.plugged:
             self._down.clear()
         if not self._is_stalled(now):
-            for data, speed in self._take_arrived(now):
+            for data, speed in self._take_arrived(now - self.latency):
                 self._store(self._add_faults(self._decode_at(data, speed, baud)))
         self._looked = now
 
     def _take_arrived(self, now: float) -> Iterator[tuple[bytes, int]]:
-        """Yield (bytes, bit rate) that have arrived at the client, and remove them."""
+        """Yield (bytes, bit rate) that have arrived by ``now`` [s], and remove them."""
         while self._down and (count := self._down[0].arrived(now)):
             burst = self._down.popleft()
             yield burst.data[:count], burst.baud

@@ -6,9 +6,11 @@ import array
 import fcntl
 import os
 import tty
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
-from scan3d_twin.core.errors import LinkError
+from scan3d_twin.core.errors import FileError, LinkError
 from scan3d_twin.devices.links.line_model import Line
 
 _TCGETS2 = 0x802C542A
@@ -78,3 +80,27 @@ class PtyPort:
         # Bytes for a client that does not read, or is gone, are lost.
         with suppress(OSError):
             os.write(self._master, data)
+
+
+@contextmanager
+def linked(port: str, link: Path) -> Iterator[Path]:
+    """Make ``link`` point to ``port`` for as long as it is served, in place of an older link.
+
+    Raises:
+        FileError: Something else is there, or the folder cannot be written.
+    """
+    if os.path.lexists(link) and not link.is_symlink():
+        raise FileError(f"{link} is in the way and no link: choose another folder")
+    try:
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.unlink(missing_ok=True)
+        link.symlink_to(port)
+    except OSError as error:
+        raise FileError(f"cannot make the link {link}: {error.strerror}") from None
+    try:
+        yield link
+    finally:
+        # Another emulator may have taken over the name
+        with suppress(OSError):
+            if os.readlink(link) == port:
+                link.unlink()

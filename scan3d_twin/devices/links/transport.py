@@ -8,8 +8,9 @@ import grp
 import logging
 import os
 import select
+import stat
 import termios
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -23,6 +24,8 @@ WRITE_TIMEOUT = 1.0
 """Time-out for sending a command, which has at most 100 bytes [s]."""
 RETRY = (0.1, 0.5)
 """First and longest wait between two attempts to reopen a port [s]; it doubles each time."""
+MEMORY_DEVICES = 1
+"""Major number of /dev/null and its like; Linux, Documentation/admin-guide/devices.txt."""
 _CHUNK = 4096
 
 log = logging.getLogger(__name__)
@@ -81,6 +84,9 @@ class SerialTransport:
                 what to do.
         """
         self.port = port
+        # Before opening it: neither a lock nor TIOCEXCL keeps out who has it open already
+        if others := holders(port):
+            raise LinkError(_name_holders(port, others))
         try:
             self._serial = serial.serial_for_url(port, baud, timeout=0, **_options(port))
         except (OSError, ValueError, termios.error) as error:
@@ -259,14 +265,28 @@ def is_away(transport: Transport) -> bool:
 
 
 def holders(port: str) -> list[str]:
-    """Return the processes known to have ``port`` open, for example ``42 (cat)``."""
+    """Return the other processes known to have ``port`` open, for example ``42 (cat)``.
+
+    Processes of other users are known to root only.
+    """
     target = os.path.realpath(port)
+    if not _may_be_serial(target):
+        return []
     found = set()
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
             if os.readlink(link) == target and link.parts[2] != str(os.getpid()):
                 found.add(f"{link.parts[2]} ({(link.parents[1] / 'comm').read_text().strip()})")
     return sorted(found)
+
+
+def _may_be_serial(path: str) -> bool:
+    """Return whether a device is there, other than those that everybody has open."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return False
+    return stat.S_ISCHR(found.st_mode) and os.major(found.st_rdev) != MEMORY_DEVICES
 
 
 def _options(port: str) -> dict[str, Any]:
@@ -291,11 +311,14 @@ def _explain_open_error(port: str, error: Exception) -> str:
 
     # Port in use, or not a serial port
     if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-        others = ", ".join(holders(port)) or "another process"
-        return f"{port} is in use by {others}: end it first"
+        return _name_holders(port, holders(port))
     if "configure port" in str(error) or isinstance(error, termios.error):
         return f"{port} is no serial port: give a device such as /dev/ttyUSB0"
     return f"cannot open {port}: {error}"
+
+
+def _name_holders(port: str, others: Sequence[str]) -> str:
+    return f"{port} is in use by {', '.join(others) or 'another process'}: end it first"
 
 
 def _group(port: str) -> str:

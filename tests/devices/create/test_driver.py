@@ -370,6 +370,24 @@ def test_plugging_in_the_charger_while_driving_is_said(rig):
         rig.wait(1.0)
 
 
+@pytest.mark.parametrize("latency", [0.15, 0.3])
+def test_a_line_or_a_computer_that_is_slow_is_no_refusal_to_drive(latency):
+    rig = Rig().open()
+    rig.line.latency = latency
+    rig.wait(0.5)
+    rig.driver.set_velocity(0.1, 0.0)
+    assert rig.driver.mode is Mode.SAFE
+    rig.wait(0.1)
+    assert rig.base.speed == (0.1, 0.0)
+
+
+def test_a_program_that_wakes_up_late_sees_the_answer_all_the_same(rig):
+    sleep = rig.clock.sleep
+    rig.clock.sleep = lambda seconds: sleep(max(seconds, 0.15))
+    rig.driver.set_velocity(0.1, 0.0)
+    assert rig.driver.mode is Mode.SAFE
+
+
 def test_hanging_wheels_keep_it_from_driving_off(rig):
     rig.base.hazard = HAZARDS["wheel drop left"]
     with pytest.raises(HazardError):
@@ -589,7 +607,8 @@ def test_odometry_is_back_within_300_ms_of_the_line(model):
 
 
 def test_the_packets_asked_for_fit_the_line(rig):
-    (request,) = (d for _, d in rig.written if d[0] == Op.STREAM and len(d) > 3)
+    # The questions for its mode and its model are shorter.
+    (request,) = (d for _, d in rig.written if d[0] == Op.STREAM and len(d) > 5)
     packets = list(request[2:])
     assert oi.fits_stream(packets, 115200)
     assert Packet.LEFT_COUNTS in packets

@@ -181,6 +181,14 @@ def test_the_stream_comes_every_15_ms(bench):
     assert len(bench.hear(0.15)) == 10 * 8
 
 
+def test_a_stream_that_no_frame_can_hold_is_ignored(bench):
+    """Its length is one byte; packets 100, 1 and 7 take 81, 11 and 2 bytes."""
+    bench.say(Op.START, oi.stream([100] * 9), oi.stream([100, 100, 100, 1, 7]))
+    assert bench.hear(0.1) == b""
+    bench.say(oi.stream([100, 100, 100, 1]))
+    assert len(bench.hear(0.015)) == 3 + 254
+
+
 def test_the_checksum_of_the_create_manual_is_a_quirk():
     bench = Bench(CREATE1, header_summed=False)
     bench.say(Op.START, oi.stream([29, 13]))
@@ -365,6 +373,15 @@ def test_a_reset_prints_a_text_and_comes_up_off(bench):
     bench.say(Op.START)
     assert bench.device.mode is Mode.PASSIVE
     assert bench.hear(0.1) == b""
+
+
+def test_a_create_1_takes_a_reset_too_and_prints_nothing(create1):
+    create1.say(Op.START, Op.FULL, oi.command(Op.BAUD, 7), FORWARD, Op.RESET)
+    assert create1.base.speed == (0.0, 0.0)
+    assert (create1.device.mode, create1.device.baud) == (Mode.OFF, 57600)
+    assert create1.hear(4.0) == b""
+    create1.say(Op.START)
+    assert create1.device.mode is Mode.PASSIVE
 
 
 def test_it_sleeps_after_five_minutes_in_passive(bench):

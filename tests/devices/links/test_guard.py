@@ -10,12 +10,14 @@ from pathlib import Path
 
 import pytest
 from emulated_base import Road
+from virtual import VirtualClock
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.devices.create.packets import Mode
 from scan3d_twin.devices.links import guard_process
 from scan3d_twin.devices.links.guard import PortGuard, ProcessGuard
 from scan3d_twin.real.clock import RealClock
+from scan3d_twin.real.suspension import count_continuations
 
 pytestmark = pytest.mark.slow
 
@@ -60,6 +62,54 @@ def test_a_stopped_process_stops_the_wheels_within_half_a_second(road):
         process.send_signal(signal.SIGSTOP)
         assert 0.2 < road.serve(lambda: not moves(road)) < 0.5
         assert road.device.mode is Mode.PASSIVE
+
+
+@pytest.mark.parametrize(("seconds", "drives_on"), [(0.6, True), (1.3, False)])
+def test_a_process_that_was_suspended_for_long_does_not_drive_on(road, seconds, drives_on):
+    with driving(road, "drive") as process:
+        road.serve(lambda: moves(road))
+        process.send_signal(signal.SIGSTOP)
+        road.serve(lambda: not moves(road))
+        start = road.base.odometry().stamp
+        road.serve(lambda: road.base.odometry().stamp > start + seconds - 0.3)
+        process.send_signal(signal.SIGCONT)
+        if drives_on:
+            road.serve(lambda: moves(road))
+            return
+        road.serve(lambda: moves(road) or process.poll() is not None)
+        assert not moves(road)
+        assert b"suspended for 1." in process.stdout.read()
+        assert road.device.mode is Mode.PASSIVE
+
+
+def test_a_suspension_counts_while_the_base_drives_and_until_it_stands():
+    now, continued = VirtualClock(), [0]
+    guard = PortGuard(b"", now, lambda: continued[0])
+    guard.beat(False)
+    now.sleep(5.0)
+    continued[0] += 1
+    guard.beat(True)
+    now.sleep(5.0)
+    guard.beat(True)
+    now.sleep(0.9)
+    continued[0] += 1
+    guard.beat(True)
+    now.sleep(1.1)
+    continued[0] += 1
+    for _ in range(2):
+        with pytest.raises(HazardError, match=r"suspended for 1\.1 s"):
+            guard.beat(True)
+    guard.beat(False)
+    guard.beat(True)
+
+
+def test_continuations_are_counted_until_the_end():
+    before = signal.getsignal(signal.SIGCONT)
+    with count_continuations() as count:
+        assert count() == 0
+        os.kill(os.getpid(), signal.SIGCONT)
+        assert count() == 1
+    assert signal.getsignal(signal.SIGCONT) is before
 
 
 def test_a_loop_that_hangs_stops_the_wheels(road):

@@ -121,6 +121,14 @@ def test_who_holds_the_port_is_named(pty):
         other.stdin.close()
 
 
+def test_what_everybody_has_open_is_held_by_nobody():
+    with open("/dev/null", "rb"), subprocess.Popen(["sleep", "60"], stdin=subprocess.DEVNULL) as it:
+        assert transport.holders("/dev/null") == []
+        with pytest.raises(LinkError, match="is no serial port"):
+            SerialTransport("/dev/null")
+        it.kill()
+
+
 def test_a_missing_port_is_named():
     with pytest.raises(LinkError, match=r"no port /dev/ttyNONE.*plug"):
         SerialTransport("/dev/ttyNONE")
