@@ -210,7 +210,7 @@ class CreateBase:
                 "stopped it meanwhile); end other programs"
             )
         if hung:
-            self._halt(now)
+            self._halt(now, f"this computer was busy for {away:.2f} s")
 
         # Check hazards, silence and rest
         if fresh:
@@ -247,6 +247,8 @@ class CreateBase:
         away = now - self._serviced
         if away > (STALE_IF_NOISY if self._filter.is_noisy(now) else STALE):
             self._transport.discard_input()
+            if away > STALE and not self._moving:
+                self._source = self._ask_anew()
 
         # Count only the time spent listening as silence
         self._heard = min(now, self._heard + max(0.0, away - LISTENING))
@@ -300,6 +302,7 @@ class CreateBase:
             HazardError: The base cannot drive, or does not enter Safe mode.
         """
         # Check charger, battery and packets
+        self._catch_up()
         self._check_ready()
         if self._packets != watched_packets(self.contact):
             self._source = self._ask(watched_packets(self.contact))
@@ -321,6 +324,20 @@ class CreateBase:
         raise HazardError(
             f"the base refuses to drive (cause: {causes}); free its wheels, try again"
         )
+
+    def _catch_up(self) -> None:
+        """Wait for fresh readings of a standing base that was not serviced: the program computed.
+
+        Raises:
+            HazardError, LinkError: See ``service``.
+        """
+        if self._moving or self._clock.now() - self._serviced <= UNSERVICED:
+            return
+        before = self._history[-1]
+        self.service(self._clock.now())
+        while self._history[-1] is before:
+            self._clock.sleep(oi.PERIOD / 3)
+            self.service(self._clock.now())
 
     def _check_ready(self) -> None:
         """Raise ``HazardError`` if the base must not start driving."""
@@ -384,7 +401,7 @@ class CreateBase:
         # Stop the wheels
         self._heard = self._serviced = now = self._clock.now()
         self._gap = True
-        self._halt(now)
+        self._halt(now, "the base was unplugged")
 
     def _is_safe(self) -> bool:
         """Return whether the base obeys drive commands."""
@@ -413,7 +430,7 @@ class CreateBase:
         if not self._moving and silent > self._patience and now > self._asked_at:
             self._ask_again(now)
         if self._moving and silent > SILENCE and now > self._asked_at:
-            self._halt(now)
+            self._halt(now, f"the base has not answered for {silent:.2f} s")
 
         # Give up
         if silent > (LOST_AFTER if self._moving else SILENCE_AT_REST):
@@ -423,10 +440,10 @@ class CreateBase:
             words = f"the base has been silent for {silent:.1f} s; check its cable and battery"
             raise HazardError(f"stopped: {words}") if drove else LinkError(words)
 
-    def _halt(self, now: float) -> None:
+    def _halt(self, now: float, why: str) -> None:
         """Stop the wheels; drive on if the base answers in Safe mode within ``LOST_AFTER``."""
         if now - self._halted_at > LOST_AFTER:
-            log.warning("halted: the base, its cable or this computer was too busy")
+            log.warning("halted for a moment: %s", why)
         self._transport.write(STOP)
         if self._reckoning is not None:
             self._reckoning.drive(now, 0.0, 0.0)

@@ -42,11 +42,17 @@ MAX_UNREAD = 16
 """Number of unread lines kept, as in the twin."""
 POLL = 0.005
 """Interval at which a waiting reader polls the port [s]."""
+STALE = 1.0
+"""Time without ``service`` after which waiting bytes are discarded [s]: the program computed, and
+of what arrived meanwhile the port may have lost any part; assumption."""
 MAX_SCAN_GAP = 1.0
-"""Time without a good scan after which the stream is requested again [s]."""
-MAX_REQUESTS_SILENT = 3
+"""Time of listening without a good scan after which the stream is requested again [s]; it doubles
+with each fruitless request, because a sensor may start its stream anew at each."""
+MAX_BACKOFF = 4
+"""Largest multiple of that time: 5.2 s at 10 Hz, the motor's start included; assumption."""
+MAX_REQUESTS_SILENT = 2
 """Fruitless requests to a silent sensor after which the driver reconnects."""
-MAX_REQUESTS = 10
+MAX_REQUESTS = 5
 """Fruitless requests after which it reconnects although bytes still arrive."""
 BACKOFF = (0.1, 0.25)
 """First and longest wait between two attempts to reconnect [s]; it doubles each time."""
@@ -128,6 +134,7 @@ class UrgLidar:
         self._link: UrgLink | None = None
         self._connected = False
         self._last_good = -math.inf
+        self._serviced = clock.now()
         self._work = self._run_work()
 
         # Connect
@@ -225,17 +232,24 @@ class UrgLidar:
         """Connect and take in scans until the link is lost."""
         link = yield from self._connect()
         nudges, heard = 0, link.received
-        looked = self._clock.now()
+        looked = self._serviced = self._clock.now()
         while True:
+            # Discard what arrived while the program computed
+            now = self._clock.now()
+            away, self._serviced = now - self._serviced, now
+            if away > STALE:
+                link.forget()
+                looked += away
+
             # Take in what has arrived
             for arrived in link.take():
                 self._take(arrived)
 
             # Request again after a silence
-            now = self._clock.now()
+            gap = (MAX_SCAN_GAP + 3 * period(self.request)) * min(2**nudges, MAX_BACKOFF)
             if self._last_good > looked:
                 nudges, looked = 0, self._last_good
-            elif now - looked > MAX_SCAN_GAP + 3 * period(self.request):
+            elif now - looked > gap:
                 nudges, looked = nudges + 1, now
                 self._request_again(link, nudges, silent=link.received == heard)
                 heard = link.received
@@ -250,7 +264,7 @@ class UrgLidar:
         self.stats.problem = "no good scan arrives" if not silent else "the lidar fell silent"
         _log.warning("%s, asking again", self.stats.problem)
         if nudges > (MAX_REQUESTS_SILENT if silent else MAX_REQUESTS):
-            raise LinkTimeoutError(f"{self.stats.problem} for {nudges} s")
+            raise LinkTimeoutError(f"{self.stats.problem}, {nudges} requests were fruitless")
         link.send(b"\n" + self.request.request().encode())
 
     def _connect(self) -> Steps[UrgLink]:
@@ -298,6 +312,8 @@ class UrgLidar:
                 raise ProtocolError(f"{values.max()} mm is beyond the lidar's range")
             stamp = self._sensor_clock.stamp(scan.time_ms, began)
         except ProtocolError as error:
+            if arrived.is_cut:
+                return
             self.stats.bad += 1
             _log.debug("scan dropped: %s", error)
             return

@@ -32,7 +32,10 @@ Block = tuple[bytes, ...]
 
 
 class Splitter:
-    """Cuts a stream of bytes, fed in pieces of any size, into blocks."""
+    """Cuts a stream of bytes, fed in pieces of any size, into blocks.
+
+    Lines may also end with CR LF, as behind a bridge or a terminal that translates line ends.
+    """
 
     def __init__(self) -> None:
         self._line = bytearray()
@@ -45,7 +48,7 @@ class Splitter:
 
         # Complete lines
         for piece in complete:
-            line = bytes(self._line + piece)[:MAX_LINE]
+            line = bytes(self._line + piece).rstrip(b"\r")[:MAX_LINE]
             self._line.clear()
             if line:
                 del self._lines[: max(0, len(self._lines) - MAX_LINES + 1)]

@@ -458,6 +458,59 @@ def test_after_a_long_hang_the_base_does_not_drive_on(rig):
     assert rig.base.speed == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
+@pytest.mark.parametrize("baud", [115200, 19200])
+@pytest.mark.parametrize("seconds", [0.4, 8.5])
+def test_a_drive_after_planning_begins_without_a_halt(model, baud, seconds, caplog):
+    rig = Rig(model, inert=True, before=at(baud)).open()
+    for _ in range(2):
+        rig.driver.set_velocity(0.2, 0.0)
+        rig.wait(0.5)
+        rig.driver.set_velocity(0.0, 0.0)
+        rig.wait(0.5)
+        rig.written.clear()
+        rig.clock.sleep(seconds)
+        started = rig.clock.now()
+        rig.driver.set_velocity(0.2, 0.0)
+        # The latest reading tells of the moment, not of that before the planning
+        assert rig.driver.odometry().stamp > started - 0.1
+        assert rig.clock.now() - started < 0.3
+        rig.wait(0.5)
+        assert rig.base.wheels == pytest.approx((0.2, 0.2))
+    assert not caplog.messages
+    rig.driver.set_velocity(0.0, 0.0)
+    rig.wait(0.6)
+    assert rig.pose.distance(rig.base.odometry().T_odom_base) < 0.02
+
+
+def test_a_robot_that_was_lifted_while_the_program_planned_does_not_start(rig):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.driver.set_velocity(0.0, 0.0)
+    rig.wait(0.5)
+    rig.base.hazard = HAZARDS["wheel drop right"]
+    rig.clock.sleep(8.5)
+    with pytest.raises(HazardError, match="wheel drop right"):
+        rig.driver.set_velocity(0.2, 0.0)
+    assert rig.base.speed == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stall", "hang", "words"), [(0.6, 0.0, "has not answered"), (0.0, 0.5, "computer was busy")]
+)
+def test_a_halt_says_whether_the_cable_or_the_computer_is_to_blame(rig, stall, hang, words, caplog):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.line.faults = Faults(stalls=1e6 if stall else 0.0, stall=stall)
+    rig.wait(0.05)
+    rig.line.faults = NO_FAULTS
+    rig.clock.sleep(hang)
+    rig.wait(1.0)
+    (message,) = caplog.messages
+    assert message.startswith("halted")
+    assert words in message
+
+
 def test_after_a_hang_a_hazard_is_still_one(rig):
     rig.driver.set_velocity(0.2, 0.0)
     rig.wait(0.5)

@@ -560,6 +560,50 @@ def test_a_malfunction_interrupts_the_stream_and_no_more():
     bench.check(read(lidar, 5))
 
 
+@pytest.mark.parametrize("profile", [SERIAL, UrgProfile()])
+def test_after_planning_scans_arrive_without_a_new_request(profile, caplog):
+    bench = Bench(profile)
+    lidar = bench.connect("115200")
+    read(lidar, 5)
+    asked, bad = len(bench.requests()), lidar.stats.bad
+    bench.clock.sleep(8.5)
+    lines = read(lidar, 10)
+    bench.check(lines, 206, 562)
+    # What waited in the port is stale, and the rest of it was lost
+    assert lines[0].stamp > bench.clock.now() - 1.5
+    truth = [KnownLidar.stamp(KnownLidar.turn_at(line.stamp)) for line in lines]
+    assert np.allclose([line.stamp for line in lines], truth, atol=0.006)
+    assert (len(bench.requests()), lidar.stats.bad, caplog.messages) == (asked, bad, [])
+
+
+@pytest.mark.parametrize("seconds", [1.6, 3.0, 5.0])
+def test_a_sensor_that_starts_anew_at_each_request_is_given_time(seconds):
+    bench = Bench()
+    lidar = bench.connect()
+    read(lidar, 3)
+    # No scan is sent until so long after the latest request
+    transmit, since = bench.device.transmit, [bench.clock.now()]
+
+    def transmit_late(now):
+        data = transmit(now)
+        if data.count(b"\n") > 4:
+            return data if now - since[0] > seconds else b"00P\n\n"
+        since[0] = now if b"MD" in data else since[0]
+        return data
+
+    bench.device.transmit = transmit_late
+    bench.check(read(lidar, 3, timeout=12.0)[-1:])
+
+
+def test_replies_with_cr_lf_are_understood():
+    bench = Bench()
+    transmit = bench.device.transmit
+    bench.device.transmit = lambda now: transmit(now).replace(b"\n", b"\r\n")
+    lidar = bench.connect()
+    bench.check(read(lidar, 5))
+    assert lidar.stats.bad == 0
+
+
 def test_only_the_last_unread_lines_are_kept():
     bench = Bench()
     lidar = bench.connect()
