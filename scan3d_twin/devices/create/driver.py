@@ -37,11 +37,11 @@ from scan3d_twin.devices.create.link import (
     Values,
     base_spec,
     find_base,
-    is_plausible,
     open_source,
     packets_at_rest,
     watched_packets,
 )
+from scan3d_twin.devices.create.order_watch import OrderWatch
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.create.reading_filter import ReadingFilter
 from scan3d_twin.devices.links.guard import Guard, NoGuard
@@ -120,7 +120,8 @@ class CreateBase:
         self._header_summed: bool | None = None
 
         # Request the first packets
-        self._heard = self._serviced = clock.now()
+        self._heard = self._serviced = self._beat_at = clock.now()
+        self._beat_gap, self._guarded = 0.0, False
         self._packets: tuple[Packet, ...] = ()
         self._source = self._ask(packets_at_rest(contact))
         self.spec = base_spec(contact.model, streams=isinstance(self._source, Stream))
@@ -131,9 +132,11 @@ class CreateBase:
         # State of commands and readings
         self._sent = (0, 0)
         self._sent_at = self._asked_at = -math.inf
+        self._orders = OrderWatch(clock.now())
         self._asks = 0
         self._halted_at = -math.inf
         self._waiting = False
+        self._rejected, self._reason = 0, ""
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
         self._reckoning: Reckoning | None = None
@@ -147,8 +150,8 @@ class CreateBase:
 
     @property
     def bad(self) -> int:
-        """Readings dropped since the packets were last requested."""
-        return self._source.bad
+        """Readings dropped since the packets were last requested, or by their values at all."""
+        return self._source.bad + self._rejected
 
     @property
     def charging(self) -> bool:
@@ -196,11 +199,11 @@ class CreateBase:
 
         # Take in the readings
         before, away = self._hazards, now - self._serviced
-        hung = self._moving and away > UNSERVICED
-        if hung and self._reckoning is not None:
+        if self._moving and away > UNSERVICED and self._reckoning is not None:
             self._reckoning.drive(self._serviced + min(away, GUARD_TIMEOUT), 0.0, 0.0)
         fresh = self._receive(now)
-        self._guard.beat(self._moving)
+        self._beat()
+        hung, self._beat_gap = max(away, self._beat_gap), 0.0
 
         # Stop after a hang
         if self._moving and away > MAX_HANG:
@@ -209,8 +212,8 @@ class CreateBase:
                 f"stopped: this program hung for {away:.1f} s while the robot drove (the guard "
                 "stopped it meanwhile); end other programs"
             )
-        if hung:
-            self._halt(now, f"this computer was busy for {away:.2f} s")
+        if self._moving and hung > UNSERVICED:
+            self._halt(now, f"this computer was busy for {hung:.2f} s")
 
         # Check hazards, silence and rest
         if fresh:
@@ -265,9 +268,12 @@ class CreateBase:
 
     def _take(self, stamp: float, now: float, values: Values) -> None:
         """Take in one set of readings."""
-        # Reject impossible readings
-        if not is_plausible(values, self.contact):
+        # Mask or reject impossible readings
+        usable = self._filter.mask(values, self.contact, now)
+        if usable is None:
+            self._rejected, self._reason = self._rejected + 1, "a value is out of range"
             return
+        values = usable
 
         # Debounce and update the odometry
         if self._reckoning is None:
@@ -277,8 +283,10 @@ class CreateBase:
         odometry = self._reckoning.take(stamp, values, doubtful=doubtful)
         if odometry is not None:
             self._keep(odometry, now)
-        elif doubtful or not self._history:
-            return
+        else:
+            self._rejected, self._reason = self._rejected + 1, "the wheel counts jump"
+            if doubtful or not self._history:
+                return
 
         # Store mode and hazards
         self._values = believed
@@ -288,7 +296,7 @@ class CreateBase:
             self._header_summed = self._source.header_summed
 
     def _keep(self, odometry: Odometry, now: float) -> None:
-        self._heard, self._asks = now, 0
+        self._heard, self._asks, self._reason = now, 0, ""
         self._history.append(odometry)
         if len(self._history) > MIN_HISTORY + FORGET_BATCH:
             del self._history[:FORGET_BATCH]
@@ -349,11 +357,20 @@ class CreateBase:
     def _drive(self, right_mm: int, left_mm: int) -> None:
         self._sent = (right_mm, left_mm)
         self._sent_at = self._clock.now()
-        self._guard.beat(self._moving)
+        self._orders.send(self._sent, self._sent_at)
+        self._beat()
         self._transport.write(oi.drive_direct(right_mm, left_mm))
         if self._reckoning is not None:
             linear, turn = (right_mm + left_mm) / 2000, (right_mm - left_mm) / 1000
             self._reckoning.drive(self._sent_at, linear, turn / self.spec.wheel_base)
+
+    def _beat(self) -> None:
+        """Send a heartbeat to the guard, and keep the longest time between two in a drive."""
+        self._guard.beat(self._moving)
+        now = self._clock.now()
+        if self._guarded:
+            self._beat_gap = max(self._beat_gap, now - self._beat_at)
+        self._beat_at, self._guarded = now, self._moving
 
     # Watching.
 
@@ -371,8 +388,18 @@ class CreateBase:
         if names:
             self._drive(0, 0)
             raise HazardError(f"stopped: {', '.join(dict.fromkeys(names))} at {now:.2f} s")
-        if self._reported_speeds() != self._sent and since > ASK_AGAIN and self._is_safe():
-            self._drive(*self._sent)
+        self._repeat_order(now)
+
+    def _repeat_order(self, now: float) -> None:
+        """Repeat a drive command that the base does not follow."""
+        remedy = self._orders.check(self._reported_speeds(), now, is_safe=self._is_safe())
+        if remedy == "none":
+            return
+        if remedy == "complete and repeat":
+            self._transport.write(HALF_ANYTHING)
+            self._orders.excuse(len(HALF_ANYTHING) * 10 / self.contact.baud)
+            self._source = self._ask_anew()
+        self._drive(*self._sent)
 
     def _wait_for_the_plug(self) -> None:
         """Wait until an unplugged base is back, and stop it; driving resumes once it answers.
@@ -400,6 +427,7 @@ class CreateBase:
 
         # Stop the wheels
         self._heard = self._serviced = now = self._clock.now()
+        self._guarded = False
         self._gap = True
         self._halt(now, "the base was unplugged")
 
@@ -438,6 +466,11 @@ class CreateBase:
             drove = self._moving
             self._drive(0, 0)
             words = f"the base has been silent for {silent:.1f} s; check its cable and battery"
+            if self._reason:
+                words = (
+                    f"no reading of the base was usable for {silent:.1f} s ({self._reason}); check "
+                    "its cable"
+                )
             raise HazardError(f"stopped: {words}") if drove else LinkError(words)
 
     def _halt(self, now: float, why: str) -> None:

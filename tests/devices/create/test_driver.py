@@ -747,3 +747,83 @@ def test_a_wheel_that_is_blocked_is_where_its_counts_say(rig):
     assert rig.pose.distance(rig.base.odometry().T_odom_base) < 0.001
     stamps = [sample.stamp for sample in rig.driver.odometry_since(rig.clock.now() - 0.4)]
     assert max(np.diff(stamps)) < 0.02
+
+
+# A drive command that swallows those after it.
+
+
+@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
+@pytest.mark.parametrize(
+    "swallows", [bytes([140, 0, 255]), bytes([148, 120])], ids=["song", "stream"]
+)
+@pytest.mark.parametrize("period", [0.03, 10.0])
+def test_a_base_that_takes_drive_commands_for_something_else_is_freed(model, swallows, period):
+    rig = Rig(model).open()
+    rig.driver.set_velocity(0.0, 0.3)
+    rig.wait(0.5)
+    # A garbled command makes it run away, and wait for hundreds of bytes
+    rig.device.receive(oi.drive_direct(400, -100) + swallows, rig.clock.now())
+    began = rig.clock.now()
+    while rig.clock.now() < began + 0.6:
+        if period < 1.0:
+            rig.driver.set_velocity(0.0, 0.3 + 0.02 * (rig.clock.now() - began))
+        rig.wait(min(period, 0.6))
+    assert rig.base.speed == pytest.approx((0.0, 0.31), abs=0.02)
+
+
+# Readings out of range.
+
+
+def test_a_reading_out_of_range_is_left_out_and_said(rig, caplog):
+    take = rig.driver._source.take
+    odd = {Packet.BUMPS_DROPS: 0x60, Packet.CHARGING_SOURCES: 8, Packet.MODE: 32}
+
+    def take_odd(data, now):
+        return [{**values, **odd} for values in take(data, now)]
+
+    rig.driver._source.take = take_odd
+    rig.wait(4.0)
+    assert rig.driver.mode is Mode.PASSIVE
+    assert not rig.driver.hazards().active()
+    assert not rig.driver.charging
+    assert rig.driver._filter.masked > 600
+    assert len(caplog.messages) == 3
+    assert "96 in packet 7 (bumps drops), which is out of range" in caplog.messages[0]
+    odd[Packet.BUMPS_DROPS] = 0x61
+    with pytest.raises(HazardError, match="bump right"):
+        rig.wait(0.1)
+
+
+def test_a_base_none_of_whose_readings_is_usable_is_not_called_silent(rig):
+    source = rig.driver._source
+    take, rng = source.take, np.random.default_rng(0)
+    rig.driver._filter.is_noisy = lambda now: True
+    source.take = lambda data, now: [
+        {**values, Packet.MODE: int(rng.integers(100, 255))} for values in take(data, now)
+    ]
+    rig.driver._ask_anew = lambda: source
+    with pytest.raises(
+        LinkError, match=r"no reading .* usable for 3\.0 s \(a value is out of range"
+    ):
+        rig.wait(5.0)
+
+
+def test_a_hang_between_two_heartbeats_is_noticed(rig, caplog):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    read = rig.wire.read
+
+    def read_late(timeout):
+        rig.wire.read = read
+        rig.clock.sleep(0.2)
+        return read(timeout)
+
+    rig.wire.read = read_late
+    rig.driver.service(rig.clock.now())
+    rig.clock.sleep(0.15)
+    # Neither wait is long, but the guard has heard nothing for 0.355 s
+    rig.wire.read = read_late
+    rig.driver.service(rig.clock.now())
+    rig.wait(0.1)
+    (message,) = caplog.messages
+    assert "this computer was busy for 0.35 s" in message
