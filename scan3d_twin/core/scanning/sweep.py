@@ -1,7 +1,7 @@
 """Sweeping: the robot turns on the spot and the vertical scan lines sweep out a range image.
 
-Lines are de-skewed (``deskew``), and lines that did not arrive are scanned again (the data-loss
-check of the paper's Fig. 5).
+Lines are de-skewed (``deskew``), and what did not arrive is scanned again: whole lines, and wide
+holes where parts of lines were lost (the data-loss check of the paper's Fig. 5).
 """
 
 from __future__ import annotations
@@ -19,7 +19,14 @@ from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
 from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
 from scan3d_twin.core.scanning.deskew import Lines, deskew_lines
 from scan3d_twin.core.scanning.extrinsics import correct_extrinsics
+from scan3d_twin.core.scanning.lost_readings import (
+    drop_doubtful,
+    find_holes,
+    hide_lost,
+    merge_intervals,
+)
 from scan3d_twin.core.types import (
+    LOST,
     FloatArray,
     LidarSpec,
     Observation,
@@ -85,7 +92,8 @@ def sweep(
         half: Half the angle of a narrower sweep [rad].
 
     Raises:
-        DataLossError: Lines are still missing after ``config.sweep.retries`` more passes.
+        DataLossError: Lines or parts of them are still missing after ``config.sweep.retries`` more
+            passes.
         MotionTimeoutError, HazardError, LinkTimeoutError: From the robot.
     """
     whole, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
@@ -162,30 +170,57 @@ def _scan_sector(
 ) -> Lines:
     """Return the lines of ``sector`` and slightly beyond, after scanning lost lines again."""
     # Scan all of it
-    half, spacing = sector.half, sector.rate * robot.lidar.spec.line_period
+    half = sector.half
     heading = wrap(robot.base.odometry().T_odom_base.yaw - sector.yaw)
     rightwards = heading >= 0 if sector.rightwards is None else sector.rightwards
     ends = (half, -half) if rightwards else (-half, half)
     lines = _scan_pass(robot, sector, ends, config, on_line)
 
-    # Scan lost lines again
+    # Scan again what was lost
     for _ in range(config.sweep.retries):
-        missing = find_missing(_front_yaws(lines), half, spacing, sector.gap)
+        missing = _find_gaps(lines, sector, robot.lidar.spec, config)
         if not missing:
             break
-        for left, right in missing:
-            again = _scan_pass(robot, sector, (left, right), config, on_line)
-            inside = [item for item in again if right < _front_yaw(item[1]) < left]
+        for ends in missing:
+            again = _scan_pass(robot, sector, ends, config, on_line)
+            inside = [item for item in again if min(ends) < _front_yaw(item[1]) < max(ends)]
             lines.extend(inside)
 
     # Give up on lasting gaps
-    missing = find_missing(_front_yaws(lines), half, spacing, sector.gap)
+    missing = _find_gaps(lines, sector, robot.lidar.spec, config)
     if missing:
         raise DataLossError(
             f"{len(missing)} gaps in the sweep are left after {config.sweep.retries} more passes; "
             "check the lidar's cable and baud rate, or allow more sweep.retries"
         )
-    return lines
+    return drop_doubtful(lines)
+
+
+def _find_gaps(
+    lines: Lines, sector: _Sector, spec: LidarSpec, config: Config
+) -> list[tuple[float, float]]:
+    """Return the intervals in which lines are missing or parts of them too wide to be filled.
+
+    Where parts are missing, intervals whose run-ups overlap are one, in the order and direction of
+    the way from the end at which the robot stands.
+    """
+    front, spacing = _front_yaws(lines), sector.rate * spec.line_period
+    missing = find_missing(front, sector.half, spacing, sector.gap)
+    codes = [line.codes for line, _ in drop_doubtful(lines)]
+    if not codes:
+        return missing
+
+    # Gap filling closes what is narrow along a line or across lines
+    lost, widest = np.array(codes) == LOST, config.gaps.max_angle
+    width = max(sector.gap * spacing, widest - spacing / 2)
+    step = float(np.ptp(spec.elevations)) / max(1, spec.n_beams - 1)
+    beams = math.ceil(widest / step) - 1
+    holes = find_holes(front, lost, sector.half, spacing, width, beams)
+    if not holes:
+        return missing
+    merged = merge_intervals(missing + holes, 2 * RUN_UP_LINES * spacing)
+    is_right = 2 * front[-1] < merged[0][0] + merged[-1][1]
+    return [(right, left) for left, right in reversed(merged)] if is_right else merged
 
 
 def _scan_pass(
@@ -254,7 +289,7 @@ def _assemble_observation(robot: Robot, lines: Lines, yaw: float, started: float
         stamps=read_only([_find_stamp(line, spec) for line, _ in lines]),
         yaws=read_only([yaws for _, yaws in lines]),
         ranges=read_only([line.ranges for line, _ in lines]),
-        codes=read_only([line.codes for line, _ in lines], np.int64),
+        codes=read_only(hide_lost(np.array([line.codes for line, _ in lines])), np.int64),
         spec=spec,
         T_base_lidar=read_only(robot.T_base_lidar),
         elevations=_stack_elevations([line for line, _ in lines], spec),
