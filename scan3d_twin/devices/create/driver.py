@@ -134,7 +134,8 @@ class CreateBase:
         self._sent_at = self._asked_at = -math.inf
         self._orders = OrderWatch(clock.now())
         self._asks = 0
-        self._halted_at = -math.inf
+        self._halted_at = self._safe_at = -math.inf
+        self._resumes = False
         self._waiting = False
         self._rejected, self._reason = 0, ""
         self._hazards, self._values = Hazards(), Values()
@@ -377,6 +378,7 @@ class CreateBase:
     def _check_hazards(self, before: Hazards, now: float) -> None:
         """Stop for hazards; repeat a drive command that the base did not receive."""
         # Collect the reasons to stop
+        self._safe_at = now if self._is_safe() else self._safe_at
         names = list(blocking_hazards(before, self._hazards, sum(self._sent)))
         if self._moving and self._hazards.battery < LOW_BATTERY:
             names.append(f"low battery ({self._hazards.battery:.0%})")
@@ -391,7 +393,11 @@ class CreateBase:
         self._repeat_order(now)
 
     def _repeat_order(self, now: float) -> None:
-        """Repeat a drive command that the base does not follow."""
+        """Repeat a drive command that the base does not follow, or one from before Safe mode."""
+        if self._resumes and self._is_safe():
+            self._resumes = False
+            self._drive(*self._sent)
+            return
         remedy = self._orders.check(self._reported_speeds(), now, is_safe=self._is_safe())
         if remedy == "none":
             return
@@ -436,14 +442,20 @@ class CreateBase:
         return self.mode >= Mode.SAFE
 
     def _restore_safe_mode(self, now: float) -> list[str]:
-        """Return why the base left Safe mode; after a halt, request Safe mode instead."""
+        """Return why the base left Safe mode; after a halt, request Safe mode instead.
+
+        On a noisy link a garbled command may be the cause: then the base is halted for it.
+        """
         why = find_unsafe_causes(self._values, self._hazards)
         unknown = not (self._hazards.active() or self.charging)
+        was_safe = now - self._safe_at < LOST_AFTER / 2 and now - self._halted_at > LOST_AFTER
+        if unknown and was_safe and self._filter.is_noisy(now):
+            self._halt(now, "a garbled command took the base out of Safe mode")
         if not (unknown and now - self._halted_at < LOST_AFTER):
             return why
         if now > self._asked_at:
             self._transport.write(oi.command(Op.SAFE))
-            self._asked_at = now + ASK_AGAIN
+            self._asked_at, self._resumes = now + ASK_AGAIN, True
         return []
 
     def _reported_speeds(self) -> tuple[int, int]:

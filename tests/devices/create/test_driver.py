@@ -771,6 +771,29 @@ def test_a_base_that_takes_drive_commands_for_something_else_is_freed(model, swa
     assert rig.base.speed == pytest.approx((0.0, 0.31), abs=0.02)
 
 
+@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
+def test_a_garbled_command_that_ends_safe_mode_is_made_good_on_a_noisy_line_only(model, caplog):
+    rig = Rig(model).open()
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.driver._filter.is_noisy = lambda now: True
+    rig.device.receive(oi.command(Op.START), rig.clock.now())
+    rig.wait(0.5)
+    assert (rig.driver.mode, rig.base.speed) == (Mode.SAFE, (0.2, 0.0))
+    assert caplog.messages == [
+        "halted for a moment: a garbled command took the base out of Safe mode"
+    ]
+
+    # A base that does not return to Safe mode is no longer driven
+    receive = rig.device.receive
+    rig.wait(1.0)
+    rig.device.receive = lambda data, now: receive(data.replace(bytes([Op.SAFE]), b""), now)
+    receive(oi.command(Op.START), rig.clock.now())
+    with pytest.raises(HazardError, match="left Safe mode"):
+        rig.wait(3.0)
+    assert rig.base.speed == (0.0, 0.0)
+
+
 # Readings out of range.
 
 
