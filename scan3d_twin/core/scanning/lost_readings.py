@@ -1,7 +1,7 @@
 """Readings that were lost on their way from the lidar: what to scan again, and what to doubt.
 
-A garbled line arrives with some of its readings ``LOST``. Gap filling closes narrow holes in the
-range image; wider ones are scanned again.
+A garbled line arrives with some of its readings ``LOST``. Wide holes in the range image are scanned
+again; narrow ones are filled like other gaps.
 
 A short checksum misses some errors. In a sweep with lost readings a distance is therefore doubted
 where none of its neighbours in the image is like it, together with those beside it that the same
@@ -16,13 +16,15 @@ from itertools import product
 import numpy as np
 from scipy import ndimage
 
+from scan3d_twin.core.config import GapConfig
 from scan3d_twin.core.scanning.deskew import Lines
+from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.types import (
     LOST,
     UNMEASURED,
     BoolArray,
     FloatArray,
-    IntArray,
+    RangeImage,
     ScanLine,
     read_only,
 )
@@ -111,9 +113,22 @@ def drop_doubtful(lines: Lines) -> Lines:
     return dropped
 
 
-def hide_lost(codes: IntArray) -> IntArray:
-    """Return ``codes`` for a range image, in which lost readings are ``UNMEASURED``."""
-    return np.where(codes == LOST, UNMEASURED, codes)
+def fill_lost(image: RangeImage, config: GapConfig) -> RangeImage:
+    """Return ``image`` with its lost readings filled like gaps, and ``UNMEASURED``.
+
+    The floor is known to be free only where it was seen all along a line: without this, a lost row
+    in each of many lines would close all ways.
+
+    Args:
+        image: Of a sweep in which readings may be ``LOST``.
+        config: Its ``max_angle`` is that up to which holes were not scanned again.
+    """
+    lost = image.codes == LOST
+    if not lost.any():
+        return image
+    ranges = np.where(lost, fill_gaps(image, config).ranges, image.ranges)
+    codes = np.where(lost, UNMEASURED, image.codes)
+    return replace(image, ranges=read_only(ranges), codes=read_only(codes, np.int64))
 
 
 def _has_like(ranges: FloatArray) -> BoolArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,8 +21,8 @@ from scan3d_twin.core.scanning.deskew import Lines, deskew_lines
 from scan3d_twin.core.scanning.extrinsics import correct_extrinsics
 from scan3d_twin.core.scanning.lost_readings import (
     drop_doubtful,
+    fill_lost,
     find_holes,
-    hide_lost,
     merge_intervals,
 )
 from scan3d_twin.core.types import (
@@ -99,10 +99,12 @@ def sweep(
     whole, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
     half = whole if half is None else min(half, whole)
     started = robot.clock.now()
-    lines = _scan_sector(robot, _Sector(yaw, half, rate, LOST_LINE_GAP), config, on_line)
+    sector = _Sector(yaw, half, rate, LOST_LINE_GAP)
+    lines = _scan_sector(robot, sector, config, on_line)
     spacing = rate * robot.lidar.spec.line_period
     kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
-    return correct_extrinsics(_assemble_observation(robot, kept, yaw, started), config.mount)
+    observation = _assemble_observation(robot, kept, sector, started, config)
+    return correct_extrinsics(observation, config.mount)
 
 
 def take_panorama(
@@ -124,7 +126,8 @@ def take_panorama(
     lines = _scan_sector(robot, sector, config, on_line)
     turn_by(robot, -math.pi, config.motion)
     turn_to(robot, yaw, config.motion)
-    return correct_extrinsics(_assemble_observation(robot, lines, yaw, started), config.mount)
+    observation = _assemble_observation(robot, lines, sector, started, config)
+    return correct_extrinsics(observation, config.mount)
 
 
 def find_missing(
@@ -211,16 +214,21 @@ def _find_gaps(
         return missing
 
     # Gap filling closes what is narrow along a line or across lines
-    lost, widest = np.array(codes) == LOST, config.gaps.max_angle
-    width = max(sector.gap * spacing, widest - spacing / 2)
+    lost, widest = np.array(codes) == LOST, _find_filled_angle(sector, spec, config)
+    width = widest - spacing / 2
     step = float(np.ptp(spec.elevations)) / max(1, spec.n_beams - 1)
-    beams = math.ceil(widest / step) - 1
+    beams = math.ceil(config.gaps.max_angle / step) - 1
     holes = find_holes(front, lost, sector.half, spacing, width, beams)
     if not holes:
         return missing
     merged = merge_intervals(missing + holes, 2 * RUN_UP_LINES * spacing)
     is_right = 2 * front[-1] < merged[0][0] + merged[-1][1]
     return [(right, left) for left, right in reversed(merged)] if is_right else merged
+
+
+def _find_filled_angle(sector: _Sector, spec: LidarSpec, config: Config) -> float:
+    """Return the angle up to which holes are filled [rad]: as far as lines may be apart."""
+    return max((sector.gap + 0.5) * sector.rate * spec.line_period, config.gaps.max_angle)
 
 
 def _scan_pass(
@@ -273,7 +281,9 @@ def _front_yaws(lines: Lines) -> FloatArray:
     return np.array([_front_yaw(yaws) for _, yaws in lines])
 
 
-def _assemble_observation(robot: Robot, lines: Lines, yaw: float, started: float) -> Observation:
+def _assemble_observation(
+    robot: Robot, lines: Lines, sector: _Sector, started: float, config: Config
+) -> Observation:
     """Return the lines, left to right, as a range image at the mean place of the turn."""
     if not lines:
         raise DataLossError("the lidar sent no line during the sweep; check its cable and laser")
@@ -289,16 +299,20 @@ def _assemble_observation(robot: Robot, lines: Lines, yaw: float, started: float
         stamps=read_only([_find_stamp(line, spec) for line, _ in lines]),
         yaws=read_only([yaws for _, yaws in lines]),
         ranges=read_only([line.ranges for line, _ in lines]),
-        codes=read_only(hide_lost(np.array([line.codes for line, _ in lines])), np.int64),
+        codes=read_only([line.codes for line, _ in lines], np.int64),
         spec=spec,
         T_base_lidar=read_only(robot.T_base_lidar),
         elevations=_stack_elevations([line for line, _ in lines], spec),
     )
     columns = find_packed_columns(image.codes)
     image = image if columns is None else pack_columns(image, columns)
+    angle = _find_filled_angle(sector, robot.lidar.spec, config)
+    image = fill_lost(image, replace(config.gaps, max_angle=angle))
+
+    # Take the mean place of the turn
     x = float(np.mean([pose.x for pose in turning]))
     y = float(np.mean([pose.y for pose in turning]))
-    return Observation(image, Pose2(x, y, yaw))
+    return Observation(image, Pose2(x, y, sector.yaw))
 
 
 def _find_stamp(line: ScanLine, spec: LidarSpec) -> float:

@@ -179,3 +179,18 @@ def test_a_sweep_scans_wide_holes_again_and_leaves_narrow_ones() -> None:
 def test_holes_that_stay_are_an_error() -> None:
     with pytest.raises(DataLossError, match="gaps in the sweep are left after 0 more passes"):
         garbled_sweep(0.6, retries=0)
+
+
+def test_lost_readings_are_filled_so_that_the_floor_stays_known() -> None:
+    garbled, _ = garbled_sweep(0.2)
+    image = garbled.image
+    filled = (image.codes == UNMEASURED) & np.isfinite(image.ranges)
+    whole, _ = garbled_sweep(0.0)
+    # Where the lines at both sides see the same surface, which most of them do
+    assert filled.mean() > 0.5 * (image.codes == UNMEASURED).mean() > 0.05
+    seen = np.isfinite(image.ranges).mean()
+    assert seen > np.isfinite(whole.image.ranges).mean() - 0.06
+    # They are on the surfaces that the whole sweep sees there
+    n = min(image.n_lines, whole.image.n_lines)
+    off = np.abs(image.ranges[:n] - whole.image.ranges[:n])[filled[:n]]
+    assert np.nanmedian(off) < 0.005
