@@ -75,6 +75,8 @@ LISTENING = 0.03
 STALE, STALE_IF_NOISY = 0.5, 0.1
 """Time after which bytes that wait for ``service`` are stale [s]; shorter on a noisy link, where
 lost bytes make their age uncertain."""
+SAFE_REQUESTS = 8
+"""Requests for Safe mode before the base is said to refuse it: 1 s, as for ``LOST_AFTER``."""
 STOPPING_TIME = 0.2
 """Time from a stop command until the wheels stand [s]; they decelerate with 1.8 m/s2."""
 LOW_BATTERY = 0.1
@@ -318,16 +320,17 @@ class CreateBase:
         if self._is_safe():
             return
 
-        # Request Safe mode up to three times
-        for _ in range(3):
+        # Request Safe mode, as long as a busy computer may take to see it
+        for _ in range(SAFE_REQUESTS):
             self._transport.write(oi.command(Op.SAFE))
-            deadline = self._clock.now() + MODE_SETTLE + 3 * self.spec.sample_period
+            deadline = self._clock.now() + MODE_SETTLE + ASK_AGAIN
             self._clock.sleep(MODE_SETTLE)
-            while self._clock.now() < deadline:
-                self.service(self._clock.now())
-                if self._is_safe():
-                    return
+            self.service(self._clock.now())
+            while not self._is_safe() and self._clock.now() < deadline:
                 self._clock.sleep(oi.PERIOD / 3)
+                self.service(self._clock.now())
+            if self._is_safe():
+                return
 
         causes = ", ".join(self._hazards.active()) or "unknown to the driver"
         raise HazardError(
