@@ -34,7 +34,10 @@ VALID = -1
 MIXED = -2
 """Entry of a ``codes`` array where the reading was removed as a mixed pixel."""
 UNMEASURED = -3
-"""Entry of a ``codes`` array where the line had no beam."""
+"""Entry of a ``codes`` array where the line had no beam, or its reading is unknown."""
+LOST = -4
+"""Entry of a ``codes`` array of a scan line where the reading was lost on its way from the sensor:
+another pass may still get it. In a range image it is ``UNMEASURED``."""
 
 
 def wrap(angle: float) -> float:

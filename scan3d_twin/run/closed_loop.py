@@ -10,15 +10,19 @@ from typing import Protocol
 import numpy as np
 
 from scan3d_twin.core.digitize import run_loop
-from scan3d_twin.core.hal import DriveBase, Robot
+from scan3d_twin.core.hal import Clock, DriveBase, Robot
 from scan3d_twin.core.model import evaluation
 from scan3d_twin.core.navigation.motion_control import measure_travel
 from scan3d_twin.core.observer import Observer, Observers, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Plan
+from scan3d_twin.core.types import Plan, ScanLine
 from scan3d_twin.run.report import Journey, thin_track
 from scan3d_twin.run.settings import NAME_OR_PLACE, Settings, parse_place
+
+MIN_NAMED_GAP = 0.5
+"""Shortest time of computing that a run names [s]: from then on the driver of the base discards
+what has arrived meanwhile."""
 
 Timer = Callable[[], float]
 """Returns the computer's time [s] since some moment."""
@@ -99,6 +103,7 @@ def close_loop(
     # Prepare planner, log and target
     planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
     log = _ProgressLog(robot, earlier, begun)
+    watch = ComputingWatch(robot.clock, observer)
     target = _find_target(settings.run.target, truth)
 
     # Digitise until it ends
@@ -109,7 +114,7 @@ def close_loop(
             planner,
             settings.config,
             settings.run.seed,
-            Observers(log, observer),
+            Observers(log, watch, observer),
             target,
             None if earlier is None else earlier.session,
         )
@@ -138,6 +143,35 @@ class TimedPlanner:
             return self._planner.plan(session, rng)
         finally:
             self.seconds[-1] += self._timer() - started
+
+
+class ComputingWatch(Unobserved):
+    """Names the times in which the program computed and read neither device.
+
+    Only the robot's clock counts, on which computing takes no time in the twin.
+    """
+
+    def __init__(self, clock: Clock, observer: Observer) -> None:
+        self._clock, self._observer = clock, observer
+        self._read_at = clock.now()
+
+    def on_line(self, line: ScanLine) -> None:
+        """See ``Observer``: the devices are read."""
+        self._read_at = self._clock.now()
+
+    def on_view(self, session: Session) -> None:
+        """See ``Observer``: the latest scan has been registered."""
+        self._name_gap(f"registering view {len(session.views) - 1}")
+
+    def on_plan(self, session: Session) -> None:
+        """See ``Observer``: the next viewpoint has been planned."""
+        self._name_gap(f"planning after view {len(session.views) - 1}")
+
+    def _name_gap(self, what: str) -> None:
+        before, self._read_at = self._read_at, self._clock.now()
+        gap = self._read_at - before
+        if gap >= MIN_NAMED_GAP:
+            self._observer.on_event(f"{what} took {gap:.1f} s, in which no device was read")
 
 
 class JourneyMeter:

@@ -2,14 +2,19 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 
+from scan3d_twin.core import digitize
 from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.errors import ConfigError, ScanError
+from scan3d_twin.core.hal import Clock
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_by
 from scan3d_twin.core.observer import Observer, Unobserved
+from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import Plan
 from scan3d_twin.run.closed_loop import JourneyMeter, LoopOutcome, close_loop
 from scan3d_twin.run.settings import Settings, build_settings
 from scan3d_twin.sim.config import TwinConfig
@@ -73,3 +78,45 @@ def test_what_ends_a_loop_is_told_with_what_there_is() -> None:
 def test_without_a_view_there_is_nothing_to_tell() -> None:
     with pytest.raises(ConfigError, match="a name or x,y"):
         looped(Unobserved(), build_settings([{"run": {"target": "a,b"}}]))
+
+
+class Events(Unobserved):
+    """Keeps the events."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def on_event(self, text: str) -> None:
+        """Keep ``text``."""
+        self.texts.append(text)
+
+
+class SlowClock:
+    """A clock on which planning takes ``seconds`` each time."""
+
+    def __init__(self, clock: Clock, seconds: float) -> None:
+        self.sleep, self._clock, self.seconds, self.late = clock.sleep, clock, seconds, 0.0
+
+    def now(self) -> float:
+        """Return the time, later by all planning."""
+        return self._clock.now() + self.late
+
+
+@pytest.mark.parametrize(("seconds", "named"), [(0.0, 0), (8.5, 1)])
+def test_times_in_which_no_device_was_read_are_named(
+    monkeypatch: pytest.MonkeyPatch, seconds: float, named: int
+) -> None:
+    ask = digitize.ask_planner
+
+    def plan_slowly(planner: Planner, session: Session) -> Plan:
+        clock.late += clock.seconds
+        return ask(planner, session)
+
+    monkeypatch.setattr(digitize, "ask_planner", plan_slowly)
+    events = Events()
+    with open_sim("three_boxes", 0, TwinConfig.ideal()) as (robot, truth):
+        clock = SlowClock(robot.clock, seconds)
+        settings = build_settings([{"max_views": 1}])
+        close_loop(replace(robot, clock=clock), truth, settings, events, lambda: 0.0)
+    found = [text for text in events.texts if "no device was read" in text]
+    assert found == ["planning after view 0 took 8.5 s, in which no device was read"] * named

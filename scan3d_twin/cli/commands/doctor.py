@@ -41,6 +41,8 @@ WATCHED = 1.0
 """How long the base's stream is watched [s]."""
 LINES = 20
 """Lines over which the lidar's rate is measured."""
+MAX_DAMAGED_SHARE = 0.1
+"""Share of damaged lines above which the cable is called bad: 1 byte of 20000; assumption."""
 LOW_BATTERY = 0.25
 """Below this the base should be charged before a run of some 20 minutes."""
 
@@ -221,10 +223,10 @@ def _lidar(device: LidarDevice, port: str, clock: Clock) -> Iterator[Finding]:
         lines = [lidar.read_line(2.0) for _ in range(LINES)]
         rate = (LINES - 1) / (lines[-1].stamp - lines[0].stamp)
         wanted = 1 / lidar.spec.line_period
-        good = rate > 0.95 * wanted
+        good = rate > 0.95 * wanted and lidar.bad <= MAX_DAMAGED_SHARE * LINES
         others = " or ".join(f"--lidar-link {link}" for link in device.links[1:])
         cure = "" if good else f"check the cable; try USB{others and ' or '}{others}"
-        found = f"{rate:.2f} Hz of {wanted:.0f}, {lidar.bad} dropped"
+        found = f"{rate:.2f} Hz of {wanted:.0f}, {lidar.bad} damaged"
         yield Finding("lidar rate", good, found, cure)
         seen = sum(float((line.ranges > 0).mean()) for line in lines) / LINES
         yield Finding("lidar view", seen > 0.1, f"{seen:.0%} of the beams see something")

@@ -1,14 +1,14 @@
 """Sweeping: the robot turns on the spot and the vertical scan lines sweep out a range image.
 
-Lines are de-skewed (``deskew``), and lines that did not arrive are scanned again (the data-loss
-check of the paper's Fig. 5).
+Lines are de-skewed (``deskew``), and what did not arrive is scanned again: whole lines, and wide
+holes where parts of lines were lost (the data-loss check of the paper's Fig. 5).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,14 @@ from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
 from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
 from scan3d_twin.core.scanning.deskew import Lines, deskew_lines
 from scan3d_twin.core.scanning.extrinsics import correct_extrinsics
+from scan3d_twin.core.scanning.lost_readings import (
+    drop_doubtful,
+    fill_lost,
+    find_holes,
+    merge_intervals,
+)
 from scan3d_twin.core.types import (
+    LOST,
     FloatArray,
     LidarSpec,
     Observation,
@@ -85,16 +92,19 @@ def sweep(
         half: Half the angle of a narrower sweep [rad].
 
     Raises:
-        DataLossError: Lines are still missing after ``config.sweep.retries`` more passes.
+        DataLossError: Lines or parts of them are still missing after ``config.sweep.retries`` more
+            passes.
         MotionTimeoutError, HazardError, LinkTimeoutError: From the robot.
     """
     whole, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
     half = whole if half is None else min(half, whole)
     started = robot.clock.now()
-    lines = _scan_sector(robot, _Sector(yaw, half, rate, LOST_LINE_GAP), config, on_line)
+    sector = _Sector(yaw, half, rate, LOST_LINE_GAP)
+    lines = _scan_sector(robot, sector, config, on_line)
     spacing = rate * robot.lidar.spec.line_period
     kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
-    return correct_extrinsics(_assemble_observation(robot, kept, yaw, started), config.mount)
+    observation = _assemble_observation(robot, kept, sector, started, config)
+    return correct_extrinsics(observation, config.mount)
 
 
 def take_panorama(
@@ -116,7 +126,8 @@ def take_panorama(
     lines = _scan_sector(robot, sector, config, on_line)
     turn_by(robot, -math.pi, config.motion)
     turn_to(robot, yaw, config.motion)
-    return correct_extrinsics(_assemble_observation(robot, lines, yaw, started), config.mount)
+    observation = _assemble_observation(robot, lines, sector, started, config)
+    return correct_extrinsics(observation, config.mount)
 
 
 def find_missing(
@@ -162,30 +173,62 @@ def _scan_sector(
 ) -> Lines:
     """Return the lines of ``sector`` and slightly beyond, after scanning lost lines again."""
     # Scan all of it
-    half, spacing = sector.half, sector.rate * robot.lidar.spec.line_period
+    half = sector.half
     heading = wrap(robot.base.odometry().T_odom_base.yaw - sector.yaw)
     rightwards = heading >= 0 if sector.rightwards is None else sector.rightwards
     ends = (half, -half) if rightwards else (-half, half)
     lines = _scan_pass(robot, sector, ends, config, on_line)
 
-    # Scan lost lines again
+    # Scan again what was lost
     for _ in range(config.sweep.retries):
-        missing = find_missing(_front_yaws(lines), half, spacing, sector.gap)
+        missing = _find_gaps(lines, sector, robot.lidar.spec, config)
         if not missing:
             break
-        for left, right in missing:
-            again = _scan_pass(robot, sector, (left, right), config, on_line)
-            inside = [item for item in again if right < _front_yaw(item[1]) < left]
+        for ends in missing:
+            again = _scan_pass(robot, sector, ends, config, on_line)
+            inside = [item for item in again if min(ends) < _front_yaw(item[1]) < max(ends)]
             lines.extend(inside)
 
     # Give up on lasting gaps
-    missing = find_missing(_front_yaws(lines), half, spacing, sector.gap)
+    missing = _find_gaps(lines, sector, robot.lidar.spec, config)
     if missing:
         raise DataLossError(
             f"{len(missing)} gaps in the sweep are left after {config.sweep.retries} more passes; "
             "check the lidar's cable and baud rate, or allow more sweep.retries"
         )
-    return lines
+    return drop_doubtful(lines)
+
+
+def _find_gaps(
+    lines: Lines, sector: _Sector, spec: LidarSpec, config: Config
+) -> list[tuple[float, float]]:
+    """Return the intervals in which lines are missing or parts of them too wide to be filled.
+
+    Where parts are missing, intervals whose run-ups overlap are one, in the order and direction of
+    the way from the end at which the robot stands.
+    """
+    front, spacing = _front_yaws(lines), sector.rate * spec.line_period
+    missing = find_missing(front, sector.half, spacing, sector.gap)
+    codes = [line.codes for line, _ in drop_doubtful(lines)]
+    if not codes:
+        return missing
+
+    # Gap filling closes what is narrow along a line or across lines
+    lost, widest = np.array(codes) == LOST, _find_filled_angle(sector, spec, config)
+    width = widest - spacing / 2
+    step = float(np.ptp(spec.elevations)) / max(1, spec.n_beams - 1)
+    beams = math.ceil(config.gaps.max_angle / step) - 1
+    holes = find_holes(front, lost, sector.half, spacing, width, beams)
+    if not holes:
+        return missing
+    merged = merge_intervals(missing + holes, 2 * RUN_UP_LINES * spacing)
+    is_right = 2 * front[-1] < merged[0][0] + merged[-1][1]
+    return [(right, left) for left, right in reversed(merged)] if is_right else merged
+
+
+def _find_filled_angle(sector: _Sector, spec: LidarSpec, config: Config) -> float:
+    """Return the angle up to which holes are filled [rad]: as far as lines may be apart."""
+    return max((sector.gap + 0.5) * sector.rate * spec.line_period, config.gaps.max_angle)
 
 
 def _scan_pass(
@@ -238,7 +281,9 @@ def _front_yaws(lines: Lines) -> FloatArray:
     return np.array([_front_yaw(yaws) for _, yaws in lines])
 
 
-def _assemble_observation(robot: Robot, lines: Lines, yaw: float, started: float) -> Observation:
+def _assemble_observation(
+    robot: Robot, lines: Lines, sector: _Sector, started: float, config: Config
+) -> Observation:
     """Return the lines, left to right, as a range image at the mean place of the turn."""
     if not lines:
         raise DataLossError("the lidar sent no line during the sweep; check its cable and laser")
@@ -261,9 +306,13 @@ def _assemble_observation(robot: Robot, lines: Lines, yaw: float, started: float
     )
     columns = find_packed_columns(image.codes)
     image = image if columns is None else pack_columns(image, columns)
+    angle = _find_filled_angle(sector, robot.lidar.spec, config)
+    image = fill_lost(image, replace(config.gaps, max_angle=angle))
+
+    # Take the mean place of the turn
     x = float(np.mean([pose.x for pose in turning]))
     y = float(np.mean([pose.y for pose in turning]))
-    return Observation(image, Pose2(x, y, yaw))
+    return Observation(image, Pose2(x, y, sector.yaw))
 
 
 def _find_stamp(line: ScanLine, spec: LidarSpec) -> float:

@@ -37,11 +37,11 @@ from scan3d_twin.devices.create.link import (
     Stream,
     Values,
     base_spec,
-    is_plausible,
     open_source,
     packets_at_rest,
     watched_packets,
 )
+from scan3d_twin.devices.create.order_watch import OrderWatch
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.create.reading_filter import ReadingFilter
 from scan3d_twin.devices.links.guard import Guard, NoGuard
@@ -124,7 +124,8 @@ class CreateBase:
         self._header_summed: bool | None = None
 
         # Request the first packets
-        self._heard = self._serviced = clock.now()
+        self._heard = self._serviced = self._beat_at = clock.now()
+        self._beat_gap, self._guarded = 0.0, False
         self._packets: tuple[Packet, ...] = ()
         self._source = self._ask(packets_at_rest(contact))
         self.spec = base_spec(contact.model, streams=isinstance(self._source, Stream))
@@ -135,9 +136,12 @@ class CreateBase:
         # State of commands and readings
         self._sent = (0, 0)
         self._sent_at = self._asked_at = -math.inf
+        self._orders = OrderWatch(clock.now())
         self._asks = 0
-        self._halted_at = -math.inf
+        self._halted_at = self._safe_at = -math.inf
+        self._resumes = False
         self._waiting = False
+        self._rejected, self._reason = 0, ""
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
         self._reckoning: Reckoning | None = None
@@ -151,8 +155,8 @@ class CreateBase:
 
     @property
     def bad(self) -> int:
-        """Readings dropped since the packets were last requested."""
-        return self._source.bad
+        """Readings dropped since the packets were last requested, or by their values at all."""
+        return self._source.bad + self._rejected
 
     @property
     def charging(self) -> bool:
@@ -200,11 +204,11 @@ class CreateBase:
 
         # Take in the readings
         before, away = self._hazards, now - self._serviced
-        hung = self._moving and away > UNSERVICED
-        if hung and self._reckoning is not None:
+        if self._moving and away > UNSERVICED and self._reckoning is not None:
             self._reckoning.drive(self._serviced + min(away, GUARD_TIMEOUT), 0.0, 0.0)
         fresh = self._receive(now)
-        self._guard.beat(self._moving)
+        self._beat()
+        hung, self._beat_gap = max(away, self._beat_gap), 0.0
 
         # Stop after a hang
         if self._moving and away > MAX_HANG:
@@ -213,8 +217,8 @@ class CreateBase:
                 f"stopped: this program hung for {away:.1f} s while the robot drove (the guard "
                 "stopped it meanwhile); end other programs"
             )
-        if hung:
-            self._halt(now)
+        if self._moving and hung > UNSERVICED:
+            self._halt(now, f"this computer was busy for {hung:.2f} s")
 
         # Check hazards, silence and rest
         if fresh:
@@ -251,6 +255,8 @@ class CreateBase:
         away = now - self._serviced
         if away > (STALE_IF_NOISY if self._filter.is_noisy(now) else STALE):
             self._transport.discard_input()
+            if away > STALE and not self._moving:
+                self._source = self._ask_anew()
 
         # Count only the time spent listening as silence
         self._heard = min(now, self._heard + max(0.0, away - LISTENING))
@@ -267,9 +273,12 @@ class CreateBase:
 
     def _take(self, stamp: float, now: float, values: Values) -> None:
         """Take in one set of readings."""
-        # Reject impossible readings
-        if not is_plausible(values, self.contact):
+        # Mask or reject impossible readings
+        usable = self._filter.mask(values, self.contact, now)
+        if usable is None:
+            self._rejected, self._reason = self._rejected + 1, "a value is out of range"
             return
+        values = usable
 
         # Debounce and update the odometry
         if self._reckoning is None:
@@ -279,8 +288,10 @@ class CreateBase:
         odometry = self._reckoning.take(stamp, values, doubtful=doubtful)
         if odometry is not None:
             self._keep(odometry, now)
-        elif doubtful or not self._history:
-            return
+        else:
+            self._rejected, self._reason = self._rejected + 1, "the wheel counts jump"
+            if doubtful or not self._history:
+                return
 
         # Store mode and hazards
         self._values = believed
@@ -290,7 +301,7 @@ class CreateBase:
             self._header_summed = self._source.header_summed
 
     def _keep(self, odometry: Odometry, now: float) -> None:
-        self._heard, self._asks = now, 0
+        self._heard, self._asks, self._reason = now, 0, ""
         self._history.append(odometry)
         if len(self._history) > MIN_HISTORY + FORGET_BATCH:
             del self._history[:FORGET_BATCH]
@@ -304,6 +315,7 @@ class CreateBase:
             HazardError: The base cannot drive, or does not enter Safe mode.
         """
         # Check charger, battery and packets
+        self._catch_up()
         self._check_ready()
         if self._packets != watched_packets(self.contact):
             self._source = self._ask(watched_packets(self.contact))
@@ -315,7 +327,7 @@ class CreateBase:
         while self._clock.now() < give_up and not (asked >= 3 and self._hazards.active()):
             asked += 1
             self._transport.write(oi.command(Op.SAFE))
-            deadline = self._clock.now() + MODE_SETTLE + 3 * self.spec.sample_period
+            deadline = self._clock.now() + MODE_SETTLE + ASK_AGAIN
             self._clock.sleep(MODE_SETTLE)
             self.service(self._clock.now())
             while not self._is_safe() and self._clock.now() < deadline:
@@ -329,6 +341,20 @@ class CreateBase:
             f"the base refuses to drive (cause: {causes}); free its wheels, try again"
         )
 
+    def _catch_up(self) -> None:
+        """Wait for fresh readings of a standing base that was not serviced: the program computed.
+
+        Raises:
+            HazardError, LinkError: See ``service``.
+        """
+        if self._moving or self._clock.now() - self._serviced <= UNSERVICED:
+            return
+        before = self._history[-1]
+        self.service(self._clock.now())
+        while self._history[-1] is before:
+            self._clock.sleep(oi.PERIOD / 3)
+            self.service(self._clock.now())
+
     def _check_ready(self) -> None:
         """Raise ``HazardError`` if the base must not start driving."""
         if self.charging:
@@ -339,17 +365,27 @@ class CreateBase:
     def _drive(self, right_mm: int, left_mm: int) -> None:
         self._sent = (right_mm, left_mm)
         self._sent_at = self._clock.now()
-        self._guard.beat(self._moving)
+        self._orders.send(self._sent, self._sent_at)
+        self._beat()
         self._transport.write(oi.drive_direct(right_mm, left_mm))
         if self._reckoning is not None:
             linear, turn = (right_mm + left_mm) / 2000, (right_mm - left_mm) / 1000
             self._reckoning.drive(self._sent_at, linear, turn / self.spec.wheel_base)
+
+    def _beat(self) -> None:
+        """Send a heartbeat to the guard, and keep the longest time between two in a drive."""
+        self._guard.beat(self._moving)
+        now = self._clock.now()
+        if self._guarded:
+            self._beat_gap = max(self._beat_gap, now - self._beat_at)
+        self._beat_at, self._guarded = now, self._moving
 
     # Watching.
 
     def _check_hazards(self, before: Hazards, now: float) -> None:
         """Stop for hazards; repeat a drive command that the base did not receive."""
         # Collect the reasons to stop
+        self._safe_at = now if self._is_safe() else self._safe_at
         names = list(blocking_hazards(before, self._hazards, sum(self._sent)))
         if self._moving and self._hazards.battery < LOW_BATTERY:
             names.append(f"low battery ({self._hazards.battery:.0%})")
@@ -361,8 +397,22 @@ class CreateBase:
         if names:
             self._drive(0, 0)
             raise HazardError(f"stopped: {', '.join(dict.fromkeys(names))} at {now:.2f} s")
-        if self._reported_speeds() != self._sent and since > ASK_AGAIN and self._is_safe():
+        self._repeat_order(now)
+
+    def _repeat_order(self, now: float) -> None:
+        """Repeat a drive command that the base does not follow, or one from before Safe mode."""
+        if self._resumes and self._is_safe():
+            self._resumes = False
             self._drive(*self._sent)
+            return
+        remedy = self._orders.check(self._reported_speeds(), now, is_safe=self._is_safe())
+        if remedy == "none":
+            return
+        if remedy == "complete and repeat":
+            self._transport.write(HALF_ANYTHING)
+            self._orders.excuse(len(HALF_ANYTHING) * 10 / self.contact.baud)
+            self._source = self._ask_anew()
+        self._drive(*self._sent)
 
     def _wait_for_the_plug(self) -> None:
         """Wait until an unplugged base is back, and stop it; driving resumes once it answers.
@@ -390,22 +440,29 @@ class CreateBase:
 
         # Stop the wheels
         self._heard = self._serviced = now = self._clock.now()
+        self._guarded = False
         self._gap = True
-        self._halt(now)
+        self._halt(now, "the base was unplugged")
 
     def _is_safe(self) -> bool:
         """Return whether the base obeys drive commands."""
         return self.mode >= Mode.SAFE
 
     def _restore_safe_mode(self, now: float) -> list[str]:
-        """Return why the base left Safe mode; after a halt, request Safe mode instead."""
+        """Return why the base left Safe mode; after a halt, request Safe mode instead.
+
+        On a noisy link a garbled command may be the cause: then the base is halted for it.
+        """
         why = find_unsafe_causes(self._values, self._hazards)
         unknown = not (self._hazards.active() or self.charging)
+        was_safe = now - self._safe_at < LOST_AFTER / 2 and now - self._halted_at > LOST_AFTER
+        if unknown and was_safe and self._filter.is_noisy(now):
+            self._halt(now, "a garbled command took the base out of Safe mode")
         if not (unknown and now - self._halted_at < LOST_AFTER):
             return why
         if now > self._asked_at:
             self._transport.write(oi.command(Op.SAFE))
-            self._asked_at = now + ASK_AGAIN
+            self._asked_at, self._resumes = now + ASK_AGAIN, True
         return []
 
     def _reported_speeds(self) -> tuple[int, int]:
@@ -420,7 +477,7 @@ class CreateBase:
         if not self._moving and silent > self._patience and now > self._asked_at:
             self._ask_again(now)
         if self._moving and silent > SILENCE and now > self._asked_at:
-            self._halt(now)
+            self._halt(now, f"the base has not answered for {silent:.2f} s")
 
         # Give up
         if silent > (LOST_AFTER if self._moving else SILENCE_AT_REST):
@@ -428,12 +485,17 @@ class CreateBase:
             drove = self._moving
             self._drive(0, 0)
             words = f"the base has been silent for {silent:.1f} s; check its cable and battery"
+            if self._reason:
+                words = (
+                    f"no reading of the base was usable for {silent:.1f} s ({self._reason}); check "
+                    "its cable"
+                )
             raise HazardError(f"stopped: {words}") if drove else LinkError(words)
 
-    def _halt(self, now: float) -> None:
+    def _halt(self, now: float, why: str) -> None:
         """Stop the wheels; drive on if the base answers in Safe mode within ``LOST_AFTER``."""
         if now - self._halted_at > LOST_AFTER:
-            log.warning("halted: the base, its cable or this computer was too busy")
+            log.warning("halted for a moment: %s", why)
         self._transport.write(STOP)
         if self._reckoning is not None:
             self._reckoning.drive(now, 0.0, 0.0)

@@ -203,6 +203,11 @@ def packets_at_rest(contact: Contact) -> tuple[Packet, ...]:
 
 def is_plausible(values: Values, contact: Contact) -> bool:
     """Return whether all readings are in range; catches errors that the checksum misses."""
+    return not find_implausible(values, contact)
+
+
+def find_implausible(values: Values, contact: Contact) -> Values:
+    """Return the readings that are out of range."""
     limits: dict[int, Callable[[int], bool]] = {
         Packet.BUMPS_DROPS: lambda v: v < 32,
         Packet.OVERCURRENTS: lambda v: v < 32,
@@ -212,7 +217,11 @@ def is_plausible(values: Values, contact: Contact) -> bool:
         Packet.REQUESTED_LEFT: lambda v: abs(v) <= oi.MAX_WHEEL_SPEED_MM,
         **dict.fromkeys(range(Packet.CLIFF_LEFT, Packet.VIRTUAL_WALL), lambda v: v < 2),
     }
-    return all(limits[packet](value) for packet, value in values.items() if packet in limits)
+    return {
+        packet: value
+        for packet, value in values.items()
+        if packet in limits and not limits[packet](value)
+    }
 
 
 def base_spec(model: Model, *, streams: bool) -> BaseSpec:

@@ -23,6 +23,12 @@ LATENCIES = (0.03, 0.25)
 MAX_EARLY, MAX_LATE, MAX_LATE_STALLED = 0.03, 0.5, 2.0
 """Tolerance of a scan's arrival [s]: how early it may be, how late at the usual rate, and how late
 after a stall."""
+MAX_COUNTED_TURNS = 3.5
+"""Turns of the mirror that are counted to time a scan [turns]: at 0.3 % off the nominal speed, as
+in the capture, three are 1 ms off, the resolution of the timer."""
+MAX_TURN_JITTER = 0.3
+"""Deviation of an arrival from a whole number of turns up to which it is clear [turns]; the poll
+takes 0.05 turns."""
 MAX_IMPLAUSIBLE = 3
 """Implausible stamps in a row after which the sensor's timer must have been reset."""
 
@@ -70,23 +76,63 @@ class SensorClock:
         Raises:
             ProtocolError: The stamp is inconsistent with those of the previous scans.
         """
-        # Reject an implausible stamp
+        # Update the points of the window
+        seconds = self._check(time_ms, arrival)
+        self._points.append((seconds, arrival - seconds))
+        while self._points[0][0] < seconds - WINDOW:
+            self._points.popleft()
+        return self._to_host(seconds)
+
+    def stamp_late(self, time_ms: int, arrival: float) -> float:
+        """Return the same for a scan of which only the end of its arrival is known [s].
+
+        Raises:
+            ProtocolError: As for ``stamp``, or there is no scan before it.
+        """
+        if not self._points:
+            raise ProtocolError("the start of its arrival is not known, nor is a scan before it")
+        seconds = self._check(time_ms, arrival)
+        if not self._points:
+            raise ProtocolError("the sensor's timer was reset")
+        return self._to_host(seconds)
+
+    def stamp_by_turns(self, arrival: float, period: float) -> float:
+        """Return the time of a scan whose timer was garbled, by counting turns since the last one.
+
+        Args:
+            arrival: Time at which its reply began to arrive [s].
+            period: Time between two scans [s].
+
+        Raises:
+            ProtocolError: The number of turns is not clear.
+        """
+        if not self._points:
+            raise ProtocolError("the scan has no time, nor has any before it")
+        seconds, late = self._points[-1]
+        turns = (arrival - seconds - late) / period
+        if not 0.5 < turns < MAX_COUNTED_TURNS or abs(turns - round(turns)) > MAX_TURN_JITTER:
+            raise ProtocolError(f"the scan has no time, {turns:.1f} turns after the one before")
+        return self._to_host(seconds + round(turns) * period)
+
+    def _check(self, time_ms: int, arrival: float) -> float:
+        """Return the unwrapped timer of a scan [s].
+
+        Raises:
+            ProtocolError: It is inconsistent with those before.
+        """
         seconds = self._unwrap(time_ms)
         known = self._anchor is not None or len(self._points) > 0
         if known and not self._is_plausible(seconds, arrival):
             self._implausible += 1
             if self._implausible < MAX_IMPLAUSIBLE:
-                raise ProtocolError(f"time {time_ms} ms does not fit the scans before")
+                raise ProtocolError(f"its time, {time_ms} ms, does not fit the scans before")
             self._restart()
             seconds = self._unwrap(time_ms)
-
-        # Update the points of the window
         self._accept(time_ms, seconds)
-        self._points.append((seconds, arrival - seconds))
-        while self._points[0][0] < seconds - WINDOW:
-            self._points.popleft()
+        return seconds
 
-        # Fit offset and skew
+    def _to_host(self, seconds: float) -> float:
+        """Return the time on the host's clock of a scan at ``seconds`` of the unwrapped timer."""
         offset, skew = self._fit()
         offset = self._learn_latency(seconds, offset, skew)
         return seconds + offset + skew * seconds - self.latency

@@ -14,7 +14,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError, ProtocolError
 from scan3d_twin.core.hal import Clock
-from scan3d_twin.core.types import LidarSpec, ScanLine
+from scan3d_twin.core.types import IntArray, LidarSpec, ScanLine
 from scan3d_twin.devices.links.transport import Transport
 from scan3d_twin.devices.urg.clock_sync import SensorClock
 from scan3d_twin.devices.urg.codec import Request, ScanRequest
@@ -30,7 +30,15 @@ from scan3d_twin.devices.urg.connect import (
 from scan3d_twin.devices.urg.lines import line_spec, to_line
 from scan3d_twin.devices.urg.link import Arrived, Steps, UrgLink
 from scan3d_twin.devices.urg.model import ScanMode
-from scan3d_twin.devices.urg.replies import DONE, STREAMED, decode_scan, find_echo
+from scan3d_twin.devices.urg.replies import (
+    DONE,
+    STREAMED,
+    Block,
+    decode_reply,
+    decode_scan,
+    find_echo,
+)
+from scan3d_twin.devices.urg.salvage import GarbledScan, salvage_scan, split_scans
 from scan3d_twin.devices.urg.scan_modes import duration, period, scan_requests
 
 CONNECT_TIMEOUT = 5.8
@@ -42,11 +50,17 @@ MAX_UNREAD = 16
 """Number of unread lines kept, as in the twin."""
 POLL = 0.005
 """Interval at which a waiting reader polls the port [s]."""
+STALE = 1.0
+"""Time without ``service`` after which waiting bytes are discarded [s]: the program computed, and
+of what arrived meanwhile the port may have lost any part; assumption."""
 MAX_SCAN_GAP = 1.0
-"""Time without a good scan after which the stream is requested again [s]."""
-MAX_REQUESTS_SILENT = 3
+"""Time of listening without a good scan after which the stream is requested again [s]; it doubles
+with each fruitless request, because a sensor may start its stream anew at each."""
+MAX_BACKOFF = 4
+"""Largest multiple of that time: 5.2 s at 10 Hz, the motor's start included; assumption."""
+MAX_REQUESTS_SILENT = 2
 """Fruitless requests to a silent sensor after which the driver reconnects."""
-MAX_REQUESTS = 10
+MAX_REQUESTS = 5
 """Fruitless requests after which it reconnects although bytes still arrive."""
 BACKOFF = (0.1, 0.25)
 """First and longest wait between two attempts to reconnect [s]; it doubles each time."""
@@ -63,14 +77,22 @@ class UrgStats:
     """Statistics of the link.
 
     Attributes:
-        good: Scans received.
+        good: Scans received whole.
+        garbled: Scans received with rows missing.
+        lost_rows: Rows missing in those.
         bad: Blocks dropped, scans or others: wrong checksum, length or time.
+        masked: Readings beyond the lidar's range, left out of their scans.
+        reason: Why the last block was dropped.
         reconnects: Connections after the first.
         problem: The current problem; empty if there is none.
     """
 
     good: int = 0
+    garbled: int = 0
+    lost_rows: int = 0
     bad: int = 0
+    masked: int = 0
+    reason: str = ""
     reconnects: int = 0
     problem: str = ""
 
@@ -128,6 +150,7 @@ class UrgLidar:
         self._link: UrgLink | None = None
         self._connected = False
         self._last_good = -math.inf
+        self._serviced = clock.now()
         self._work = self._run_work()
 
         # Connect
@@ -146,8 +169,8 @@ class UrgLidar:
 
     @property
     def bad(self) -> int:
-        """Blocks dropped, scans or others."""
-        return self.stats.bad
+        """Blocks that arrived damaged, scans or others."""
+        return self.stats.bad + self.stats.garbled
 
     def service(self, now: float | None = None) -> None:
         """Take in what has arrived, without waiting.
@@ -164,8 +187,10 @@ class UrgLidar:
         while not self._unread:
             left = deadline - self._clock.now()
             if left <= 1e-9:
-                why = f": {self.stats.problem}" if self.stats.problem else ""
-                raise LinkTimeoutError(f"no scan line within {timeout:g} s{why}")
+                why = self.stats.problem or self.stats.reason
+                raise LinkTimeoutError(
+                    f"no scan line within {timeout:g} s" + (f": {why}" if why else "")
+                )
             self._clock.sleep(min(POLL, left))
             self.service()
         return self._unread.popleft()
@@ -225,17 +250,24 @@ class UrgLidar:
         """Connect and take in scans until the link is lost."""
         link = yield from self._connect()
         nudges, heard = 0, link.received
-        looked = self._clock.now()
+        looked = self._serviced = self._clock.now()
         while True:
+            # Discard what arrived while the program computed
+            now = self._clock.now()
+            away, self._serviced = now - self._serviced, now
+            if away > STALE:
+                link.forget()
+                looked += away
+
             # Take in what has arrived
             for arrived in link.take():
                 self._take(arrived)
 
             # Request again after a silence
-            now = self._clock.now()
+            gap = (MAX_SCAN_GAP + 3 * period(self.request)) * min(2**nudges, MAX_BACKOFF)
             if self._last_good > looked:
                 nudges, looked = 0, self._last_good
-            elif now - looked > MAX_SCAN_GAP + 3 * period(self.request):
+            elif now - looked > gap:
                 nudges, looked = nudges + 1, now
                 self._request_again(link, nudges, silent=link.received == heard)
                 heard = link.received
@@ -247,10 +279,11 @@ class UrgLidar:
         Raises:
             LinkTimeoutError: There have been too many requests already.
         """
-        self.stats.problem = "no good scan arrives" if not silent else "the lidar fell silent"
+        why = f" ({self.stats.reason})" if self.stats.reason else ""
+        self.stats.problem = "the lidar fell silent" if silent else f"no good scan arrives{why}"
         _log.warning("%s, asking again", self.stats.problem)
         if nudges > (MAX_REQUESTS_SILENT if silent else MAX_REQUESTS):
-            raise LinkTimeoutError(f"{self.stats.problem} for {nudges} s")
+            raise LinkTimeoutError(f"{self.stats.problem}, {nudges} requests were fruitless")
         link.send(b"\n" + self.request.request().encode())
 
     def _connect(self) -> Steps[UrgLink]:
@@ -284,29 +317,82 @@ class UrgLidar:
         return link
 
     def _take(self, arrived: Arrived) -> None:
-        """Keep the scan in a block that has arrived; count the block as bad if it is damaged."""
-        # Decode and check
+        """Keep the scans in a block that has arrived; count it as bad if there is none in it."""
+        echo = self.request.request().echo
+        parts = list(split_scans(arrived.block, echo))
+        for part in parts:
+            # Where something precedes the echo, only the arrival of the end is known
+            began = arrived.began if part is parts[0] and part[0] == echo.encode() else None
+            try:
+                self._take_reply(part, began, arrived.ended)
+            except ProtocolError as error:
+                is_remains = arrived.is_cut or part is not parts[-1]
+                self.stats.bad += not is_remains
+                self.stats.reason = str(error)
+                _log.debug("scan dropped: %s", error)
+
+    def _take_reply(self, block: Block, began: float | None, ended: float) -> None:
+        """Keep the scan in a reply.
+
+        Args:
+            block: The reply.
+            began: Time at which it began to arrive [s]; None if that is not known.
+            ended: Time by which it has arrived [s].
+
+        Raises:
+            ProtocolError: There is no scan, or its time is not known.
+        """
+        # Decode it, or what is left of it
+        scan: GarbledScan
+        longest = int(self.info.parameters["DMAX"])
         try:
-            reply, began = arrived.reply(self.request.request().echo)
+            reply = decode_reply(find_echo(block, self.request.request().echo))
             if reply.status != STREAMED:
                 if reply.status not in (DONE, "0B"):
                     _log.warning("the lidar reports status %s", reply.status)
                 return
-            scan = decode_scan(reply, self.request)
-            values = np.array(scan.values)
-            if values.max() > int(self.info.parameters["DMAX"]):
-                raise ProtocolError(f"{values.max()} mm is beyond the lidar's range")
-            stamp = self._sensor_clock.stamp(scan.time_ms, began)
-        except ProtocolError as error:
-            self.stats.bad += 1
-            _log.debug("scan dropped: %s", error)
-            return
+            whole = decode_scan(reply, self.request)
+            scan = GarbledScan(whole.time_ms, whole.values, 0)
+        except ProtocolError:
+            scan = salvage_scan(block, self.request, longest)
 
-        # Store the line
-        self.stats.good += 1
-        self.stats.problem = ""
+        # Find its time
+        clock = self._sensor_clock
+        if scan.time_ms is not None and began is not None:
+            stamp = clock.stamp(scan.time_ms, began)
+        elif scan.time_ms is not None:
+            stamp = clock.stamp_late(scan.time_ms, ended)
+        elif began is not None:
+            stamp = clock.stamp_by_turns(began, period(self.request))
+        else:
+            raise ProtocolError("a scan without a time, and its arrival is not known")
+
+        # Count and store the line
+        values = np.array(scan.values)
+        self._count(scan, values, longest)
         self._last_good = self._clock.now()
-        self._unread.append(to_line(stamp, values))
+        self._unread.append(to_line(stamp, values, longest))
+
+    def _count(self, scan: GarbledScan, values: IntArray, longest: int) -> None:
+        stats = self.stats
+        stats.problem = stats.reason = ""
+        is_garbled = scan.lost_rows > 0 or scan.time_ms is None
+        stats.good += not is_garbled
+        stats.garbled += is_garbled
+        stats.lost_rows += scan.lost_rows
+
+        # Name the first reading out of range
+        beyond = np.flatnonzero(values > longest)
+        if len(beyond) and not stats.masked:
+            step = self.request.first + self.request.cluster * int(beyond[0])
+            _log.warning(
+                "the lidar reads %d mm at step %d, beyond its range of %d mm: such readings are "
+                "left out",
+                values[beyond[0]],
+                step,
+                longest,
+            )
+        stats.masked += len(beyond)
 
     def _stop_and_restore_baud(self) -> None:
         """Stop the stream and return to a usual bit rate."""

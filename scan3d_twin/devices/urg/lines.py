@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.types import VALID, IntArray, LidarSpec, ScanLine, read_only
+from scan3d_twin.core.types import (
+    LOST,
+    UNMEASURED,
+    VALID,
+    IntArray,
+    LidarSpec,
+    ScanLine,
+    read_only,
+)
 from scan3d_twin.devices.urg import model as urg04lx
+from scan3d_twin.devices.urg import salvage
 from scan3d_twin.devices.urg.codec import ScanRequest
-from scan3d_twin.devices.urg.model import LINKS, step_angle, step_time
+from scan3d_twin.devices.urg.model import DETECTED_RANGE_MM, LINKS, step_angle, step_time
 from scan3d_twin.devices.urg.scan_modes import period
 
 
@@ -36,16 +45,20 @@ def line_spec(request: ScanRequest) -> LidarSpec:
     )
 
 
-def to_line(stamp: float, values: IntArray) -> ScanLine:
+def to_line(stamp: float, values: IntArray, detected_range_mm: int = DETECTED_RANGE_MM) -> ScanLine:
     """Return a scan line from the readings.
 
-    A reading beyond the data sheet's range is dropped, as the two-character encoding does.
+    A reading beyond the data sheet's range is dropped, as the two-character encoding does. One that
+    the sensor cannot have measured says nothing.
 
     Args:
         stamp: Time of step 0 [s].
-        values: Distances [mm] or error codes, (n_beams,).
+        values: Distances [mm], error codes or ``salvage.LOST``, (n_beams,).
+        detected_range_mm: Longest distance that the sensor sends [mm].
     """
     near, far = values < urg04lx.MIN_RANGE_MM, values > urg04lx.MAX_RANGE_MM
     ranges = np.where(near | far, np.nan, values / 1000)
     codes = np.where(near, values, np.where(far, urg04lx.NO_RETURN, VALID))
+    codes = np.where(values > detected_range_mm, UNMEASURED, codes)
+    codes = np.where(values == salvage.LOST, LOST, codes)
     return ScanLine(stamp, read_only(ranges), read_only(codes, np.int64))

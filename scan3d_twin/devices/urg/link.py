@@ -38,11 +38,13 @@ class Arrived:
         block: Its lines.
         began: Arrival time of its first byte [s].
         ended: Arrival time of its last byte [s].
+        is_cut: Whether its start may have been discarded.
     """
 
     block: Block
     began: float
     ended: float
+    is_cut: bool = False
 
     def reply(self, echo: str) -> tuple[Reply, float]:
         """Return the reply to ``echo`` in the block, and the time it began to arrive [s].
@@ -71,6 +73,7 @@ class UrgLink:
         self._transport = transport
         self._splitter = Splitter()
         self._began = clock.now()
+        self._is_cut = False
         self._blocks: deque[Arrived] = deque()
 
     def pump(self, timeout: float = 0.0) -> None:
@@ -85,8 +88,8 @@ class UrgLink:
         if self._splitter.is_empty:
             self._began = now
         for block in self._splitter.feed(data):
-            self._blocks.append(Arrived(block, self._began, now))
-            self._began = now
+            self._blocks.append(Arrived(block, self._began, now, self._is_cut))
+            self._began, self._is_cut = now, False
 
     def take(self) -> Iterator[Arrived]:
         """Yield the blocks that have arrived, without waiting, and remove them.
@@ -122,6 +125,7 @@ class UrgLink:
         self._transport.discard_input()
         self._splitter.reset()
         self._blocks.clear()
+        self._is_cut = True
 
     def ask(
         self, request: Request, decode: Callable[[Reply], T], attempts: int = ATTEMPTS

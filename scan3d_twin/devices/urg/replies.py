@@ -32,7 +32,10 @@ Block = tuple[bytes, ...]
 
 
 class Splitter:
-    """Cuts a stream of bytes, fed in pieces of any size, into blocks."""
+    """Cuts a stream of bytes, fed in pieces of any size, into blocks.
+
+    Lines may also end with CR LF, as behind a bridge or a terminal that translates line ends.
+    """
 
     def __init__(self) -> None:
         self._line = bytearray()
@@ -45,7 +48,7 @@ class Splitter:
 
         # Complete lines
         for piece in complete:
-            line = bytes(self._line + piece)[:MAX_LINE]
+            line = bytes(self._line + piece).rstrip(b"\r")[:MAX_LINE]
             self._line.clear()
             if line:
                 del self._lines[: max(0, len(self._lines) - MAX_LINES + 1)]
@@ -128,13 +131,13 @@ def decode_reply(block: Block) -> Reply:
     """
     if len(block) < 2 or len(block[1]) != 3:
         raise ProtocolError(f"not a reply of SCIP 2.0: {_excerpt(block)}")
-    status = _strip_checksum(block[1])
+    status = strip_checksum(block[1])
     return Reply(block[0].decode("latin-1"), status.decode("ascii"), block[2:])
 
 
 def encode_reply(echo: str, status: str, lines: Iterable[bytes] = ()) -> bytes:
     """Return a reply of SCIP 2.0; ``lines`` must include their checksums."""
-    head = (echo.encode("latin-1"), _append_checksum(status.encode("ascii")))
+    head = (echo.encode("latin-1"), append_checksum(status.encode("ascii")))
     return b"\n".join((*head, *lines, b"", b""))
 
 
@@ -193,7 +196,7 @@ def salvage_texts(reply: Reply) -> dict[str, str]:
 
 def encode_time(time_ms: int) -> bytes:
     """Return the line of the sensor's timer."""
-    return _append_checksum(encode_value(time_ms, 4))
+    return append_checksum(encode_value(time_ms, 4))
 
 
 def decode_time(reply: Reply) -> int:
@@ -204,13 +207,13 @@ def decode_time(reply: Reply) -> int:
     """
     if len(reply.lines) != 1:
         raise ProtocolError(f"{len(reply.lines)} lines instead of a time")
-    return _decode_timer(reply.lines[0])
+    return decode_timer(reply.lines[0])
 
 
 def encode_scan(scan: Scan, width: int) -> list[bytes]:
     """Return the lines of a scan with ``width`` characters per value."""
     data = b"".join(encode_value(value, width) for value in scan.values)
-    return [encode_time(scan.time_ms), *map(_append_checksum, _split_rows(data))]
+    return [encode_time(scan.time_ms), *map(append_checksum, _split_rows(data))]
 
 
 def decode_scan(reply: Reply, request: ScanRequest) -> Scan:
@@ -222,10 +225,10 @@ def decode_scan(reply: Reply, request: ScanRequest) -> Scan:
     # Decode the timer
     if not reply.lines:
         raise ProtocolError("no time in the reply")
-    time_ms = _decode_timer(reply.lines[0])
+    time_ms = decode_timer(reply.lines[0])
 
     # Join the rows of data
-    rows = [_strip_checksum(line) for line in reply.lines[1:]]
+    rows = [strip_checksum(line) for line in reply.lines[1:]]
     if any(len(row) != BLOCK for row in rows[:-1]):
         raise ProtocolError(f"a line before the last does not have {BLOCK} characters")
 
@@ -258,18 +261,24 @@ def scan_length(request: ScanRequest) -> int:
     return len(request.request().echo) + 1 + 4 + 6 + data + 2 * lines + 1
 
 
-def _decode_timer(line: bytes) -> int:
-    text = _strip_checksum(line)
+def decode_timer(line: bytes) -> int:
+    """Return the timer in the ``line`` of a scan or of a reply to TM1 [ms].
+
+    Raises:
+        ProtocolError: It holds none, or its checksum is wrong.
+    """
+    text = strip_checksum(line)
     if len(text) != 4:
         raise ProtocolError(f"no time: {line!r}")
     return decode_values(text, 4)[0]
 
 
-def _append_checksum(line: bytes) -> bytes:
+def append_checksum(line: bytes) -> bytes:
+    """Return ``line`` with its checksum."""
     return line + bytes([checksum(line)])
 
 
-def _strip_checksum(line: bytes) -> bytes:
+def strip_checksum(line: bytes) -> bytes:
     """Return ``line`` without its checksum.
 
     Raises:

@@ -476,6 +476,59 @@ def test_after_a_long_hang_the_base_does_not_drive_on(rig):
     assert rig.base.speed == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
+@pytest.mark.parametrize("baud", [115200, 19200])
+@pytest.mark.parametrize("seconds", [0.4, 8.5])
+def test_a_drive_after_planning_begins_without_a_halt(model, baud, seconds, caplog):
+    rig = Rig(model, inert=True, before=at(baud)).open()
+    for _ in range(2):
+        rig.driver.set_velocity(0.2, 0.0)
+        rig.wait(0.5)
+        rig.driver.set_velocity(0.0, 0.0)
+        rig.wait(0.5)
+        rig.written.clear()
+        rig.clock.sleep(seconds)
+        started = rig.clock.now()
+        rig.driver.set_velocity(0.2, 0.0)
+        # The latest reading tells of the moment, not of that before the planning
+        assert rig.driver.odometry().stamp > started - 0.1
+        assert rig.clock.now() - started < 0.3
+        rig.wait(0.5)
+        assert rig.base.wheels == pytest.approx((0.2, 0.2))
+    assert not caplog.messages
+    rig.driver.set_velocity(0.0, 0.0)
+    rig.wait(0.6)
+    assert rig.pose.distance(rig.base.odometry().T_odom_base) < 0.02
+
+
+def test_a_robot_that_was_lifted_while_the_program_planned_does_not_start(rig):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.driver.set_velocity(0.0, 0.0)
+    rig.wait(0.5)
+    rig.base.hazard = HAZARDS["wheel drop right"]
+    rig.clock.sleep(8.5)
+    with pytest.raises(HazardError, match="wheel drop right"):
+        rig.driver.set_velocity(0.2, 0.0)
+    assert rig.base.speed == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stall", "hang", "words"), [(0.6, 0.0, "has not answered"), (0.0, 0.5, "computer was busy")]
+)
+def test_a_halt_says_whether_the_cable_or_the_computer_is_to_blame(rig, stall, hang, words, caplog):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.line.faults = Faults(stalls=1e6 if stall else 0.0, stall=stall)
+    rig.wait(0.05)
+    rig.line.faults = NO_FAULTS
+    rig.clock.sleep(hang)
+    rig.wait(1.0)
+    (message,) = caplog.messages
+    assert message.startswith("halted")
+    assert words in message
+
+
 def test_after_a_hang_a_hazard_is_still_one(rig):
     rig.driver.set_velocity(0.2, 0.0)
     rig.wait(0.5)
@@ -713,3 +766,106 @@ def test_a_wheel_that_is_blocked_is_where_its_counts_say(rig):
     assert rig.pose.distance(rig.base.odometry().T_odom_base) < 0.001
     stamps = [sample.stamp for sample in rig.driver.odometry_since(rig.clock.now() - 0.4)]
     assert max(np.diff(stamps)) < 0.02
+
+
+# A drive command that swallows those after it.
+
+
+@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
+@pytest.mark.parametrize(
+    "swallows", [bytes([140, 0, 255]), bytes([148, 120])], ids=["song", "stream"]
+)
+@pytest.mark.parametrize("period", [0.03, 10.0])
+def test_a_base_that_takes_drive_commands_for_something_else_is_freed(model, swallows, period):
+    rig = Rig(model).open()
+    rig.driver.set_velocity(0.0, 0.3)
+    rig.wait(0.5)
+    # A garbled command makes it run away, and wait for hundreds of bytes
+    rig.device.receive(oi.drive_direct(400, -100) + swallows, rig.clock.now())
+    began = rig.clock.now()
+    while rig.clock.now() < began + 0.6:
+        if period < 1.0:
+            rig.driver.set_velocity(0.0, 0.3 + 0.02 * (rig.clock.now() - began))
+        rig.wait(min(period, 0.6))
+    assert rig.base.speed == pytest.approx((0.0, 0.31), abs=0.02)
+
+
+@pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
+def test_a_garbled_command_that_ends_safe_mode_is_made_good_on_a_noisy_line_only(model, caplog):
+    rig = Rig(model).open()
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.driver._filter.is_noisy = lambda now: True
+    rig.device.receive(oi.command(Op.START), rig.clock.now())
+    rig.wait(0.5)
+    assert (rig.driver.mode, rig.base.speed) == (Mode.SAFE, (0.2, 0.0))
+    assert caplog.messages == [
+        "halted for a moment: a garbled command took the base out of Safe mode"
+    ]
+
+    # A base that does not return to Safe mode is no longer driven
+    receive = rig.device.receive
+    rig.wait(1.0)
+    rig.device.receive = lambda data, now: receive(data.replace(bytes([Op.SAFE]), b""), now)
+    receive(oi.command(Op.START), rig.clock.now())
+    with pytest.raises(HazardError, match="left Safe mode"):
+        rig.wait(3.0)
+    assert rig.base.speed == (0.0, 0.0)
+
+
+# Readings out of range.
+
+
+def test_a_reading_out_of_range_is_left_out_and_said(rig, caplog):
+    take = rig.driver._source.take
+    odd = {Packet.BUMPS_DROPS: 0x60, Packet.CHARGING_SOURCES: 8, Packet.MODE: 32}
+
+    def take_odd(data, now):
+        return [{**values, **odd} for values in take(data, now)]
+
+    rig.driver._source.take = take_odd
+    rig.wait(4.0)
+    assert rig.driver.mode is Mode.PASSIVE
+    assert not rig.driver.hazards().active()
+    assert not rig.driver.charging
+    assert rig.driver._filter.masked > 600
+    assert len(caplog.messages) == 3
+    assert "96 in packet 7 (bumps drops), which is out of range" in caplog.messages[0]
+    odd[Packet.BUMPS_DROPS] = 0x61
+    with pytest.raises(HazardError, match="bump right"):
+        rig.wait(0.1)
+
+
+def test_a_base_none_of_whose_readings_is_usable_is_not_called_silent(rig):
+    source = rig.driver._source
+    take, rng = source.take, np.random.default_rng(0)
+    rig.driver._filter.is_noisy = lambda now: True
+    source.take = lambda data, now: [
+        {**values, Packet.MODE: int(rng.integers(100, 255))} for values in take(data, now)
+    ]
+    rig.driver._ask_anew = lambda: source
+    with pytest.raises(
+        LinkError, match=r"no reading .* usable for 3\.0 s \(a value is out of range"
+    ):
+        rig.wait(5.0)
+
+
+def test_a_hang_between_two_heartbeats_is_noticed(rig, caplog):
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    read = rig.wire.read
+
+    def read_late(timeout):
+        rig.wire.read = read
+        rig.clock.sleep(0.2)
+        return read(timeout)
+
+    rig.wire.read = read_late
+    rig.driver.service(rig.clock.now())
+    rig.clock.sleep(0.15)
+    # Neither wait is long, but the guard has heard nothing for 0.355 s
+    rig.wire.read = read_late
+    rig.driver.service(rig.clock.now())
+    rig.wait(0.1)
+    (message,) = caplog.messages
+    assert "this computer was busy for 0.35 s" in message

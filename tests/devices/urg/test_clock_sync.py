@@ -105,3 +105,37 @@ def test_the_first_scan_must_fit_the_time_mode():
     clock = anchored()
     with pytest.raises(ProtocolError):
         clock.stamp(sensor_ms(5.0), 0.1 + LATENCY)
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_scan_without_a_time_is_timed_by_the_turns_since_the_last(turns):
+    clock = anchored()
+    run(clock, TIMES[:50])
+    t = TIMES[49] + turns * 0.1
+    assert clock.stamp_by_turns(t + LATENCY + 0.004, 0.1) == pytest.approx(t, abs=0.0015)
+
+
+@pytest.mark.parametrize("late", [0.04, 0.06, 0.35])
+def test_a_scan_without_a_time_whose_turn_is_not_clear_is_refused(late):
+    clock = anchored()
+    with pytest.raises(ProtocolError, match="nor has any before"):
+        clock.stamp_by_turns(LATENCY, 0.1)
+    run(clock, TIMES[:50])
+    with pytest.raises(ProtocolError, match="turns after the one before"):
+        clock.stamp_by_turns(TIMES[49] + late + LATENCY, 0.1)
+
+
+def test_a_scan_whose_arrival_is_late_does_not_move_the_others():
+    clock = anchored()
+    run(clock, TIMES[:50])
+    for k in range(50, 90):
+        stamp = clock.stamp_late(sensor_ms(TIMES[k]), TIMES[k] + LATENCY + 0.18)
+        assert stamp == pytest.approx(TIMES[k], abs=0.0015)
+    assert np.abs(run(clock, TIMES[90:200])).max() <= 0.0015
+    with pytest.raises(ProtocolError, match="does not fit"):
+        clock.stamp_late(sensor_ms(TIMES[200] + 3.0), TIMES[200] + LATENCY + 0.18)
+
+
+def test_before_any_other_scan_a_late_one_is_refused():
+    with pytest.raises(ProtocolError, match="nor is a scan before it"):
+        SensorClock().stamp_late(1000, 1.0)
