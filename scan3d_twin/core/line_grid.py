@@ -9,6 +9,7 @@ leave readings without neighbours.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,32 @@ MIN_REGULAR_SHARE = 0.5
 """Least share of readings with one in the next beam's column in a grid of several for each."""
 PROBED_LINES = 8
 """Lines of a sweep in which they are looked for: about a thousand readings."""
+
+
+def make_full_circle(
+    points: int, line_period: float, min_range: float, max_range: float
+) -> LidarSpec:
+    """Return the grid of the lines of a lidar that sees all round.
+
+    Its elevations go from -180 deg, behind, over the floor, the front (the middle beam, 0) and the
+    zenith to 180 deg, in the order of time. The seam between two lines is behind, where it parts
+    nothing in front of the robot; a place is added beyond either end, as beams lie off the places.
+
+    Args:
+        points: Number of places all round: at least the most readings of a revolution.
+        line_period: Duration of a revolution, nominally [s].
+        min_range: Shortest distance that the lidar reports [m].
+        max_range: Longest distance that is trusted [m].
+    """
+    half = points // 2 + 1
+    turns = np.arange(-half, half + 1) / points
+    return LidarSpec(
+        elevations=read_only(math.tau * turns),
+        beam_times=read_only(line_period * np.clip(turns + 0.5, 0.0, 1.0 - 1.0 / points)),
+        line_period=line_period,
+        min_range=min_range,
+        max_range=max_range,
+    )
 
 
 def arrange_line(
