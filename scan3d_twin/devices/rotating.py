@@ -116,14 +116,15 @@ class BeamReader:
 
     def __init__(self, lidar: Lidar) -> None:
         self._lidar = lidar
+        self._stream = lidar if isinstance(lidar, BeamStream) else None
 
     def read(self) -> Beams:
         """Return the beams measured and not yet returned.
 
         Those of a lidar that is no ``BeamStream`` come a line at a time, a revolution late.
         """
-        if isinstance(self._lidar, BeamStream):
-            return self._lidar.read_beams()
+        if self._stream is not None:
+            return self._stream.read_beams()
         parts = []
         while True:
             try:
