@@ -9,7 +9,7 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, Devices
 from scan3d_twin.real.ports import choose_ports
 from scan3d_twin.real.robot import open_real
-from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.config import DEFAULT_WORLD, TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import open_wired
 
@@ -21,12 +21,12 @@ def openers(robot: str, lidar: str) -> tuple[Opener, Opener]:
 
     @contextmanager
     def sim(scene: str) -> Iterator[Robot]:
-        with open_sim(scene, 7, TwinConfig(robot, lidar)) as (opened, _):
+        with open_sim(scene, 7, TwinConfig.of(DEFAULT_WORLD, robot, lidar)) as (opened, _):
             yield opened
 
     @contextmanager
     def wired(scene: str) -> Iterator[Robot]:
-        with open_wired(scene, 7, TwinConfig(robot, lidar)) as (opened, _):
+        with open_wired(scene, 7, TwinConfig.of(DEFAULT_WORLD, robot, lidar)) as (opened, _):
             yield opened
 
     return sim, wired

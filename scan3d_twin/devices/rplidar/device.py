@@ -36,10 +36,11 @@ _PLAIN: Mapping[str, float | bool] = {
     "jitter": 0.0003,
     # Assumption: what a weak return adds to the noise is in sigma.
     "sigma_weak": 0.0,
-    # Assumption; dark walls lose far more (rplidar_ros#13), by the threshold.
-    "dropout": 0.002,
-    # Assumption, as of the URG-04LX: a cold sensor is 3 mm off.
-    "warm_up": 0.003,
+    # What is lost is too dark or too far: dark walls lose a third of an A2's (rplidar_ros#13).
+    "dropout": 0.0,
+    "saturation": 1e12,
+    # The offset of a unit, which does not decay; its size is stated below.
+    "warm_up_time": 1e6,
 }
 
 
@@ -53,29 +54,31 @@ _A1_ERRORS = {
     # also the .2 % at 6 m of the data sheet's figure 2-2.
     "sigma": 0.0,
     "sigma_per_metre": 0.0017,
-    # The same board: 6 mm too far; one surface of one sensor. Within the 1 % of the data sheet.
-    "surface_bias": 0.006,
+    # The same board: 6 mm too far, one unit; within the 1 % of the data sheet.
+    "warm_up": 0.006,
+    # Assumption, as of the URG-04LX.
+    "surface_bias": 0.003,
     # Angle corrections come in steps of 1/8 deg: a uniform error of that width.
     "pointing": math.radians(0.125) / math.sqrt(12.0),
     # A white surface of 90 % is seen to the 12 m of the data sheet: black to 4 m.
     "threshold": _threshold(12.0 * math.sqrt(BLACK / 0.9)),
-    # Assumption: strongest return measured is white at the nearest distance.
-    "saturation": 0.3 / 0.15**2,
-    # Assumption: a laser spot of 3 mm diverging to 12 mm at 2 m.
+    # Assumption: a spot of 12 mm at 2 m.
     "footprint_along": 0.003,
     "footprint_across": 0.003,
     # Assumption; the motor has no controller, its speed depends on voltage and wear.
-    "revolution": 0.015,
+    "revolution": 0.01,
 }
 _TOF_ERRORS = {
-    # The +-30 mm of the data sheets, read as three standard deviations of noise and surface.
+    # The +-30 mm of the data sheets, read as three standard deviations of the sum of noise, unit and
+    # surface; how it is shared: assumption.
     "sigma": 0.008,
     "sigma_per_metre": 0.0,
-    "surface_bias": 0.006,
+    "warm_up": 0.005,
+    "surface_bias": 0.003,
+    # Assumption.
     "pointing": 0.001,
     "footprint_along": 0.0045,
     "footprint_across": 0.0045,
-    "saturation": 0.3 / 0.05**2,
     # A motor with a controller; .9 % of the length of turns of an S3 (rplidar_ros#104).
     "revolution": 0.005,
 }

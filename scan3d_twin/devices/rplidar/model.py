@@ -145,7 +145,7 @@ A1 = RplidarModel(
     # With the motor's pin at full speed, as on the USB adapter: 267 samples of 508 us a turn
     # (donkeycar#914); the data sheet has 5.5 typically and 10 at most.
     turns=7.4,
-    slowest_turns=7.0,
+    slowest_turns=7.15,
     motor=Motor.DTR,
     min_range_mm=150,
     max_range_mm=12000,
@@ -168,7 +168,7 @@ C1 = RplidarModel(
         STANDARD: ScanMode("Standard", 0, ReplyType.NODES, 200.0, 16.0),
     },
     turns=10.0,
-    slowest_turns=9.7,
+    slowest_turns=9.8,
     motor=Motor.SCAN,
     min_range_mm=50,
     max_range_mm=12000,
@@ -191,7 +191,7 @@ S2 = RplidarModel(
         STANDARD: ScanMode("Standard", 0, ReplyType.NODES, 100.0, 30.0),
     },
     turns=10.0,
-    slowest_turns=9.7,
+    slowest_turns=9.8,
     motor=Motor.SPEED,
     # Both nearest and farthest: assumptions, from kaiaai/awesome-2d-lidars.
     min_range_mm=50,
