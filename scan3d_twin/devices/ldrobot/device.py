@@ -22,7 +22,10 @@ def describe_ld(lidar: LdLidar) -> str:
 
 
 def _describe_device(
-    model: LdModel, summary: str, errors: Mapping[str, float | bool]
+    model: LdModel,
+    summary: str,
+    errors: Mapping[str, float | bool],
+    registration: Mapping[str, float],
 ) -> LidarDevice:
     """Return the description of ``model``."""
 
@@ -48,16 +51,29 @@ def _describe_device(
         bauds=(model.baud,),
         sample_rate=lambda link: model.sample_rate,
         describe=describe_ld,
-        options={"lidar": {**ld.COMMON_ERRORS, **errors}},
+        options={
+            "lidar": {**ld.COMMON_ERRORS, **errors},
+            "registration": registration,
+            "planning": {"sigma": errors["sigma"]},
+        },
     )
 
 
 LD06 = _describe_device(
-    ld.LD06, "LDROBOT LD06: all round, 450 readings a turn at 10 Hz, to 12 m", ld.LD_ERRORS
+    ld.LD06,
+    "LDROBOT LD06: all round, 450 readings a turn at 10 Hz, to 12 m",
+    ld.LD_ERRORS,
+    ld.LD_REGISTRATION,
 )
 LD19 = _describe_device(
-    ld.LD19, "LDROBOT LD19: all round, 450 readings a turn at 10 Hz, to 12 m", ld.LD_ERRORS
+    ld.LD19,
+    "LDROBOT LD19: all round, 450 readings a turn at 10 Hz, to 12 m",
+    ld.LD_ERRORS,
+    ld.LD_REGISTRATION,
 )
 STL27L = _describe_device(
-    ld.STL27L, "LDROBOT STL27L: all round, 2160 readings a turn at 10 Hz, to 25 m", ld.STL27L_ERRORS
+    ld.STL27L,
+    "LDROBOT STL27L: all round, 2160 readings a turn at 10 Hz, to 25 m",
+    ld.STL27L_ERRORS,
+    ld.STL27L_REGISTRATION,
 )

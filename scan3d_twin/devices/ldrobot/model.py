@@ -123,5 +123,10 @@ COMMON_ERRORS: Mapping[str, float | bool] = {
     "saturation": 1e12,
 }
 """Errors that all models share."""
+LD_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.0025, "offset_sigma": 0.010}
+"""What registration assumes of LD06 and LD19: of ``surface_bias`` and ``warm_up`` above the same
+shares as for the URG-04LX (a half and two thirds)."""
+STL27L_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.0015, "offset_sigma": 0.0033}
+"""The same of the STL27L."""
 EMULATED_INTENSITY = 200
 """Intensity of an emulated reading, 0 to 255: that of a white surface within 6 m [assumption]."""

@@ -7,48 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from round_scene import RoundScene, true_range
 from virtual import VirtualClock
 
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError
-from scan3d_twin.core.types import UNMEASURED, VALID, Beams, LidarSpec, ScanLine
+from scan3d_twin.core.types import UNMEASURED, VALID, ScanLine
 from scan3d_twin.devices.ldrobot import model as ld
 from scan3d_twin.devices.ldrobot.driver import LdLidar
 from scan3d_twin.devices.ldrobot.emulator import LdEmulator
 from scan3d_twin.devices.ldrobot.model import LdModel
 from scan3d_twin.devices.links.line_model import NO_FAULTS, Faults, Line, Wire
-from scan3d_twin.devices.rotating import to_elevation
-
-
-def true_range(elevations: np.ndarray) -> np.ndarray:
-    """Return the distance [m] at an elevation: each angle has its own, in whole millimetres."""
-    return np.rint(2000 + 300 * np.cos(elevations)) / 1000
-
-
-class Scene:
-    """A ``BeamStream`` in front of which each angle has its own distance."""
-
-    def __init__(self, clock: VirtualClock, model: LdModel, speed: float = 10.0) -> None:
-        self._clock, self._model, self.speed, self._count = clock, model, speed, 0
-        self.spec: LidarSpec = model.spec
-
-    def read_line(self, timeout: float) -> ScanLine:
-        raise NotImplementedError
-
-    def seam_before(self, time: float) -> float:
-        """Return when the beam last passed behind before ``time`` [s]."""
-        return math.floor(time * self.speed) / self.speed
-
-    def read_beams(self) -> Beams:
-        last = math.floor(self._clock.now() * self._model.sample_rate)
-        numbers = np.arange(self._count, last)
-        self._count = max(last, self._count)
-        times = numbers / self._model.sample_rate
-        elevations = to_elevation(math.tau * self.speed * times - math.pi)
-        ranges = true_range(elevations)
-        invalid = np.abs(elevations + math.pi / 2) < 0.1
-        return Beams(
-            times, elevations, np.where(invalid, np.nan, ranges), np.where(invalid, 0, VALID)
-        )
 
 
 class Setup:
@@ -62,7 +30,7 @@ class Setup:
         seed: int = 0,
     ) -> None:
         self.clock = VirtualClock()
-        self.scene = Scene(self.clock, model, speed)
+        self.scene = RoundScene(self.clock, model.spec, model.sample_rate, speed)
         self.emulator = LdEmulator(self.scene, model)
         self.line = Line(self.emulator, faults, seed)
 
