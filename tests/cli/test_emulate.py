@@ -30,13 +30,17 @@ def test_the_lidar_can_be_read_through_the_port_it_names(options, prefix):
         assert program.stdout.read() == b""
 
 
-def test_it_says_what_to_run_next():
-    with subprocess.Popen([*EMULATE], stdout=subprocess.PIPE, text=True) as program:
+@pytest.mark.parametrize("lidar", ["urg04lx", "rplidar_c1"])
+def test_it_says_what_to_run_next(lidar):
+    with subprocess.Popen(
+        [*EMULATE, "--lidar", lidar], stdout=subprocess.PIPE, text=True
+    ) as program:
         words = program.stdout.readline().split()
         program.send_signal(signal.SIGINT)
         assert program.wait(10) == 0
     assert words[:3] == ["twin", "real", "--port"]
     assert words[4] == "--lidar-port"
+    assert words[6:] == ([] if lidar == "urg04lx" else ["--lidar", lidar])
 
 
 @pytest.mark.parametrize(

@@ -89,10 +89,10 @@ def _opening(
 
     if options.scene is None:
         return open_robot(options, devices)
-    from scan3d_twin.sim.config import TwinConfig
+    from scan3d_twin.sim.config import DEFAULT_WORLD, TwinConfig
     from scan3d_twin.sim.robot import open_sim
 
-    config = TwinConfig(devices.base, devices.lidar, devices.link)
+    config = TwinConfig.of(DEFAULT_WORLD, devices.base, devices.lidar, devices.link)
     return open_sim(options.scene, options.seed, config)
 
 

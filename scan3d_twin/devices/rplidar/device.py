@@ -69,8 +69,8 @@ _A1_ERRORS = {
     "revolution": 0.01,
 }
 _TOF_ERRORS = {
-    # The +-30 mm of the data sheets, read as three standard deviations of the sum of noise, unit and
-    # surface; how it is shared: assumption.
+    # The +-30 mm of the data sheets, read as three standard deviations of the sum of noise, unit
+    # and surface; how it is shared: assumption.
     "sigma": 0.008,
     "sigma_per_metre": 0.0,
     "warm_up": 0.005,
