@@ -25,7 +25,7 @@ class RoundScene:
     def __init__(self, clock: Clock, spec: LidarSpec, rate: float, speed: float = 10.0) -> None:
         self.spec = spec
         self._clock, self._rate, self._speed = clock, rate, speed
-        self._count = 0
+        self._count = math.floor(clock.now() * rate)
 
     def read_line(self, timeout: float) -> ScanLine:
         """See ``Lidar.read_line``: there are none, as emulators of such lidars read beams."""

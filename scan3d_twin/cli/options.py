@@ -57,8 +57,8 @@ class RunOptions:
     )
     """Scan the front or all round."""
     lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
-    """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
-    (682 steps, 5 Hz)."""
+    """Link of the lidar; of urg04lx: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or
+    115200-full (682 steps, 5 Hz)."""
     preset: Annotated[str | None, env("PRESET", "{run.preset}")] = None
     """Named set of options: paper or best."""
     planner: Annotated[str | None, env("PLANNER", "the preset's, {config.planner}")] = None
@@ -97,7 +97,7 @@ class PortOptions:
     robot: Annotated[str | None, env("ROBOT", "create2")] = None
     """Base (`twin devices`); create2 also finds a Create 1."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
-    """Name of the lidar (`twin devices`)."""
+    """Name of the lidar (`twin devices`); twin real also takes auto: the one that is plugged in."""
     port: Annotated[str | None, env("PORT", "by its USB id")] = None
     """Serial port of the base."""
     lidar_port: Annotated[str | None, env("LIDAR_PORT", "by its USB id")] = None

@@ -134,6 +134,26 @@ class LidarSensor:
     drops_isolated: bool = True
 
 
+@dataclass(frozen=True, slots=True)
+class LidarProbe:
+    """How a family of lidars is recognised on a line on which any other lidar may be.
+
+    Attributes:
+        bauds: Bit rates at which it may be found, the most likely first [bit/s].
+        recognise: Returns the name of the device that sent some bytes, read at one of ``bauds``;
+            None if they are from none of this family.
+        request: Bytes to which it answers in any state. They must not harm a lidar of any other
+            family, nor change more of its own than that it stops scanning; empty for a lidar that
+            sends by itself.
+        wait: Time in which enough bytes arrive [s].
+    """
+
+    bauds: tuple[int, ...]
+    recognise: Callable[[bytes], str | None]
+    request: bytes = b""
+    wait: float = 0.15
+
+
 @dataclass(frozen=True, kw_only=True)
 class LidarDevice:
     """One lidar: its data sheet, its driver, its emulator.
@@ -157,6 +177,8 @@ class LidarDevice:
             all round and takes them by a clock of its own, whatever its speed: they lie elsewhere
             in each revolution. The ``elevations`` of its ``spec`` are then a grid for them
             (``make_full_circle``). None for a lidar that measures at fixed angles.
+        probe: Recognises it among the lidars of all families, for ``--lidar auto``; one object for
+            all devices of a family. None if it must be named.
         describe: Returns a one-line description of the device behind an open driver.
         options: Defaults of the configuration for this lidar, by section; for example its errors
             (``lidar``).
@@ -174,6 +196,7 @@ class LidarDevice:
     bauds: tuple[int, ...] = ()
     protocols: tuple[str, ...] = ()
     sample_rate: Callable[[str], float] | None = None
+    probe: LidarProbe | None = None
     describe: Callable[[Any], str] | None = None
     options: ConfigTables = field(default_factory=dict)
 

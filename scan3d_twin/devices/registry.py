@@ -21,7 +21,7 @@ from scan3d_twin.core.plugins import PluginError, load_plugin
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from scan3d_twin.devices.device import BaseDevice, LidarDevice
+    from scan3d_twin.devices.device import BaseDevice, LidarDevice, LidarProbe
 
 D = TypeVar("D", "BaseDevice", "LidarDevice")
 LIDARS, BASES = "scan3d_twin.lidars", "scan3d_twin.bases"
@@ -79,6 +79,13 @@ def lidar_device(name: str) -> LidarDevice:
     if not device.links:
         raise PluginError("lidar", name, _place("lidar", name, LIDARS), "it has no links")
     return device
+
+
+def lidar_probes() -> tuple[LidarProbe, ...]:
+    """Return how lidars are recognised, once for each family: first those that only listen."""
+    stated = (lidar_device(name).probe for name in lidar_names())
+    probes = dict.fromkeys(probe for probe in stated if probe is not None)
+    return tuple(sorted(probes, key=lambda probe: bool(probe.request)))
 
 
 def base_device(name: str) -> BaseDevice:

@@ -10,6 +10,7 @@ from scan3d_twin.devices.ldrobot import model as ld
 from scan3d_twin.devices.ldrobot.driver import LdLidar
 from scan3d_twin.devices.ldrobot.emulator import LdEmulator
 from scan3d_twin.devices.ldrobot.model import LdModel
+from scan3d_twin.devices.ldrobot.probe import PROBE
 from scan3d_twin.devices.links.transport import Transport
 
 
@@ -50,6 +51,7 @@ def _describe_device(
         usb_ids={"10c4:ea60": "Silicon Labs"},
         bauds=(model.baud,),
         sample_rate=lambda link: model.sample_rate,
+        probe=PROBE,
         describe=describe_ld,
         options={
             "lidar": {**ld.COMMON_ERRORS, **errors},

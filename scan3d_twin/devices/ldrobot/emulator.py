@@ -15,6 +15,10 @@ MAX_STEP = 1.5
 """Time between two readings of a packet, in their period, above which readings are missing: the
 packet begins again."""
 
+MIN_FETCH = 0.004
+"""Shortest time between two looks at what was measured [s]: each look costs the twin as much as a
+hundred readings, and a packet is put on the line that much later at most."""
+
 
 class LdEmulator:
     """A ``Device``: a lidar that measures what ``lidar`` measures.
@@ -33,7 +37,7 @@ class LdEmulator:
         self._model = model
         self._out: deque[tuple[float, bytes]] = deque()
         self._beams = Beams.join([])
-        self._powered_at = 0.0
+        self._powered_at, self._looked = 0.0, -math.inf
 
     def power_up(self, now: float) -> None:
         """Turn the power off, and on again at ``now`` [s]."""
@@ -54,6 +58,9 @@ class LdEmulator:
 
     def _measure(self, now: float) -> None:
         """Make packets of what was measured by ``now`` [s]."""
+        if now - self._looked < MIN_FETCH:
+            return
+        self._looked = now
         beams = Beams.join([self._beams, self._reader.read()])
         start = 0
         while start + READINGS <= len(beams):
