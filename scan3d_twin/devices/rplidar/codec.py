@@ -23,6 +23,8 @@ HAS_PAYLOAD = 0x80
 MAX_LENGTH = (1 << 30) - 1
 """Longest reply that a descriptor can announce [bytes]."""
 DESCRIPTOR_LENGTH = 7
+INFO_LENGTH = 20
+"""Length of the reply to GET_INFO without its descriptor [bytes]."""
 MAX_REQUEST = 4 + 255
 """Longest request: start, command, length, payload, checksum [bytes]."""
 

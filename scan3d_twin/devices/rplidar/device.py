@@ -17,6 +17,7 @@ from scan3d_twin.devices.rplidar.capsules import CAPSULE_LENGTH
 from scan3d_twin.devices.rplidar.driver import RplidarLidar, line_spec
 from scan3d_twin.devices.rplidar.emulator import RplidarEmulator
 from scan3d_twin.devices.rplidar.model import SAMPLES, RplidarModel
+from scan3d_twin.devices.rplidar.probe import PROBE
 
 BLACK = 0.1
 """Reflectance of what the data sheets call black."""
@@ -129,6 +130,7 @@ def _describe(model: RplidarModel, summary: str) -> LidarDevice:
         usb_ids=CP2102,
         bauds=(model.baud,),
         sample_rate=lambda link: model.modes[link].sample_rate,
+        probe=PROBE,
         describe=describe_rplidar,
         options={"lidar": errors},
     )
