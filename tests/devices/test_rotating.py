@@ -38,7 +38,7 @@ def measured(line: ScanLine) -> FloatArray:
     return np.flatnonzero(line.codes != UNMEASURED)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=12)
 @given(
     st.floats(0.96, 1.04),
     st.floats(0.0, math.tau),
@@ -47,9 +47,9 @@ def measured(line: ScanLine) -> FloatArray:
 def test_every_revolution_is_a_line_with_all_its_beams_as_they_are(
     speed: float, start: float, sizes: list[int]
 ) -> None:
-    beams = stream(1.0, speed, start)
+    beams = stream(0.6, speed, start)
     lines, _ = cut(beams, sizes)
-    assert len(lines) >= 7
+    assert len(lines) >= 3
     counts = [len(measured(line)) for line in lines]
     assert max(abs(n - PERIOD / speed * RATE) for n in counts) <= 1
     for line in lines:

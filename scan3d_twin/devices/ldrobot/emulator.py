@@ -15,9 +15,9 @@ MAX_STEP = 1.5
 """Time between two readings of a packet, in their period, above which readings are missing: the
 packet begins again."""
 
-MIN_FETCH = 0.004
+MIN_FETCH = 0.009
 """Shortest time between two looks at what was measured [s]: each look costs the twin as much as a
-hundred readings, and a packet is put on the line that much later at most."""
+hundred readings, and packets are put on the line that much later at most."""
 
 
 class LdEmulator:
