@@ -52,7 +52,10 @@ def test_three_boxes_through_the_drivers_is_as_good_as_without(link):
 
 @pytest.mark.parametrize(
     ("lidar", "link"),
-    [("urg04lx", "usb"), ("urg04lx", "115200"), ("urg04lx", "115200-full"), ("ld19", "230400")],
+    [
+        *(("urg04lx", link) for link in ("usb", "115200", "115200-full")),
+        *(("ld19", "230400"), ("rplidar_a1", "express")),
+    ],
 )
 def test_a_sweep_through_the_drivers_has_the_headings_and_times_of_one_without(lidar, link):
     """What a line's place in the image rests on: stamps, odometry, and the turn between them."""
