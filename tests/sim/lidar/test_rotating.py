@@ -97,3 +97,13 @@ def test_the_same_seed_gives_the_same_bits() -> None:
         for name in ("ranges", "codes", "elevations", "beam_times"):
             assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
     assert read(1, seed=6)[0].ranges.tobytes() != read(1)[0].ranges.tobytes()
+
+
+def test_beams_that_nobody_reads_are_not_kept_for_ever() -> None:
+    with s3d.open_sim("plain_wall", 5, TYPICAL) as (robot, _):
+        assert isinstance(robot.lidar, BeamStream)
+        robot.clock.sleep(6.0)
+        late = robot.lidar.read_beams()
+        assert len(robot.lidar.read_beams()) == 0
+    assert 1.0 < late.times[-1] - late.times[0] < 3.5
+    assert late.times[-1] > 5.99
