@@ -12,6 +12,8 @@ from scan3d_twin.core.hal import BeamStream
 from scan3d_twin.core.types import UNMEASURED, VALID, Beams, ScanLine
 from scan3d_twin.devices.ldrobot.model import LD19
 from scan3d_twin.devices.rotating import list_beams
+from scan3d_twin.sim.lidar.noise import Draws
+from scan3d_twin.sim.lidar.rotating import RotatingLidar
 
 TYPICAL = s3d.TwinConfig.of("typical", lidar="ld19")
 
@@ -107,3 +109,18 @@ def test_beams_that_nobody_reads_are_not_kept_for_ever() -> None:
         assert len(robot.lidar.read_beams()) == 0
     assert 1.0 < late.times[-1] - late.times[0] < 3.5
     assert late.times[-1] > 5.99
+
+
+def test_beams_of_which_none_passes_the_robot_are_read() -> None:
+    """A few beams that look down, as an emulator asks for them."""
+    with s3d.open_sim("plain_wall", 5, TYPICAL) as (robot, _):
+        lidar = robot.lidar
+        assert isinstance(lidar, RotatingLidar)
+        scanner = lidar._scanner
+        fan = scanner.make_fan(np.radians([-92.0, -90.0, -88.0]))
+        draws = Draws.of([np.random.default_rng(0)], 3, scanner.config)
+        at = np.zeros((1, 3, 3)), np.broadcast_to(np.eye(3), (1, 3, 3, 3))
+        readings = scanner.measure(np.empty(0), *at, draws, np.zeros(1), fan=fan, evidence=True)
+    assert np.all(readings.codes == VALID)
+    assert 0.1 < readings.ranges.min() < readings.ranges.max() < 0.35
+    assert np.all(readings.evidence[0].geoms == -1)
