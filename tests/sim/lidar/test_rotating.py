@@ -124,3 +124,21 @@ def test_beams_of_which_none_passes_the_robot_are_read() -> None:
     assert np.all(readings.codes == VALID)
     assert 0.1 < readings.ranges.min() < readings.ranges.max() < 0.35
     assert np.all(readings.evidence[0].geoms == -1)
+
+
+def test_each_sensor_has_an_offset_of_its_own_that_stays() -> None:
+    found = []
+    for seed in range(1, 5):
+        with s3d.open_sim("plain_wall", seed, TYPICAL) as (robot, truth):
+            for _ in range(2):
+                lines = [robot.lidar.read_line(1.0) for _ in range(3)]
+                evidence = truth.evidence()
+                assert evidence is not None
+                line = lines[-1]
+                ahead = (np.abs(line.elevations) < 0.4) & (line.codes == VALID)
+                found.append(float(np.mean(line.ranges[ahead] - evidence.distances[ahead])))
+                robot.clock.sleep(2.0)
+    first, later = np.array(found[::2]), np.array(found[1::2])
+    assert np.allclose(first, later, atol=0.006)
+    assert 0.005 < np.std(first) < 0.05
+    assert np.min(first) < 0 < np.max(first)
