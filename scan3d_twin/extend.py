@@ -35,6 +35,7 @@ from scan3d_twin.devices.device import (
     Finding,
     LidarDevice,
     LidarDriver,
+    LidarProbe,
     LidarSensor,
     Wiring,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "Lidar",
     "LidarDevice",
     "LidarDriver",
+    "LidarProbe",
     "LidarSensor",
     "LidarSpec",
     "LinkError",

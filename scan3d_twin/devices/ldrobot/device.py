@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from scan3d_twin.core.hal import Clock, Lidar
-from scan3d_twin.devices.device import LidarDevice, LidarSensor, Wiring
+from scan3d_twin.devices.device import ConfigTables, LidarDevice, LidarSensor, Wiring
 from scan3d_twin.devices.ldrobot import model as ld
 from scan3d_twin.devices.ldrobot.driver import LdLidar
 from scan3d_twin.devices.ldrobot.emulator import LdEmulator
@@ -26,7 +26,7 @@ def _describe_device(
     model: LdModel,
     summary: str,
     errors: Mapping[str, float | bool],
-    registration: Mapping[str, float],
+    options: ConfigTables,
 ) -> LidarDevice:
     """Return the description of ``model``."""
 
@@ -55,27 +55,28 @@ def _describe_device(
         describe=describe_ld,
         options={
             "lidar": {**ld.COMMON_ERRORS, **errors},
-            "registration": registration,
             "planning": {"sigma": errors["sigma"]},
+            **options,
         },
     )
 
 
+LD_OPTIONS = {"registration": ld.LD_REGISTRATION, "target": {"floor_height": ld.FLOOR_HEIGHT}}
 LD06 = _describe_device(
     ld.LD06,
     "LDROBOT LD06: all round, 450 readings a turn at 10 Hz, to 12 m",
     ld.LD_ERRORS,
-    ld.LD_REGISTRATION,
+    LD_OPTIONS,
 )
 LD19 = _describe_device(
     ld.LD19,
     "LDROBOT LD19: all round, 450 readings a turn at 10 Hz, to 12 m",
     ld.LD_ERRORS,
-    ld.LD_REGISTRATION,
+    LD_OPTIONS,
 )
 STL27L = _describe_device(
     ld.STL27L,
     "LDROBOT STL27L: all round, 2160 readings a turn at 10 Hz, to 25 m",
     ld.STL27L_ERRORS,
-    ld.STL27L_REGISTRATION,
+    {"registration": ld.STL27L_REGISTRATION},
 )

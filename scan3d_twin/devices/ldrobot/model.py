@@ -83,10 +83,9 @@ LD_ERRORS: Mapping[str, float | bool] = {
     # Standard deviation of the LD19 from 0.3 to 12 m [manual]; the LD06 is its forerunner with the
     # same packets and range, for which only an accuracy of about 15 mm is stated.
     "sigma": 0.010,
-    # Mean error +-45 mm [manual]: a third of it is taken for the standard deviation over units. It
-    # is one error of a unit, here an offset that does not decay; colours add a share of it.
-    "warm_up": 0.015,
-    "warm_up_time": 1e6,
+    # Mean error +-45 mm [manual]: a third of it is taken for the standard deviation over units, and
+    # a ninth for that over surfaces.
+    "unit_offset": 0.015,
     "surface_bias": 0.005,
     # 12 m at 70 % [manual]: (0.7 / pi) / 12^2, see sim/lidar/optics.py.
     "threshold": 0.00155,
@@ -96,8 +95,7 @@ STL27L_ERRORS: Mapping[str, float | bool] = {
     # +-15 mm from 0.03 to 2 m [list], taken for three standard deviations, half each for noise and
     # for what does not average out.
     "sigma": 0.005,
-    "warm_up": 0.005,
-    "warm_up_time": 1e6,
+    "unit_offset": 0.005,
     "surface_bias": 0.003,
     # 25 m [list], taken at 70 % as for the LD19 [assumption].
     "threshold": 0.000357,
@@ -121,12 +119,18 @@ COMMON_ERRORS: Mapping[str, float | bool] = {
     "dropout": 0.0,
     "glitch": 0.0,
     "saturation": 1e12,
+    # Nothing is known of how it drifts when cold [assumption].
+    "warm_up": 0.0,
 }
 """Errors that all models share."""
 LD_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.0025, "offset_sigma": 0.010}
-"""What registration assumes of LD06 and LD19: of ``surface_bias`` and ``warm_up`` above the same
-shares as for the URG-04LX (a half and two thirds)."""
+"""What registration assumes of LD06 and LD19: half of ``surface_bias`` and two thirds of
+``unit_offset``, the shares that the URG-04LX has of its errors."""
 STL27L_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.0015, "offset_sigma": 0.0033}
 """The same of the STL27L."""
+FLOOR_HEIGHT = 0.05
+"""Height below which points seen by LD06 and LD19 are floor [m]: at 0.6 m, where half of it counts
+and the floor is seen at 30 deg, an offset of 15 mm and three standard deviations of the noise raise
+the floor by 23 mm."""
 EMULATED_INTENSITY = 200
 """Intensity of an emulated reading, 0 to 255: that of a white surface within 6 m [assumption]."""

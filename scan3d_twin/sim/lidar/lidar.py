@@ -21,7 +21,7 @@ MAX_SWEEP_DURATION = 0.9 * HISTORY_STEPS * TIMESTEP
 """Longest sweep that is computed at once [s], limited by the history of the lidar's poses."""
 
 # Streams of the lidar's seed.
-_NOISE, _JITTER, _LOSS, _SWAY = 0, 1, 2, 3
+_NOISE, _JITTER, _LOSS, _SWAY, _OFFSET = 0, 1, 2, 3, 5
 _BLOCK = 256
 
 
@@ -61,6 +61,10 @@ class SimLidar:
         self._start = float(rng.uniform(0.0, scanner.spec.line_period))
         mean, spread = scanner.config.period_error, scanner.config.revolution
         self._pace = 1 + mean + spread * float(rng.standard_normal())
+
+        # Draw the error that stays
+        offset = np.random.default_rng([*seed, _OFFSET]).standard_normal()
+        self._offset = scanner.config.unit_offset * float(offset)
 
         # Start with no revolution
         self._jitter, self._drawn = np.empty(0), 0
@@ -167,9 +171,13 @@ class SimLidar:
             positions.reshape(len(turns), n, 3),
             rotations,
             Draws.of(rngs, n, config),
-            np.array([warm_up_error(turn.start, config) for turn in turns]),
+            np.array([self._drift(turn) for turn in turns]),
             evidence=evidence,
         )
+
+    def _drift(self, turn: Revolution) -> float:
+        """Return the range error that all readings of a revolution share [m]."""
+        return self._offset + warm_up_error(turn.start, self._scanner.config)
 
     def _noise(self, number: int) -> np.random.Generator:
         """Return the noise of a revolution."""

@@ -21,7 +21,7 @@ from scan3d_twin.core.line_grid import arrange_line, place_readings
 from scan3d_twin.core.types import Beams, FloatArray, ScanLine, read_only
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.lidar.lidar import MAX_UNREAD_LINES, Revolution, SimLidar
-from scan3d_twin.sim.lidar.noise import Draws, warm_up_error
+from scan3d_twin.sim.lidar.noise import Draws
 from scan3d_twin.sim.lidar.scanner import Evidence, Readings, Scanner
 from scan3d_twin.sim.world import World
 
@@ -180,7 +180,7 @@ class RotatingLidar(SimLidar):
             positions[None],
             rotations[None],
             draws,
-            np.array([warm_up_error(turn.start, config)]),
+            np.array([self._drift(turn)]),
             fan=self._scanner.make_fan(read_only(samples.elevations)),
             evidence=evidence,
         )

@@ -230,6 +230,8 @@ class Scanner:
         Returns:
             The light of each beam, what the middle of each free beam hit, and the readings.
         """
+        if rays.size == 0:
+            return self._read_housing(fan, draws, drift)
         directions = rays.reshape(-1, 3)
         origins = np.broadcast_to(at, rays.shape).reshape(-1, 3)
         hits = self.caster.cast(qpos, origins, directions)
@@ -245,6 +247,16 @@ class Scanner:
         ranges, codes = read(light, (broken, mixed.codes), draws, drift, self.config, self.sensor)
         behind = Hits(hits.distances[middle], hits.normals[middle], hits.geoms[middle])
         return light, behind, Readings(ranges, codes, ())
+
+    def _read_housing(
+        self, fan: Fan, draws: Draws, drift: FloatArray
+    ) -> tuple[Light, Hits, Readings]:
+        """Return what ``_read`` does for beams of which none passes the robot."""
+        none, whole = np.empty(0), np.empty(0, np.int64)
+        light = _add_housing(fan, len(drift), none, none, none, none)
+        broken = ((whole, whole), whole)
+        ranges, codes = read(light, broken, draws, drift, self.config, self.sensor)
+        return light, Hits(none, np.empty((0, 3)), whole), Readings(ranges, codes, ())
 
     def _steered(self, fan: Fan, draws: Draws) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sub-rays of lines in the lidar's frame, by component (K, m or 1, n_free) each.

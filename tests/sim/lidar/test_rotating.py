@@ -12,6 +12,8 @@ from scan3d_twin.core.hal import BeamStream
 from scan3d_twin.core.types import UNMEASURED, VALID, Beams, ScanLine
 from scan3d_twin.devices.ldrobot.model import LD19
 from scan3d_twin.devices.rotating import list_beams
+from scan3d_twin.sim.lidar.noise import Draws
+from scan3d_twin.sim.lidar.rotating import RotatingLidar
 
 TYPICAL = s3d.TwinConfig.of("typical", lidar="ld19")
 
@@ -97,3 +99,46 @@ def test_the_same_seed_gives_the_same_bits() -> None:
         for name in ("ranges", "codes", "elevations", "beam_times"):
             assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
     assert read(1, seed=6)[0].ranges.tobytes() != read(1)[0].ranges.tobytes()
+
+
+def test_beams_that_nobody_reads_are_not_kept_for_ever() -> None:
+    with s3d.open_sim("plain_wall", 5, TYPICAL) as (robot, _):
+        assert isinstance(robot.lidar, BeamStream)
+        robot.clock.sleep(6.0)
+        late = robot.lidar.read_beams()
+        assert len(robot.lidar.read_beams()) == 0
+    assert 1.0 < late.times[-1] - late.times[0] < 3.5
+    assert late.times[-1] > 5.99
+
+
+def test_beams_of_which_none_passes_the_robot_are_read() -> None:
+    """A few beams that look down, as an emulator asks for them."""
+    with s3d.open_sim("plain_wall", 5, TYPICAL) as (robot, _):
+        lidar = robot.lidar
+        assert isinstance(lidar, RotatingLidar)
+        scanner = lidar._scanner
+        fan = scanner.make_fan(np.radians([-92.0, -90.0, -88.0]))
+        draws = Draws.of([np.random.default_rng(0)], 3, scanner.config)
+        at = np.zeros((1, 3, 3)), np.broadcast_to(np.eye(3), (1, 3, 3, 3))
+        readings = scanner.measure(np.empty(0), *at, draws, np.zeros(1), fan=fan, evidence=True)
+    assert np.all(readings.codes == VALID)
+    assert 0.1 < readings.ranges.min() < readings.ranges.max() < 0.35
+    assert np.all(readings.evidence[0].geoms == -1)
+
+
+def test_each_sensor_has_an_offset_of_its_own_that_stays() -> None:
+    found = []
+    for seed in range(1, 5):
+        with s3d.open_sim("plain_wall", seed, TYPICAL) as (robot, truth):
+            for _ in range(2):
+                lines = [robot.lidar.read_line(1.0) for _ in range(3)]
+                evidence = truth.evidence()
+                assert evidence is not None
+                line = lines[-1]
+                ahead = (np.abs(line.elevations) < 0.4) & (line.codes == VALID)
+                found.append(float(np.mean(line.ranges[ahead] - evidence.distances[ahead])))
+                robot.clock.sleep(2.0)
+    first, later = np.array(found[::2]), np.array(found[1::2])
+    assert np.allclose(first, later, atol=0.006)
+    assert 0.005 < np.std(first) < 0.05
+    assert np.min(first) < 0 < np.max(first)
