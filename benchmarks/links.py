@@ -1,9 +1,9 @@
 """The real drivers on the emulated robot against the twin itself: accuracy of whole runs.
 
-``python benchmarks/links.py [--scene three_boxes] [--links usb 115200] [--presets paper best]
-[--seeds 10] [--json]``; one line per link and preset, or one object {name: {value, unit, peer}}.
-Both start at the same instant, so that they see the same noise of the lidar. A second run of the
-twin that starts a second later shows how much runs differ by noise alone.
+``python benchmarks/links.py [--scene three_boxes] [--lidar urg04lx] [--links usb 115200]
+[--presets paper best] [--seeds 10] [--json]``; one line per link and preset, or one object {name:
+{value, unit, peer}}. Both start at the same instant, so that they see the same noise of the lidar.
+A second run of the twin that starts a second later shows how much runs differ by noise alone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.model.evaluation import evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.run.settings import build_settings
+from scan3d_twin.devices.registry import DEFAULT_LIDAR, Devices
+from scan3d_twin.run.settings import Settings, build_settings, device_options
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import open_wired
@@ -40,10 +41,12 @@ class Run:
     began: float
 
 
-def run(scene: str, link: str, config: Config, seed: int, *, wired: bool, start: float) -> Run:
+def run(
+    scene: str, twin: TwinConfig, config: Config, seed: int, *, wired: bool, start: float
+) -> Run:
     """Digitise from ``start`` [s] on."""
     opener = open_wired if wired else open_sim
-    with opener(scene, seed, TwinConfig(lidar_link=link)) as (robot, truth):
+    with opener(scene, seed, twin) as (robot, truth):
         robot.clock.sleep(start - robot.clock.now())
         began = robot.clock.now()
         session = run_loop(robot, make_planner(config.planner), config, seed, Unobserved())
@@ -52,13 +55,13 @@ def run(scene: str, link: str, config: Config, seed: int, *, wired: bool, start:
     return Run(len(session.views), errors, found.accuracy.median, found.coverage, began)
 
 
-def compare(scene: str, link: str, name: str, seeds: int) -> dict[str, float]:
+def compare(scene: str, settings: Settings, seeds: int) -> dict[str, float]:
     """Return the figures of the drivers, of the twin, and of the twin a second later."""
-    config = build_settings([preset_options(name)]).config
-    drivers = [run(scene, link, config, seed, wired=True, start=0.0) for seed in range(seeds)]
+    devices, config = settings.twin, settings.config
+    drivers = [run(scene, devices, config, seed, wired=True, start=0.0) for seed in range(seeds)]
     twin, later = (
         [
-            run(scene, link, config, seed, wired=False, start=drivers[seed].began + delay)
+            run(scene, devices, config, seed, wired=False, start=drivers[seed].began + delay)
             for seed in range(seeds)
         ]
         for delay in (0.0, LATER)
@@ -87,6 +90,7 @@ def main() -> int:
     """Compare and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--scene", default="three_boxes")
+    parser.add_argument("--lidar", default=DEFAULT_LIDAR)
     parser.add_argument("--links", nargs="+", default=["usb", "115200"])
     parser.add_argument("--presets", nargs="+", default=["paper", "best"])
     parser.add_argument("--seeds", type=int, default=10)
@@ -95,7 +99,11 @@ def main() -> int:
     results = {}
     for link in options.links:
         for name in options.presets:
-            for key, value in compare(options.scene, link, name, options.seeds).items():
+            devices = Devices(lidar=options.lidar, link=link)
+            stated = [device_options(devices), preset_options(name)]
+            chosen = {"lidar_model": options.lidar, "lidar_link": link}
+            settings = build_settings([*stated, chosen])
+            for key, value in compare(options.scene, settings, options.seeds).items():
                 words = f"{link}, {name}: {key}"
                 results[words] = {"value": round(value, 3), "peer": "the twin without drivers"}
                 if not options.json:

@@ -11,7 +11,7 @@ from scan3d_twin.core.errors import (
     LinkTimeoutError,
 )
 from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar
-from scan3d_twin.core.line_grid import arrange_line
+from scan3d_twin.core.line_grid import arrange_line, make_full_circle
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.navigation.odometry import DeadReckoning
 from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
@@ -19,7 +19,15 @@ from scan3d_twin.core.options import number
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.overlap_or_default import plan_with_overlap
-from scan3d_twin.core.types import VALID, Hazards, LidarSpec, Odometry, ScanLine, read_only
+from scan3d_twin.core.types import (
+    VALID,
+    Beams,
+    Hazards,
+    LidarSpec,
+    Odometry,
+    ScanLine,
+    read_only,
+)
 from scan3d_twin.devices.device import (
     BaseDevice,
     BaseDriver,
@@ -27,12 +35,14 @@ from scan3d_twin.devices.device import (
     Finding,
     LidarDevice,
     LidarDriver,
+    LidarProbe,
     LidarSensor,
     Wiring,
 )
 from scan3d_twin.devices.links.guard import Guard
 from scan3d_twin.devices.links.line_model import Device
 from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.rotating import BeamReader, Revolutions, to_elevation
 from scan3d_twin.recording.export.format import CloudFormat, MeshFormat, RecordingFormat
 from scan3d_twin.recording.export.piece import Piece
 from scan3d_twin.wired import open_wired
@@ -42,6 +52,8 @@ __all__ = [
     "BaseDevice",
     "BaseDriver",
     "BaseSpec",
+    "BeamReader",
+    "Beams",
     "Clock",
     "CloudFormat",
     "ConfigError",
@@ -56,6 +68,7 @@ __all__ = [
     "Lidar",
     "LidarDevice",
     "LidarDriver",
+    "LidarProbe",
     "LidarSensor",
     "LidarSpec",
     "LinkError",
@@ -66,14 +79,17 @@ __all__ = [
     "Piece",
     "PlanningContext",
     "RecordingFormat",
+    "Revolutions",
     "ScanLine",
     "Transport",
     "Wiring",
     "arrange_line",
+    "make_full_circle",
     "number",
     "open_wired",
     "plan_with_overlap",
     "read_only",
     "split_velocity",
     "termination_plan",
+    "to_elevation",
 ]

@@ -37,6 +37,7 @@ URG = [
     "tests/devices/urg/test_driver.py",
 ]
 CREATE = ["tests/devices/create/test_driver.py", "-k", "not million"]
+RPLIDAR = ("codec", "capsules", "nodes", "frames", "link", "connect", "samples", "driver", "probe")
 TESTS = {
     DEVICES / "create/codec.py": [GOLDEN, "tests/devices/create/test_codec.py"],
     DEVICES / "create/packets.py": [GOLDEN, "tests/devices"],
@@ -65,6 +66,7 @@ TESTS = {
     DEVICES / "urg/lines.py": ["tests/devices/urg/test_lines.py", *URG],
     DEVICES / "urg/link.py": URG,
     DEVICES / "urg/scan_modes.py": ["tests/devices/urg/test_scan_modes.py", *URG],
+    **{DEVICES / f"rplidar/{name}.py": ["tests/devices/rplidar"] for name in RPLIDAR},
 }
 """Tests that should fail for a mutant, by module; the quick ones first."""
 PATIENCE = 5.0

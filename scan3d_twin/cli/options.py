@@ -59,8 +59,8 @@ class RunOptions:
     tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front or scene's")] = None
     """Front or all round."""
     lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
-    """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
-    (682 steps, 5 Hz)."""
+    """Link of the lidar; of urg04lx: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or
+    115200-full (682 steps, 5 Hz)."""
     preset: Annotated[str | None, env("PRESET", "{run.preset}")] = None
     """Named set of options: paper or best."""
     planner: Annotated[str | None, env("PLANNER", "the preset's, {config.planner}")] = None
@@ -99,7 +99,7 @@ class PortOptions:
     robot: Annotated[str | None, env("ROBOT", "create1 or create2, by its answers")] = None
     """Name of the base (`twin devices`)."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
-    """Name of the lidar (`twin devices`)."""
+    """Name of the lidar (`twin devices`); twin real also takes auto: the one that is plugged in."""
     port: Annotated[str | None, env("PORT", "by its USB id")] = None
     """Serial port of the base."""
     lidar_port: Annotated[str | None, env("LIDAR_PORT", "by its USB id")] = None

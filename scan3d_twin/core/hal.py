@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from scan3d_twin.core.types import FloatArray, Hazards, LidarSpec, Odometry, ScanLine
+from scan3d_twin.core.types import Beams, FloatArray, Hazards, LidarSpec, Odometry, ScanLine
 
 
 def default_mount() -> FloatArray:
@@ -121,6 +121,21 @@ class BunchingLidar(Lidar, Protocol):
         """Return the lines that have arrived and were not yet returned, oldest first.
 
         Those measured before the time ``since`` [s] are left out, and never returned.
+        """
+        ...
+
+
+@runtime_checkable
+class BeamStream(Lidar, Protocol):
+    """A lidar whose readings are there one by one, before its line is complete: the twin's.
+
+    An emulated device sends a reading as soon as it is measured.
+    """
+
+    def read_beams(self) -> Beams:
+        """Return the beams measured by now and not yet returned, without waiting.
+
+        Only those of the last few revolutions are kept. Lines are read independently of them.
         """
         ...
 

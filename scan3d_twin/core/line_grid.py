@@ -9,6 +9,7 @@ leave readings without neighbours.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,32 @@ MIN_REGULAR_SHARE = 0.5
 """Least share of readings with one in the next beam's column in a grid of several for each."""
 PROBED_LINES = 8
 """Lines of a sweep in which they are looked for: about a thousand readings."""
+
+
+def make_full_circle(
+    points: int, line_period: float, min_range: float, max_range: float
+) -> LidarSpec:
+    """Return the grid of the lines of a lidar that sees all round.
+
+    Its elevations go from -180 deg, behind, over the floor, the front (the middle beam, 0) and the
+    zenith to 180 deg, in the order of time. The seam between two lines is behind, where it parts
+    nothing in front of the robot; a place is added beyond either end, as beams lie off the places.
+
+    Args:
+        points: Number of places all round: at least the most readings of a revolution.
+        line_period: Duration of a revolution, nominally [s].
+        min_range: Shortest distance that the lidar reports [m].
+        max_range: Longest distance that is trusted [m].
+    """
+    half = points // 2 + 1
+    turns = np.arange(-half, half + 1) / points
+    return LidarSpec(
+        elevations=read_only(math.tau * turns),
+        beam_times=read_only(line_period * np.clip(turns + 0.5, 0.0, 1.0 - 1.0 / points)),
+        line_period=line_period,
+        min_range=min_range,
+        max_range=max_range,
+    )
 
 
 def arrange_line(
@@ -63,19 +90,12 @@ def arrange_line(
     Raises:
         ConfigError: The arrays are of different lengths or hold no finite angle.
     """
-    # Sort the readings by angle
+    # Find the reading of each place
     parts = (elevations, beam_times, ranges, codes)
     if len({np.shape(part) for part in parts}) > 1 or not np.any(np.isfinite(elevations)):
         raise ConfigError(f"a line of {np.shape(elevations)} angles, expected one per reading")
-    order = np.argsort(elevations, kind="stable")
-    order = order[np.isfinite(elevations[order])]
-    sorted_elevations, n = elevations[order], spec.n_beams
-
-    # Find the reading of each place
-    places = _find_positions(spec.elevations, sorted_elevations)
-    owner = _assign_places(places, n)
-    taken = owner >= 0
-    own = order[owner[taken]]
+    order, n = _sort_by_angle(elevations), spec.n_beams
+    taken, own = place_readings(spec, elevations)
 
     # Fill the line
     line = ScanLine(
@@ -83,7 +103,7 @@ def arrange_line(
         ranges=np.full(n, np.nan),
         codes=np.full(n, UNMEASURED, dtype=np.int64),
         elevations=spec.elevations.copy(),
-        beam_times=np.interp(spec.elevations, sorted_elevations, beam_times[order]),
+        beam_times=np.interp(spec.elevations, elevations[order], beam_times[order]),
     )
     filled = (line.ranges, line.codes, line.elevations, line.beam_times)
     for array, part in zip(filled, (ranges, codes, elevations, beam_times), strict=True):
@@ -91,6 +111,26 @@ def arrange_line(
         array[taken] = part[own]
         array.flags.writeable = False
     return line
+
+
+def place_readings(spec: LidarSpec, elevations: FloatArray) -> tuple[BoolArray, IntArray]:
+    """Return which places of ``spec`` are taken (n_beams,), and by which reading each (k,).
+
+    Args:
+        spec: The grid, see ``arrange_line``.
+        elevations: Beam angles (m,) [rad], of which one is finite.
+    """
+    order = _sort_by_angle(elevations)
+    positions = _find_positions(spec.elevations, elevations[order])
+    owner = _assign_places(positions, spec.n_beams)
+    taken = owner >= 0
+    return taken, order[owner[taken]]
+
+
+def _sort_by_angle(elevations: FloatArray) -> IntArray:
+    """Return the indices of the finite ``elevations`` (m,), the smallest first."""
+    order = np.argsort(elevations, kind="stable")
+    return np.asarray(order[np.isfinite(elevations[order])])
 
 
 def _find_positions(nominal: FloatArray, elevations: FloatArray) -> FloatArray:

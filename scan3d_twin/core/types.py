@@ -9,6 +9,7 @@ middle of the sweep.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -173,6 +174,44 @@ class ScanLine:
     codes: IntArray
     elevations: FloatArray | None = None
     beam_times: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """Readings one after another, as a lidar that turns all round takes them.
+
+    Attributes:
+        times: When each was measured, on ``Clock.now()``, ascending (n,) [s].
+        elevations: Beam angles, as in ``LidarSpec``, in [-pi, pi) (n,) [rad].
+        ranges: Distances (n,) [m]; NaN where there is no valid return.
+        codes: Error codes (n,), ``VALID`` where ``ranges`` is a distance.
+    """
+
+    times: FloatArray
+    elevations: FloatArray
+    ranges: FloatArray
+    codes: IntArray
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def select(self, which: Any) -> Beams:
+        """Return the beams at an index, a slice or a mask, in their order."""
+        return Beams(
+            self.times[which], self.elevations[which], self.ranges[which], self.codes[which]
+        )
+
+    @staticmethod
+    def join(parts: Sequence[Beams]) -> Beams:
+        """Return ``parts`` one after another; no beams if there are none."""
+        if not parts:
+            return Beams(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.int64))
+        return Beams(
+            np.concatenate([part.times for part in parts]),
+            np.concatenate([part.elevations for part in parts]),
+            np.concatenate([part.ranges for part in parts]),
+            np.concatenate([part.codes for part in parts]),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -127,6 +127,7 @@ class LidarSensor:
         codes: Codes sent in place of a distance.
         detected_range_mm: Distance beyond which a detected return has the code ``too_far`` [mm];
             from ``max_range_mm`` up to it, ``no_return``.
+        drops_isolated: Whether it drops a reading whose neighbours on both sides are invalid.
     """
 
     min_range_mm: int
@@ -134,6 +135,27 @@ class LidarSensor:
     modulations: tuple[float, float] | None = None
     codes: ErrorCodes = field(default_factory=ErrorCodes)
     detected_range_mm: int = 1_000_000
+    drops_isolated: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class LidarProbe:
+    """How a family of lidars is recognised on a line on which any other lidar may be.
+
+    Attributes:
+        bauds: Bit rates at which it may be found, the most likely first [bit/s].
+        recognise: Returns the name of the device that sent some bytes, read at one of ``bauds``;
+            None if they are from none of this family.
+        request: Bytes to which it answers in any state. They must not harm a lidar of any other
+            family, nor change more of its own than that it stops scanning; empty for a lidar that
+            sends by itself.
+        wait: Time in which enough bytes arrive [s].
+    """
+
+    bauds: tuple[int, ...]
+    recognise: Callable[[bytes], str | None]
+    request: bytes = b""
+    wait: float = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +177,12 @@ class LidarDevice:
         usb_ids: Makers by USB id, to find its port: ``15d1``, or with the product ``10c4:ea60``.
         bauds: Bit rates that its emulator can power up with, the default first.
         protocols: Protocols that its emulator can power up with, the default first.
+        sample_rate: Returns the readings per second over the named link [Hz] of a lidar that turns
+            all round and takes them by a clock of its own, whatever its speed: they lie elsewhere
+            in each revolution. The ``elevations`` of its ``spec`` are then a grid for them
+            (``make_full_circle``). None for a lidar that measures at fixed angles.
+        probe: Recognises it among the lidars of all families, for ``--lidar auto``; one object for
+            all devices of a family. None if it must be named.
         describe: Returns a one-line description of the device behind an open driver.
         options: Defaults of the configuration for this lidar, by section; for example its errors
             (``lidar``).
@@ -171,6 +199,8 @@ class LidarDevice:
     usb_ids: Mapping[str, str] = field(default_factory=dict)
     bauds: tuple[int, ...] = ()
     protocols: tuple[str, ...] = ()
+    sample_rate: Callable[[str], float] | None = None
+    probe: LidarProbe | None = None
     describe: Callable[[Any], str] | None = None
     options: ConfigTables = field(default_factory=dict)
 

@@ -1,5 +1,7 @@
 """Devices by name: built-in ones, loaded on first use, and those of other packages.
 
+Each folder of ``devices`` is a family, whose ``__init__`` names its devices.
+
 Other packages add devices through the entry point groups ``scan3d_twin.lidars`` and
 ``scan3d_twin.bases``: a name, and a ``LidarDevice`` or ``BaseDevice`` (docs/extending.md).
 Importing this module is cheap (no numpy).
@@ -8,7 +10,9 @@ Importing this module is cheap (no numpy).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pkgutil import resolve_name
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules, resolve_name
 from typing import TYPE_CHECKING, TypeVar
 
 from scan3d_twin.core.errors import UnknownNameError
@@ -17,17 +21,15 @@ from scan3d_twin.core.plugins import PluginError, load_plugin
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from scan3d_twin.devices.device import BaseDevice, LidarDevice
+    from scan3d_twin.devices.device import BaseDevice, LidarDevice, LidarProbe
 
 D = TypeVar("D", "BaseDevice", "LidarDevice")
 LIDARS, BASES = "scan3d_twin.lidars", "scan3d_twin.bases"
 """Entry point groups in which other packages offer devices."""
+_STATED_IN = {LIDARS: "LIDARS", BASES: "BASES"}
+"""Attribute of a family's package that states its devices, by group."""
 DEFAULT_LIDAR, DEFAULT_BASE, DEFAULT_LINK = "urg04lx", "create2", "usb"
 """The devices of the paper's robot."""
-
-_OWN_LIDARS = {"urg04lx": "urg.device:URG04LX"}
-_OWN_BASES = {"create1": "create.device:CREATE1", "create2": "create.device:CREATE2"}
-"""Built-in devices by name: module in ``devices``, and attribute in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +53,19 @@ class Devices:
     is_base_stated: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.base not in _OWN_BASES and self.base not in base_names():
+        if self.base not in _own(BASES) and self.base not in base_names():
             raise UnknownNameError("robot", self.base, base_names())
         object.__setattr__(self, "link", _choose_link(self.lidar, self.link))
 
 
 def lidar_names() -> tuple[str, ...]:
     """Return the names that ``lidar_device`` knows."""
-    return _names(_OWN_LIDARS, LIDARS)
+    return _names(LIDARS)
 
 
 def base_names() -> tuple[str, ...]:
     """Return the names that ``base_device`` knows."""
-    return _names(_OWN_BASES, BASES)
+    return _names(BASES)
 
 
 def lidar_device(name: str) -> LidarDevice:
@@ -76,31 +78,55 @@ def lidar_device(name: str) -> LidarDevice:
     """
     from scan3d_twin.devices.device import LidarDevice
 
-    device = _load("lidar", name, _OWN_LIDARS, LIDARS, LidarDevice)
+    device = _load("lidar", name, LIDARS, LidarDevice)
     if not device.links:
-        raise PluginError(
-            "lidar", name, _place("lidar", name, _OWN_LIDARS, LIDARS), "it has no links"
-        )
+        raise PluginError("lidar", name, _place("lidar", name, LIDARS), "it has no links")
     return device
+
+
+def lidar_probes() -> tuple[LidarProbe, ...]:
+    """Return how lidars are recognised, once for each family: first those that only listen."""
+    stated = (lidar_device(name).probe for name in lidar_names())
+    probes = dict.fromkeys(probe for probe in stated if probe is not None)
+    return tuple(sorted(probes, key=lambda probe: bool(probe.request)))
 
 
 def base_device(name: str) -> BaseDevice:
     """Return the base called ``name``; raises the errors of ``lidar_device``."""
     from scan3d_twin.devices.device import BaseDevice
 
-    device = _load("robot", name, _OWN_BASES, BASES, BaseDevice)
+    device = _load("robot", name, BASES, BaseDevice)
     if device.spec.name != name:
-        place = _place("robot", name, _OWN_BASES, BASES)
+        place = _place("robot", name, BASES)
         raise PluginError("robot", name, place, f"its spec's name is {device.spec.name!r}")
     return device
 
 
-def _load(kind: str, name: str, own: dict[str, str], group: str, cls: type[D]) -> D:
+@cache
+def _own(group: str) -> dict[str, str]:
+    """Return the place of each built-in device of a ``group``: module and attribute.
+
+    The package of each family states its devices in ``LIDARS`` and ``BASES``: by name, what they
+    are called in its module ``device``.
+    """
+    from scan3d_twin import devices
+
+    own = {}
+    for found in iter_modules(devices.__path__):
+        if found.ispkg:
+            family = import_module(f"{devices.__name__}.{found.name}")
+            stated: dict[str, str] = getattr(family, _STATED_IN[group], {})
+            own.update({k: f"{family.__name__}.device:{name}" for k, name in stated.items()})
+    return own
+
+
+def _load(kind: str, name: str, group: str, cls: type[D]) -> D:
     """Return the device called ``name``, a ``cls``; that of another package is checked."""
+    own = _own(group)
     if name in own:
-        device: D = resolve_name(f"{__package__}.{own[name]}")
+        device: D = resolve_name(own[name])
         return device
-    place = _place(kind, name, own, group)
+    place = _place(kind, name, group)
     device = load_plugin(kind, name, place)
     if not isinstance(device, cls):
         raise PluginError(kind, name, place, f"it is no {cls.__name__} but {device!r}")
@@ -120,20 +146,21 @@ def _choose_link(lidar: str, link: str) -> str:
     return link or links[0]
 
 
-def _names(own: dict[str, str], group: str) -> tuple[str, ...]:
-    return tuple(sorted({*own, *_others(own, group)}))
+def _names(group: str) -> tuple[str, ...]:
+    return tuple(sorted({*_own(group), *_others(group)}))
 
 
-def _place(kind: str, name: str, own: dict[str, str], group: str) -> str:
+def _place(kind: str, name: str, group: str) -> str:
     """Return where another package holds its device ``name``."""
-    others = _others(own, group)
+    others = _others(group)
     if name not in others:
-        raise UnknownNameError(kind, name, _names(own, group))
+        raise UnknownNameError(kind, name, _names(group))
     return others[name].value
 
 
-def _others(own: dict[str, str], group: str) -> dict[str, EntryPoint]:
+def _others(group: str) -> dict[str, EntryPoint]:
     """Return other packages' entry points by name, except those named like a built-in device."""
     from importlib.metadata import entry_points
 
+    own = _own(group)
     return {point.name: point for point in entry_points(group=group) if point.name not in own}

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scan3d_twin.core.errors import LinkError
-from scan3d_twin.devices.registry import Devices, base_device, lidar_device
+from scan3d_twin.devices.registry import (
+    Devices,
+    base_device,
+    base_names,
+    lidar_device,
+    lidar_names,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +97,30 @@ def _is_same_file(a: str, b: str) -> bool:
         return Path(a).samefile(b)
     except OSError:
         return False
+
+
+def choose_lidar_port(base: str | None, lidar: str | None, ports: list[Port] | None = None) -> str:
+    """Return the port of a lidar of any kind; where it is not given, found by USB ids.
+
+    Args:
+        base: Port of the base; None if it is not known: then no port that may be a base's is
+            chosen, as a question to a lidar may be a command to a base.
+        lidar: Port of the lidar; None to find it.
+        ports: Ports to search; None is all serial ports on USB.
+
+    Raises:
+        LinkError: It is the base's, no port matches, or more than one does.
+    """
+    if lidar is not None:
+        if base is not None:
+            refuse_same_port(base, lidar)
+        return lidar
+    ids = {k: v for name in lidar_names() for k, v in lidar_device(name).usb_ids.items()}
+    free = [port for port in (usb_ports() if ports is None else ports) if port.path != base]
+    if base is None:
+        bases = {k: v for name in base_names() for k, v in base_device(name).usb_ids.items()}
+        free = [port for port in free if not port.is_one_of(bases)]
+    return _choose_only(free, ids, "lidar", "--lidar-port")
 
 
 def _choose_only(ports: list[Port], usb_ids: Mapping[str, str], what: str, option: str) -> str:

@@ -23,7 +23,8 @@ from scan3d_twin.core.options import check_options, former_names, number, option
 from scan3d_twin.core.presets import DEFAULT_PRESET
 from scan3d_twin.devices.registry import Devices, base_device, lidar_device
 from scan3d_twin.run.toml import read_toml
-from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, TwinConfig
+from scan3d_twin.sim.config import DEFAULT_WORLD, WORLDS, RobotErrorConfig, TwinConfig, find_fixed
+from scan3d_twin.sim.lidar.config import LidarModelConfig
 from scan3d_twin.sim.mesh_up import parse_mesh_up
 from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
 
@@ -105,19 +106,15 @@ def build_settings(sources: Iterable[Options]) -> Settings:
 
 
 def world_options(name: str) -> Options:
-    """Return the options that the twin's named world stands for: where it is not typical."""
+    """Return the options that the twin's named world fixes, whatever devices state."""
     lidar, errors = WORLDS[name]
-    typical_lidar, typical_errors = WORLDS[DEFAULT_WORLD]
-    return {
-        "lidar": _differences(lidar, typical_lidar),
-        "errors": _differences(errors, typical_errors),
-    }
+    return {"lidar": _take_fixed(lidar), "errors": _take_fixed(errors)}
 
 
-def _differences(value: Any, default: Any) -> Options:
-    """Return the fields of ``value`` that are not those of ``default``, by key."""
-    usual = _to_plain(default)
-    return {name: each for name, each in _to_plain(value).items() if each != usual[name]}
+def _take_fixed(errors: LidarModelConfig | RobotErrorConfig) -> Options:
+    """Return the fields that ``errors`` of a world fix, by key."""
+    fixed = {option_key(name) for name in find_fixed(errors)}
+    return {name: each for name, each in _to_plain(errors).items() if name in fixed}
 
 
 def device_options(devices: Devices) -> Options:

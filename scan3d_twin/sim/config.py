@@ -180,15 +180,31 @@ class TwinConfig:
 
 def _apply_stated(section: str, stated: Sequence[ConfigTables], errors: T) -> T:
     """Return ``errors`` with what devices state in a ``section``, where they are typical."""
-    typical = type(errors)()
+    fixed = find_fixed(errors)
     known = {each.name for each in fields(errors)}
     changes: dict[str, Any] = {}
     for name, value in (each for tables in stated for each in tables.get(section, {}).items()):
         if name not in known:
             raise UnknownNameError("option", f"{section}.{name}", known)
-        if getattr(errors, name) == getattr(typical, name):
+        if name not in fixed:
             changes[name] = value
     return replace(errors, **changes)
+
+
+def find_fixed(errors: LidarModelConfig | RobotErrorConfig) -> frozenset[str]:
+    """Return the names of the fields that ``errors`` of a world fix, whatever devices state.
+
+    Those are the fields that are not typical, and in the ideal world those that are 0: there is no
+    such error, neither of the typical devices nor of others.
+    """
+    typical = type(errors)()
+    is_ideal = errors in (IDEAL_LIDAR, IDEAL_ROBOT)
+    values = {each.name: getattr(errors, each.name) for each in fields(errors)}
+    return frozenset(
+        name
+        for name, value in values.items()
+        if value != getattr(typical, name) or (is_ideal and value == 0)
+    )
 
 
 DEFAULT_WORLD = "typical"

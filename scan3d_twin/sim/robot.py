@@ -18,6 +18,7 @@ from scan3d_twin.sim.base.drive_base import SimBase
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.lidar.lidar import SimLidar
+from scan3d_twin.sim.lidar.rotating import RotatingLidar
 from scan3d_twin.sim.lidar.scanner import Scanner
 from scan3d_twin.sim.ray_casting import MujocoCaster, RayCaster, choose_caster
 from scan3d_twin.sim.scenes.load import load_scene
@@ -69,7 +70,7 @@ def open_sim(
         seed: Draws the robot's errors and the sensor's noise.
         config: The twin's parameters; None is the `typical` robot.
         solver: Of the physics; None is the full one.
-        spec: Lines of the lidar; None are those of ``config.lidar_link``.
+        spec: Lines of the lidar, measured at these angles; None are those of ``config.lidar_link``.
 
     Raises:
         ConfigError: There is no such scene, the seed is negative, or ``config`` is no TwinConfig.
@@ -133,11 +134,17 @@ def _open_twin(
     caster = choose_caster(scene.model)
     surfaces = stream(seed, Stream.SURFACE)
     device = lidar_device(config.lidar_model)
+    fixed_angles = spec is not None
     spec = device.spec(config.lidar_link) if spec is None else spec
     scanner = Scanner(
         scene.model, config.robot, spec, config.lidar, caster, surfaces, device.sensor
     )
-    lidar = SimLidar(world, clock, scanner, [seed, Stream.LIDAR])
+    own = [seed, Stream.LIDAR]
+    if fixed_angles or device.sample_rate is None:
+        lidar = SimLidar(world, clock, scanner, own)
+    else:
+        rate = device.sample_rate(config.lidar_link)
+        lidar = RotatingLidar(world, clock, scanner, own, rate)
     clock.attach(lidar, base)
     try:
         yield world, base, lidar, clock, caster

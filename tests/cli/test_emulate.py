@@ -95,13 +95,17 @@ def test_a_reply_takes_the_time_of_a_usb_adapter():
     assert wire + ADAPTER_LATENCY <= clock.now() - asked < wire + 0.004
 
 
-def test_it_says_what_to_run_next():
-    with subprocess.Popen([*EMULATE], stdout=subprocess.PIPE, text=True) as program:
+@pytest.mark.parametrize("lidar", ["urg04lx", "rplidar_c1"])
+def test_it_says_what_to_run_next(lidar):
+    with subprocess.Popen(
+        [*EMULATE, "--lidar", lidar], stdout=subprocess.PIPE, text=True
+    ) as program:
         words = program.stdout.readline().split()
         program.send_signal(signal.SIGINT)
         assert program.wait(10) == 0
     assert words[:3] == ["twin", "real", "--port"]
     assert words[4] == "--lidar-port"
+    assert words[6:] == ([] if lidar == "urg04lx" else ["--lidar", lidar])
 
 
 @pytest.mark.parametrize(

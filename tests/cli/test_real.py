@@ -11,6 +11,7 @@ from contextlib import closing, contextmanager
 import jsonschema
 import pytest
 
+from scan3d_twin.cli.commands.real import RealOptions, name_lidar
 from scan3d_twin.devices.links.transport import SerialTransport
 from scan3d_twin.recording.load import load_session
 from scan3d_twin.recording.mcap.recovering_reader import read_contents
@@ -199,3 +200,12 @@ def test_a_scene_and_a_port_do_not_go_together():
     result = call("scan", "--scene", "three_boxes", "--port", os.devnull)
     assert result.returncode == 2
     assert "--scene" in result.stderr
+
+
+def test_auto_is_the_lidar_that_is_plugged_in(monkeypatch, capsys):
+    monkeypatch.setattr("scan3d_twin.real.probe.find_lidar", lambda open_line, clock: "ld19")
+    named = name_lidar(RealOptions(lidar="auto", port="/dev/pts/8", lidar_port="/dev/pts/9"))
+    assert (named.lidar, named.lidar_port, named.port) == ("ld19", "/dev/pts/9", "/dev/pts/8")
+    assert capsys.readouterr().err == "lidar on /dev/pts/9: ld19\n"
+    stated = RealOptions(lidar="urg04lx")
+    assert name_lidar(stated) is stated

@@ -9,7 +9,7 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, Devices
 from scan3d_twin.real.ports import choose_ports
 from scan3d_twin.real.robot import open_real
-from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.sim.config import DEFAULT_WORLD, TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import open_wired
 
@@ -21,31 +21,49 @@ def openers(robot: str, lidar: str) -> tuple[Opener, Opener]:
 
     @contextmanager
     def sim(scene: str) -> Iterator[Robot]:
-        with open_sim(scene, 7, TwinConfig(robot, lidar)) as (opened, _):
+        with open_sim(scene, 7, TwinConfig.of(DEFAULT_WORLD, robot, lidar)) as (opened, _):
             yield opened
 
     @contextmanager
     def wired(scene: str) -> Iterator[Robot]:
-        with open_wired(scene, 7, TwinConfig(robot, lidar)) as (opened, _):
+        with open_wired(scene, 7, TwinConfig.of(DEFAULT_WORLD, robot, lidar)) as (opened, _):
             yield opened
 
     return sim, wired
 
 
-def backends(config: pytest.Config) -> dict[str, Opener]:
-    """Return what to hold to the contract: by default our own bases, else what is asked for."""
+ROTATING = "ld19"
+"""A lidar that turns all round and measures by a clock of its own."""
+
+
+def backends(config: pytest.Config, *, every_lidar: bool = False) -> dict[str, Opener]:
+    """Return what to hold to the contract: by default our own bases, else what is asked for.
+
+    With ``every_lidar`` a lidar of each kind is among our own.
+    """
     robot, lidar = config.getoption("--robot"), config.getoption("--lidar") or DEFAULT_LIDAR
     sim, wired = openers(robot or DEFAULT_BASE, lidar)
     both = {"sim": sim, "wired": wired}
-    return both if robot else {**both, "wired_create1": openers("create1", lidar)[1]}
+    if robot:
+        return both
+    both["wired_create1"] = openers("create1", lidar)[1]
+    if every_lidar and lidar != ROTATING:
+        names = f"sim_{ROTATING}", f"wired_{ROTATING}"
+        both.update(zip(names, openers(DEFAULT_BASE, ROTATING), strict=True))
+    return both
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run everything on each backend; on the real robot too if its port is given."""
     if "open_in" in metafunc.fixturenames:
         real = [pytest.param("hardware", marks=pytest.mark.hardware)]
-        names = [*backends(metafunc.config), *(real if metafunc.config.getoption("--port") else [])]
+        names = [*_backends_of(metafunc), *(real if metafunc.config.getoption("--port") else [])]
         metafunc.parametrize("open_in", names, indirect=True)
+
+
+def _backends_of(test: pytest.Metafunc | pytest.FixtureRequest) -> dict[str, Opener]:
+    assert test.module is not None
+    return backends(test.config, every_lidar=test.module.__name__.endswith("test_lidar"))
 
 
 @pytest.fixture
@@ -61,7 +79,7 @@ def open_in(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Robot]]:
         ports = choose_ports(option("--port"), option("--lidar-port"), devices)
         return open_real(*ports, base=option("--robot"), lidar=devices.lidar)
 
-    opener = {**backends(request.config), "hardware": real}[request.param]
+    opener = {**_backends_of(request), "hardware": real}[request.param]
     with ExitStack() as stack:
         yield lambda scene: stack.enter_context(opener(scene))
 

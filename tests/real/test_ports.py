@@ -1,7 +1,7 @@
 import pytest
 
 from scan3d_twin.core.errors import LinkError
-from scan3d_twin.real.ports import Port, choose_ports, usb_ports
+from scan3d_twin.real.ports import Port, choose_lidar_port, choose_ports, usb_ports
 
 BASE = Port("/dev/serial/by-id/usb-FTDI_FT231X", "0403:6015", "FT231X USB UART")
 LIDAR = Port("/dev/serial/by-id/usb-Hokuyo", "15d1:0000", "URG-Series USB Driver")
@@ -61,3 +61,17 @@ def test_nothing_found_says_what_to_do():
 def test_several_are_listed():
     with pytest.raises(LinkError, match=r"2 ports may be the base: .*FT231X.*ttyUSB3.* --port"):
         choose_ports(None, "x", ports=[BASE, OTHER])
+
+
+ADAPTER = Port("/dev/ttyUSB5", "10c4:ea60", "CP2102 USB to UART Bridge Controller")
+
+
+def test_a_lidar_of_any_kind_is_looked_for_where_no_base_can_be():
+    assert choose_lidar_port(None, None, [MODEM, LIDAR, BASE]) == LIDAR.path
+    assert choose_lidar_port(None, "/dev/pts/1", []) == "/dev/pts/1"
+    # Adapters like that are sold with lidars, but bases have them too
+    with pytest.raises(LinkError, match="no lidar found"):
+        choose_lidar_port(None, None, [ADAPTER, MODEM])
+    assert choose_lidar_port(BASE.path, None, [ADAPTER, BASE]) == ADAPTER.path
+    with pytest.raises(LinkError, match="both base and lidar"):
+        choose_lidar_port("/dev/ttyUSB5", "/dev/../dev/ttyUSB5")

@@ -50,10 +50,16 @@ def test_three_boxes_through_the_drivers_is_as_good_as_without(link):
     assert lidar.stats.reconnects == 0
 
 
-@pytest.mark.parametrize("link", ["usb", "115200", "115200-full"])
-def test_a_sweep_through_the_drivers_has_the_headings_and_times_of_one_without(link):
+@pytest.mark.parametrize(
+    ("lidar", "link"),
+    [
+        *(("urg04lx", link) for link in ("usb", "115200", "115200-full")),
+        *(("ld19", "230400"), ("rplidar_a1", "express")),
+    ],
+)
+def test_a_sweep_through_the_drivers_has_the_headings_and_times_of_one_without(lidar, link):
     """What a line's place in the image rests on: stamps, odometry, and the turn between them."""
-    twin = replace(TwinConfig.ideal(), lidar_link=link)
+    twin = TwinConfig.of("ideal", lidar=lidar, lidar_link=link)
     errors = {}
     for opener in (open_sim, open_wired):
         with opener("three_boxes", 1, twin) as (robot, truth):

@@ -6,7 +6,7 @@ import json as json_module
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -78,10 +78,16 @@ def emulate(*, options: Annotated[EmulateOptions, Parameter(name="*")] = Emulate
         if options.json:
             line = json_module.dumps({"base_port": base_path, "lidar_port": lidar_path})
         else:
-            line = f"twin real --port {base_path} --lidar-port {lidar_path}"
+            line = f"twin real --port {base_path} --lidar-port {lidar_path}{_devices(options)}"
         print(line, flush=True)
         _raise_priority()
         serve([base, lidar], clock)
+
+
+def _devices(options: EmulateOptions) -> str:
+    """Return the options of ``twin real`` that name the devices, as far as they are needed."""
+    robot = "" if options.robot == DEFAULT_BASE else f" --robot {options.robot}"
+    return robot if options.lidar == DEFAULT_LIDAR else f"{robot} --lidar {options.lidar}"
 
 
 def _raise_priority() -> None:
@@ -155,7 +161,7 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
     from scan3d_twin.devices.links.pty import PtyPort
     from scan3d_twin.devices.links.tcp import TcpPort
     from scan3d_twin.devices.registry import base_device, lidar_device
-    from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
+    from scan3d_twin.sim.config import DEFAULT_WORLD, TwinConfig
     from scan3d_twin.sim.robot import open_robot
 
     base_model, lidar_model = base_device(options.robot), lidar_device(options.lidar)
@@ -164,8 +170,8 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
         raise ConfigError(f"--corrupt must be within 0 and 0.1, got {options.corrupt:g}")
     p = options.corrupt
     faults = Faults(drop=p, insert=p, flip=p)
-    errors = RobotErrorConfig(reckoning="wheels")
-    config = TwinConfig(options.robot, options.lidar, lidar_model.links[0], errors=errors)
+    config = TwinConfig.of(DEFAULT_WORLD, options.robot, options.lidar, lidar_model.links[0])
+    config = replace(config, errors=replace(config.errors, reckoning="wheels"))
 
     numbers = _tcp_ports(options)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 else:
     DottedOptions = dotted_options(Config)
 
+AUTO = "auto"
+"""Name of the lidar that stands for the one that is plugged in."""
 REHEARSED_LINES = 20
 """Lines read by a dry run: 2 s at 10 Hz."""
 SMALL_COMPUTER = {"optimize_for": "memory"}
@@ -75,6 +78,7 @@ def real(
 
     give_back_memory()
     given = {} if dotted is None else stated(dotted)
+    options = name_lidar(options)
     resume = None if options.resume is None else _going_on(options, options.resume, given)
     effective = resolve(options, given) if resume is None else resume.settings
     taps = SerialTaps()
@@ -133,6 +137,25 @@ def _going_on(options: RealOptions, folder: Path, sections: Options) -> ResumedR
 
     refuse_resume(folder, options.targets)
     return resume_real(folder, options.out, stated_options(options, sections))
+
+
+def name_lidar(options: RealOptions) -> RealOptions:
+    """Return ``options`` with the name of the lidar that is plugged in, where it is to be found.
+
+    Raises:
+        LinkError: There is no such port, or no lidar is recognised on it.
+    """
+    if options.lidar != AUTO:
+        return options
+    from scan3d_twin.devices.links.transport import SerialTransport
+    from scan3d_twin.real.clock import RealClock
+    from scan3d_twin.real.ports import choose_lidar_port
+    from scan3d_twin.real.probe import find_lidar
+
+    port = choose_lidar_port(options.port, options.lidar_port)
+    name = find_lidar(lambda: SerialTransport(port), RealClock())
+    print(f"lidar on {port}: {name}", file=sys.stderr)
+    return replace(options, lidar=name, lidar_port=port)
 
 
 def open_robot(

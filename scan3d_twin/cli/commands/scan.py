@@ -33,8 +33,8 @@ class OneScanOptions(PortOptions):
     rate: float = 5.0
     """Speed of the turn [deg/s]; 5 deg/s at 10 Hz puts the lines 0.5 deg apart."""
     lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
-    """Link of the lidar: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or 115200-full
-    (682 steps, 5 Hz)."""
+    """Link of the lidar; of urg04lx: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or
+    115200-full (682 steps, 5 Hz)."""
     back: bool = False
     """Sweep back in the other direction too, for `twin calibrate lidar`; needs a width below
     350 deg."""
@@ -92,10 +92,10 @@ def _opening(
 
     if options.scene is None:
         return open_robot(options, devices)
-    from scan3d_twin.sim.config import TwinConfig
+    from scan3d_twin.sim.config import DEFAULT_WORLD, TwinConfig
     from scan3d_twin.sim.robot import open_sim
 
-    config = TwinConfig(devices.base, devices.lidar, devices.link)
+    config = TwinConfig.of(DEFAULT_WORLD, devices.base, devices.lidar, devices.link)
     return open_sim(options.scene, options.seed, config)
 
 

@@ -37,6 +37,7 @@ from scan3d_twin.core.scanning.extrinsics import (
     measure_turn_rate,
     tilt_matrix,
 )
+from scan3d_twin.core.scanning.half_turn import is_unfolded
 from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
 
 PARAMETERS = ("lateral", "roll", "pitch", "yaw_scale", "time_offset")
@@ -83,6 +84,10 @@ YAW_SCALE_REPEATABILITY = 0.002
 that benchmarks/mount.py finds in three_boxes."""
 SEAM_ANGLE = math.radians(20.0)
 """Largest mismatch of the two ends of a full turn that is corrected [rad]."""
+
+
+_Part = tuple[slice, slice]
+"""Lines and beams of a part of a range image."""
 
 
 @dataclass(frozen=True)
@@ -249,10 +254,19 @@ def _sample_sweep(image: RangeImage, place: int) -> tuple[FloatArray | IntArray,
     # Select those beyond the robot
     line, beam = np.nonzero((table[..., VARIANCE] > 0) & (ranges > MIN_RANGE))
     n, e = len(line), image.elevations_at(STRIDE * line, STRIDE * beam)
+    beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1)
+    measured, headings = ranges[line, beam], yaws[line, beam]
+    if is_unfolded(image):
+        behind = np.abs(image.yaws[:, image.spec.n_beams // 2][STRIDE * line]) > math.pi / 2
+        headings = np.where(behind, headings - np.copysign(math.pi, headings), headings)
+        at = _rotate(table[line, beam, X], -headings) - image.T_base_lidar[:3, 3]
+        seen = at @ image.T_base_lidar[:3, :3]
+        beams[behind] = (seen / np.linalg.norm(seen, axis=1, keepdims=True))[behind]
+        measured = np.where(behind, np.linalg.norm(seen, axis=1), measured)
     return (
-        np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1),
-        ranges[line, beam],
-        yaws[line, beam],
+        beams,
+        measured,
+        headings,
         np.full(n, measure_turn_rate(image)),
         1.0 / (table[line, beam, VARIANCE] / READINGS_PER_SURFEL + PLANE_SIGMA**2),
         table[line, beam, N],
@@ -270,40 +284,60 @@ def _rotate(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
 def _estimate_yaw_scale(places: Sequence[Sequence[RangeImage]]) -> float:
     """Return the yaw scale with which both ends of full turns meet; 0 if there is no full turn."""
     found = [
-        turn / math.tau
+        scale
         for images in places
         for image in images
-        if (turn := _measure_seam(image)) is not None
+        if (scale := _measure_seams(image)) is not None
     ]
     return float(np.median(found)) if found else 0.0
 
 
-def _measure_seam(image: RangeImage) -> float | None:
-    """Return the angle by which a full turn exceeds its measured angle [rad]; None if not full.
+def _measure_seams(image: RangeImage) -> float | None:
+    """Return the share by which a turn exceeds its measured angle; None if it leaves a gap.
 
-    The normals of a surface that is seen at both ends differ by that angle, wherever its points
-    are. Lines are ordered by falling yaw, so that the first ones see again what the last ones saw.
+    The normals of a surface that is seen at both ends of a turn differ by the excess, wherever its
+    points are.
     """
-    # Require a full turn
+    seams, turn = _find_seams(image)
+    if not seams:
+        return None
+    grid = extract_surfels(image)
+    found = np.concatenate([_compare_normals(grid.at(a), grid.at(b)) for a, b in seams])
+    return float(np.median(found)) / turn if len(found) >= MIN_PLANE_READINGS else None
+
+
+def _find_seams(image: RangeImage) -> tuple[list[tuple[_Part, _Part]], float]:
+    """Return the parts of ``image`` that show a place before and after a turn, and its angle [rad].
+
+    Lines are ordered by falling yaw: the first lines of a full turn see again what the last ones
+    saw. What is a quarter turn to either side is seen at both ends of half a turn, by the one half
+    of the revolutions and by the other (``half_turn``). There is no part if the turn leaves a gap.
+    """
     middle = image.yaws[:, image.spec.n_beams // 2]
+    if is_unfolded(image):
+        ends = [int(np.searchsorted(-middle, angle)) for angle in (-math.pi / 2, math.pi / 2)]
+        count = MIN_SEAM_LINES
+        if ends[0] < count or ends[1] + count > image.n_lines:
+            return [], math.pi
+        return [
+            ((slice(end, end + count), slice(None)), (slice(end - count, end), slice(None)))
+            for end in ends
+        ], math.pi
     turn = float(middle[0] - middle[-1])
     if turn < math.tau - SEAM_ANGLE / 4:
-        return None
-
-    # Pair the surfels of both ends
+        return [], math.tau
     count = max(MIN_SEAM_LINES, int(np.count_nonzero(middle >= middle[-1] + math.tau)))
-    grid = extract_surfels(image)
-    a, b = grid.at(np.s_[:count, :]), grid.at(np.s_[-count:, :])
+    return [((slice(count), slice(None)), (slice(-count, None), slice(None)))], math.tau
+
+
+def _compare_normals(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the angles (n,) [rad] from the normals of surfels ``a`` to those of ``b``."""
     both = (a[..., VARIANCE] > 0) & (b[..., VARIANCE] > 0)
     n, m = a[both][:, N], b[both][:, N]
     upright = (np.abs(n[:, 2]) < 0.5) & (np.sum(n * m, axis=1) > math.cos(SEAM_ANGLE))
-    if np.count_nonzero(upright) < MIN_PLANE_READINGS:
-        return None
-
-    # Measure the angle between normals
     n, m = n[upright], m[upright]
     across = n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0]
-    return float(np.median(np.arctan2(across, np.sum(n[:, :2] * m[:, :2], axis=1))))
+    return np.asarray(np.arctan2(across, np.sum(n[:, :2] * m[:, :2], axis=1)))
 
 
 def find_planes(points: FloatArray, normals: FloatArray, places: IntArray) -> list[IntArray]:

@@ -19,6 +19,7 @@ from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
 from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
 from scan3d_twin.core.scanning.deskew import Lines, deskew_lines
 from scan3d_twin.core.scanning.extrinsics import correct_extrinsics
+from scan3d_twin.core.scanning.half_turn import sees_all_round, unfold
 from scan3d_twin.core.scanning.lost_readings import (
     drop_doubtful,
     fill_lost,
@@ -112,22 +113,26 @@ def take_panorama(
     config: Config,
     on_line: Callable[[ScanLine], None],
 ) -> Observation:
-    """Scan one full turn coarsely where the robot stands (look around); a few lines may be lost.
+    """Scan all round coarsely where the robot stands (look around); a few lines may be lost.
 
-    The robot makes half a turn back before and after the scan, so that an error of its wheel base,
-    which changes every turn by the same share, cancels.
+    That takes a full turn, or half a turn of a lidar that sees all round (``half_turn``). The robot
+    turns half of it back before and after the scan, so that an error of its wheel base, which
+    changes every turn by the same share, cancels.
 
     Raises:
         DataLossError, HazardError, LinkTimeoutError: As for ``sweep``.
     """
     started = robot.clock.now()
     yaw = robot.base.odometry().T_odom_base.yaw
-    sector = _Sector(yaw, math.pi, config.sweep.look_rate, PANORAMA_GAP, rightwards=False)
+    both_halves = sees_all_round(robot.lidar.spec)
+    half = math.pi / 2 if both_halves else math.pi
+    sector = _Sector(yaw, half, config.sweep.look_rate, PANORAMA_GAP, rightwards=False)
     lines = _scan_sector(robot, sector, config, on_line)
-    turn_by(robot, -math.pi, config.motion)
+    turn_by(robot, -half, config.motion)
     turn_to(robot, yaw, config.motion)
     observation = _assemble_observation(robot, lines, sector, started, config)
-    return correct_extrinsics(observation, config.mount)
+    seen = correct_extrinsics(observation, config.mount)
+    return replace(seen, image=unfold(seen.image)) if both_halves else seen
 
 
 def find_missing(

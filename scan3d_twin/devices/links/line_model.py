@@ -27,7 +27,8 @@ class Device(Protocol):
 
     It may have an attribute ``began``: the time [s] at which the bytes returned by the last
     ``transmit`` were put on the line. Without it that is the time of the call to ``transmit``, so
-    that a late call delays the bytes.
+    that a late call delays the bytes. It may have a method ``set_dtr(on, now)``: the client's modem
+    line DTR, over a ``Wire``.
     """
 
     @property
@@ -266,6 +267,12 @@ class Wire:
         """See ``Transport.set_baud``."""
         self._now()
         self._baud = baud
+
+    def set_dtr(self, on: bool) -> None:
+        """See ``Transport.set_dtr``; for a device that has ``set_dtr`` itself."""
+        now = self._now()
+        if hasattr(self.line.device, "set_dtr"):
+            self.line.device.set_dtr(on, now)
 
     def discard_input(self) -> None:
         """See ``Transport.discard_input``."""

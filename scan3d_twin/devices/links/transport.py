@@ -58,6 +58,14 @@ class Transport(Protocol):
         """
         ...
 
+    def set_dtr(self, on: bool) -> None:
+        """Set the modem line DTR, with which some lidars switch their motor, where there is one.
+
+        Raises:
+            LinkError: The device is unplugged.
+        """
+        ...
+
     def discard_input(self) -> None:
         """Discard what has arrived and was not read."""
         ...
@@ -70,7 +78,7 @@ class Transport(Protocol):
 class SerialTransport:
     """A serial port, opened exclusively, or ``socket://HOST:PORT``.
 
-    Modem control lines are not used: pseudo-terminals and many adapters have none.
+    Modem control lines are used only by ``set_dtr``: pseudo-terminals and many adapters have none.
 
     Attributes:
         port: Path or URL of the port.
@@ -131,6 +139,14 @@ class SerialTransport:
         except (OSError, ValueError, termios.error) as error:
             raise LinkError(f"{self.port} cannot do {baud} baud: {error}") from None
 
+    def set_dtr(self, on: bool) -> None:
+        """See ``Transport.set_dtr``."""
+        try:
+            self._serial.dtr = on
+        except OSError as error:
+            if error.errno not in (errno.ENOTTY, errno.EINVAL):
+                raise self._unplugged_error(error) from None
+
     def discard_input(self) -> None:
         """See ``Transport.discard_input``."""
         while self.read(0.0):
@@ -156,6 +172,7 @@ class Tapped:
         self._clock = clock
         self._tap = tap
         self.set_baud = transport.set_baud
+        self.set_dtr = transport.set_dtr
         self.discard_input = transport.discard_input
         self.close = transport.close
 
@@ -228,6 +245,11 @@ class Reopening:
         self._baud = baud
         if self._reopen_if_due():
             self._port.set_baud(baud)
+
+    def set_dtr(self, on: bool) -> None:
+        """See ``Transport.set_dtr``; lost while the port is away."""
+        if self._reopen_if_due():
+            self._port.set_dtr(on)
 
     def discard_input(self) -> None:
         """See ``Transport.discard_input``."""

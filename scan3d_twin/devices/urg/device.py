@@ -13,6 +13,7 @@ from scan3d_twin.devices.urg.driver import UrgLidar
 from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.devices.urg.lines import link_spec
+from scan3d_twin.devices.urg.probe import PROBE
 
 SCIP1, SCIP2 = "1.1", "2.0"
 """Versions of the SCIP protocol."""
@@ -65,5 +66,6 @@ URG04LX = LidarDevice(
     usb_ids={"15d1": "Hokuyo"},
     bauds=BAUDS,
     protocols=(SCIP2, SCIP1),
+    probe=PROBE,
     describe=describe_urg,
 )

@@ -60,6 +60,9 @@ class LidarModelConfig:
     surface_bias: float = number(0.003, 0.0, 0.5)
     """Range bias of a surface, standard deviation over surfaces [m]; assumption, within the +-10 mm
     of the data sheet; it depends on colour and material (Kneip et al. 2009)."""
+    unit_offset: float = number(0.0, 0.0, 0.5)
+    """Range error of a sensor that stays, standard deviation over sensors [m]; the log of one
+    URG-04LX cannot tell it from ``surface_bias``."""
     warm_up: float = number(0.003, 0.0, 0.5)
     """Range error of the cold sensor, which decays [m]; assumption; that it drifts: Kneip et al.
     2009."""

@@ -81,7 +81,7 @@ def read(
     if power.max() > config.saturation:
         strong = power > config.saturation
         codes[strong], valid[strong] = known.too_strong, False
-    isolated = _is_isolated(valid)
+    isolated = _is_isolated(valid) if sensor.drops_isolated else np.zeros_like(valid)
 
     # Filter along the line
     if config.running_median:

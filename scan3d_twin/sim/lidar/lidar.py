@@ -21,7 +21,7 @@ MAX_SWEEP_DURATION = 0.9 * HISTORY_STEPS * TIMESTEP
 """Longest sweep that is computed at once [s], limited by the history of the lidar's poses."""
 
 # Streams of the lidar's seed.
-_NOISE, _JITTER, _LOSS, _SWAY = 0, 1, 2, 3
+_NOISE, _JITTER, _LOSS, _SWAY, _OFFSET = 0, 1, 2, 3, 5
 _BLOCK = 256
 
 
@@ -33,11 +33,13 @@ class Revolution:
         number: Number of the revolution since the first that was sent.
         start: True time of step 0 [s].
         qpos: Positions of the scene's moving objects.
+        end: True time of the next step 0 [s], where readings depend on it.
     """
 
     number: int
     start: float
     qpos: FloatArray
+    end: float = math.nan
 
 
 class SimLidar:
@@ -60,6 +62,10 @@ class SimLidar:
         mean, spread = scanner.config.period_error, scanner.config.revolution
         self._pace = 1 + mean + spread * float(rng.standard_normal())
 
+        # Draw the error that stays
+        offset = np.random.default_rng([*seed, _OFFSET]).standard_normal()
+        self._offset = scanner.config.unit_offset * float(offset)
+
         # Start with no revolution
         self._jitter, self._drawn = np.empty(0), 0
         self._next = 0
@@ -80,10 +86,17 @@ class SimLidar:
         """Queue the line that has arrived, unless it is lost."""
         number, start, self._next = self._next, self._time(self._next), self._next + 1
         self.next_step = self._arrival(self._next)
+        if not self._is_lost(number):
+            self._unread.append(self._make_turn(number, start))
+
+    def _make_turn(self, number: int, start: float) -> Revolution:
+        """Return revolution ``number``, which began at ``start`` [s], in the scene as it is."""
+        return Revolution(number, start, self._world.scene_qpos())
+
+    def _is_lost(self, number: int) -> bool:
+        """Return whether line ``number`` is lost on its way."""
         loss = self._scanner.config.line_loss
-        if loss == 0 or np.random.default_rng([*self._seed, _LOSS, number]).random() >= loss:
-            turn = Revolution(number, start, self._world.scene_qpos())
-            self._unread.append(turn)
+        return loss > 0 and np.random.default_rng([*self._seed, _LOSS, number]).random() < loss
 
     def read_line(self, timeout: float) -> ScanLine:
         """See ``Lidar.read_line``."""
@@ -152,15 +165,23 @@ class SimLidar:
             rotations = np.stack([self._sway(turn.number) for turn in turns])[:, None] @ rotations
 
         # Draw the noise and measure
-        rngs = [np.random.default_rng([*self._seed, _NOISE, turn.number]) for turn in turns]
+        rngs = [self._noise(turn.number) for turn in turns]
         return self._scanner.measure(
             turns[0].qpos,
             positions.reshape(len(turns), n, 3),
             rotations,
             Draws.of(rngs, n, config),
-            np.array([warm_up_error(turn.start, config) for turn in turns]),
+            np.array([self._drift(turn) for turn in turns]),
             evidence=evidence,
         )
+
+    def _drift(self, turn: Revolution) -> float:
+        """Return the range error that all readings of a revolution share [m]."""
+        return self._offset + warm_up_error(turn.start, self._scanner.config)
+
+    def _noise(self, number: int) -> np.random.Generator:
+        """Return the noise of a revolution."""
+        return np.random.default_rng([*self._seed, _NOISE, number])
 
     def _sway(self, number: int) -> FloatArray:
         """Return the rotation (3, 3) by which the mast turns the lidar in a revolution."""

@@ -59,6 +59,11 @@ class Draws:
             rng.standard_normal(out=pointing[k], dtype=np.float32)
         return Draws(seen, noise, chance, pointing)
 
+    def select(self, beams: slice) -> Draws:
+        """Return the draws of some ``beams`` of each line."""
+        pointing = None if self.pointing is None else self.pointing[:, beams]
+        return Draws(self.seen[:, beams], self.noise[:, beams], self.chance[:, beams], pointing)
+
 
 def _correlate(white: FloatArray, config: LidarModelConfig) -> FloatArray:
     """Return ``white`` (m, n + 1) as (m, n) with correlation ``neighbours`` between neighbours."""

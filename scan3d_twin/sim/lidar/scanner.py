@@ -30,19 +30,25 @@ def beam_directions(elevations: FloatArray) -> FloatArray:
 
 
 @cache
-def own_housing(robot: str | None, elevations: tuple[float, ...]) -> Hits:
-    """Return what the beams see of the robot itself; it moves with the lidar, so it is constant.
+def _posed_robot(robot: str) -> tuple[Any, Any]:
+    """Return the model and data of a ``robot`` alone, at rest."""
+    model = robot_spec(robot).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
 
-    Without a ``robot`` they see nothing of it.
+
+def own_housing(robot: str | None, elevations: FloatArray) -> Hits:
+    """Return what beams at ``elevations`` (n,) [rad] see of the robot itself.
+
+    It moves with the lidar, so this is constant. Without a ``robot`` they see nothing of it.
     """
     n = len(elevations)
     if robot is None:
         return Hits(np.full(n, np.inf), np.zeros((n, 3)), np.full(n, -1, np.int64))
-    model = robot_spec(robot).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = _posed_robot(robot)
     geoms, distances, normals = np.zeros(n, np.int32), np.zeros(n), np.zeros(3 * n)
-    rays = beam_directions(np.array(elevations)).ravel()
+    rays = beam_directions(elevations).ravel()
     origin, mast = data.site("lidar").xpos, model.body("mast").id
     mujoco.mj_multiRay(
         model, data, origin, rays, None, True, mast, geoms, distances, normals, n, 10.0
@@ -87,6 +93,27 @@ class Readings:
     evidence: tuple[Evidence, ...]
 
 
+@dataclass(frozen=True)
+class Fan:
+    """Beams at certain elevations, with all of them that does not change.
+
+    Attributes:
+        beams: Directions in the lidar's frame (n_beams, 3).
+        own: What they get of the robot itself, arrays (1, n_beams).
+        free: Indices of the beams that pass the robot.
+        sub_rays: The sub-rays of those, in the lidar's frame (3, K, n_free).
+        sine: Of their elevations (n_free,).
+        cosine: Of their elevations (n_free,).
+    """
+
+    beams: FloatArray
+    own: Light
+    free: slice | IntArray
+    sub_rays: FloatArray
+    sine: FloatArray
+    cosine: FloatArray
+
+
 class Scanner:
     """Everything about the sensor that does not change while it runs."""
 
@@ -107,32 +134,41 @@ class Scanner:
         self.materials = Materials.of(scene_model, config)
         self._panes = Panes.of(scene_model, caster)
         self.surface_bias = config.surface_bias * rng.standard_normal(scene_model.ngeom + 1)
-        self.beams = read_only(beam_directions(self.spec.elevations))
-        own = own_housing(robot, tuple(self.spec.elevations.tolist()))
-        cosines = np.abs(np.einsum("ni,ni->n", own.normals, self.beams))
-        self._own = Light(
+        self._robot = robot
+        self._usual = self.make_fan(spec.elevations)
+
+    @property
+    def beams(self) -> FloatArray:
+        """Directions of the beams of ``spec`` in the lidar's frame (n_beams, 3)."""
+        return self._usual.beams
+
+    def make_fan(self, elevations: FloatArray) -> Fan:
+        """Return beams at ``elevations`` (n_beams,) [rad]."""
+        # Find what they see of the robot itself
+        beams = read_only(beam_directions(elevations))
+        own = own_housing(self._robot, elevations)
+        cosines = np.abs(np.einsum("ni,ni->n", own.normals, beams))
+        light = Light(
             own.distances[None],
             self.materials.power(own.geoms, cosines, own.distances)[None],
             cosines[None],
-            np.full((1, self.spec.n_beams), self.surface_bias[-1]),
+            np.full((1, len(elevations)), self.surface_bias[-1]),
         )
-        self._free = _range(np.flatnonzero(np.isinf(own.distances)))
-        self._fan = self._sub_beams()
-        free = self.spec.elevations[self._free]
-        self._sine, self._cosine = read_only(np.sin(free)), read_only(np.cos(free))
 
-    def _sub_beams(self) -> FloatArray:
-        """Return the sub-rays that pass the robot, in the lidar's frame (3, K, n_free)."""
+        # Spread those that pass it
+        free = _range(np.flatnonzero(np.isinf(own.distances)))
+        passing = elevations[free]
         along, across = offsets(self.config).T[:, :, None]
-        angles = self.spec.elevations[self._free] + along
-        fan = np.stack(
+        angles = passing + along
+        sub_rays = np.stack(
             [
                 np.cos(across) * np.cos(angles),
                 np.broadcast_to(np.sin(across), angles.shape),
                 np.cos(across) * np.sin(angles),
             ]
         )
-        return read_only(fan)
+        sine, cosine = read_only(np.sin(passing)), read_only(np.cos(passing))
+        return Fan(beams, light, free, read_only(sub_rays), sine, cosine)
 
     def measure(
         self,
@@ -142,6 +178,7 @@ class Scanner:
         draws: Draws,
         drift: FloatArray,
         *,
+        fan: Fan | None = None,
         evidence: bool = False,
     ) -> Readings:
         """Return the readings of m lines.
@@ -152,13 +189,15 @@ class Scanner:
             rotations: The lidar's attitude at each beam's time (m, n_beams, 3, 3).
             draws: The lines' chance.
             drift: Error of each whole line (m,) [m].
+            fan: Their beams; None is those of ``spec``.
             evidence: Keep what lay behind the readings, for evaluation.
         """
-        rays = self._directions(rotations[:, self._free], self._steered(draws))
-        light, hits, readings = self._read(qpos, positions[:, self._free], rays, draws, drift)
+        fan = self._usual if fan is None else fan
+        rays = self._directions(rotations[:, fan.free], self._steered(fan, draws))
+        light, hits, readings = self._read(fan, qpos, positions[:, fan.free], rays, draws, drift)
         if not evidence:
             return readings
-        return replace(readings, evidence=self._evidence(light, hits, positions, rotations))
+        return replace(readings, evidence=_collect_evidence(fan, light, hits, positions, rotations))
 
     def measure_upright(
         self,
@@ -172,20 +211,29 @@ class Scanner:
 
         Its ``heading`` at each beam's time is given by cosine and sine (m, n_beams).
         """
-        c, s = (part[:, self._free] for part in heading)
-        x, y, z = self._steered(draws)
+        fan = self._usual
+        c, s = (part[:, fan.free] for part in heading)
+        x, y, z = self._steered(fan, draws)
         rays = np.empty((len(x), *c.shape, 3))
         rays[..., 0], rays[..., 1], rays[..., 2] = x * c - y * s, x * s + y * c, z
-        return self._read(qpos, positions[:, self._free], rays, draws, drift)[2]
+        return self._read(fan, qpos, positions[:, fan.free], rays, draws, drift)[2]
 
     def _read(
-        self, qpos: FloatArray, at: FloatArray, rays: FloatArray, draws: Draws, drift: FloatArray
+        self,
+        fan: Fan,
+        qpos: FloatArray,
+        at: FloatArray,
+        rays: FloatArray,
+        draws: Draws,
+        drift: FloatArray,
     ) -> tuple[Light, Hits, Readings]:
         """Cast ``rays`` (K, m, n_free, 3) from ``at`` (m, n_free, 3) and read what comes back.
 
         Returns:
             The light of each beam, what the middle of each free beam hit, and the readings.
         """
+        if rays.size == 0:
+            return self._read_housing(fan, draws, drift)
         directions = rays.reshape(-1, 3)
         origins = np.broadcast_to(at, rays.shape).reshape(-1, 3)
         hits = self.caster.cast(qpos, origins, directions)
@@ -200,34 +248,44 @@ class Scanner:
             )
         middle = slice(0, shape[1])
         bias = self.surface_bias.take(hits.geoms[middle])
-        light = self._with_housing(len(at), mixed.distances, mixed.power, cosines[middle], bias)
+        light = _add_housing(fan, len(at), mixed.distances, mixed.power, cosines[middle], bias)
         row, column = np.divmod(mixed.broken, at.shape[1])
-        broken = (row, np.arange(self.spec.n_beams)[self._free][column])
+        broken = (row, np.arange(len(fan.beams))[fan.free][column])
         ranges, codes = read(light, (broken, mixed.codes), draws, drift, self.config, self.sensor)
         behind = Hits(hits.distances[middle], hits.normals[middle], hits.geoms[middle])
         return light, behind, Readings(ranges, codes, ())
 
-    def _steered(self, draws: Draws) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _read_housing(
+        self, fan: Fan, draws: Draws, drift: FloatArray
+    ) -> tuple[Light, Hits, Readings]:
+        """Return what ``_read`` does for beams of which none passes the robot."""
+        none, whole = np.empty(0), np.empty(0, np.int64)
+        light = _add_housing(fan, len(drift), none, none, none, none)
+        broken = ((whole, whole), whole)
+        ranges, codes = read(light, broken, draws, drift, self.config, self.sensor)
+        return light, Hits(none, np.empty((0, 3)), whole), Readings(ranges, codes, ())
+
+    def _steered(self, fan: Fan, draws: Draws) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sub-rays of lines in the lidar's frame, by component (K, m or 1, n_free) each.
 
         All of a beam's light is moved by its pointing error; errors are small, so vectors keep
         their length within 1e-5.
         """
-        along, across, upwards = self._fan[:, :, None]
+        along, across, upwards = fan.sub_rays[:, :, None]
         if draws.pointing is None:
             return along, across, upwards
-        turn = self.config.pointing * draws.pointing[:, self._free]
-        return along - turn * self._sine, across, upwards + turn * self._cosine
+        turn = self.config.pointing * draws.pointing[:, fan.free]
+        return along - turn * fan.sine, across, upwards + turn * fan.cosine
 
     def _directions(
-        self, rotations: FloatArray, fan: tuple[FloatArray, FloatArray, FloatArray]
+        self, rotations: FloatArray, sub_rays: tuple[FloatArray, FloatArray, FloatArray]
     ) -> FloatArray:
-        """Return the ``fan`` of sub-rays in ``map`` (K, m, n_free, 3), turned by ``rotations``.
+        """Return ``sub_rays`` in ``map`` (K, m, n_free, 3), turned by ``rotations``.
 
         Components come first while they are worked out: loops over 3 numbers take thrice as long.
         """
         ahead, left, up = np.ascontiguousarray(rotations.transpose(3, 2, 0, 1))[:, :, None]
-        along, across, upwards = fan
+        along, across, upwards = sub_rays
         rays = along * ahead
         rays += upwards * up
         if len(along) > 1:
@@ -237,35 +295,39 @@ class Scanner:
             result[..., component] = values
         return result
 
-    def _with_housing(self, m: int, *arrays: FloatArray) -> Light:
-        """Return ``arrays`` (m * n_free,) of the free beams as (m, n_beams), with the robot's."""
-        result = []
-        for own, array in zip(self._own.arrays(), arrays, strict=True):
-            whole = np.empty((m, own.shape[1]))
-            whole[:] = own
-            whole[:, self._free] = array.reshape(m, -1)
-            result.append(whole)
-        return Light(*result)
 
-    def _evidence(
-        self, light: Light, hits: Hits, positions: FloatArray, rotations: FloatArray
-    ) -> tuple[Evidence, ...]:
-        m, n = light.distances.shape
-        distances = np.repeat(self._own.distances, m, axis=0)
-        geoms, normals = np.full((m, n), -1), np.zeros((m, n, 3))
-        distances[:, self._free] = hits.distances.reshape(m, -1)
-        geoms[:, self._free] = hits.geoms.reshape(m, -1)
-        normals[:, self._free] = hits.normals.reshape(m, -1, 3)
-        directions = np.einsum("mnij,nj->mni", rotations, self.beams)
-        rows = (light.power, distances, geoms, normals, positions, directions)
-        kinds = (np.float64, np.float64, np.int64, np.float64, np.float64, np.float64)
-        return tuple(
-            Evidence(*(read_only(row[k], kind) for row, kind in zip(rows, kinds, strict=True)))
-            for k in range(m)
-        )
+def _add_housing(fan: Fan, m: int, *arrays: FloatArray) -> Light:
+    """Return ``arrays`` (m * n_free,) of the free beams as (m, n_beams), with the robot's."""
+    result = []
+    for own, array in zip(fan.own.arrays(), arrays, strict=True):
+        whole = np.empty((m, own.shape[1]))
+        whole[:] = own
+        whole[:, fan.free] = array.reshape(m, -1)
+        result.append(whole)
+    return Light(*result)
+
+
+def _collect_evidence(
+    fan: Fan, light: Light, hits: Hits, positions: FloatArray, rotations: FloatArray
+) -> tuple[Evidence, ...]:
+    m, n = light.distances.shape
+    distances = np.repeat(fan.own.distances, m, axis=0)
+    geoms, normals = np.full((m, n), -1), np.zeros((m, n, 3))
+    distances[:, fan.free] = hits.distances.reshape(m, -1)
+    geoms[:, fan.free] = hits.geoms.reshape(m, -1)
+    normals[:, fan.free] = hits.normals.reshape(m, -1, 3)
+    directions = np.einsum("mnij,nj->mni", rotations, fan.beams)
+    rows = (light.power, distances, geoms, normals, positions, directions)
+    kinds = (np.float64, np.float64, np.int64, np.float64, np.float64, np.float64)
+    return tuple(
+        Evidence(*(read_only(row[k], kind) for row, kind in zip(rows, kinds, strict=True)))
+        for k in range(m)
+    )
 
 
 def _range(indices: IntArray) -> slice | IntArray:
     """Return ``indices`` (n,) as a slice where they have no gap; it costs no copies."""
+    if len(indices) == 0:
+        return slice(0, 0)
     first, last = int(indices[0]), int(indices[-1])
     return slice(first, last + 1) if last - first + 1 == len(indices) else indices

@@ -279,3 +279,31 @@ def test_a_port_that_was_never_there_is_an_error_and_others_are_never_away(port)
     with pytest.raises(LinkError, match="there is no port"):
         Reopening(plug.open, plug.clock, b"stop")
     assert not is_away(port)
+
+
+def test_a_line_without_modem_lines_has_no_dtr_to_set(pty, port):
+    port.set_dtr(True)
+    port.set_dtr(False)
+    port.write(b"on")
+    assert os.read(pty[0], 2) == b"on"
+
+
+def test_a_port_that_is_away_sets_no_dtr_and_one_that_is_back_does():
+    states = []
+
+    class Port:
+        def set_dtr(self, on):
+            states.append(on)
+
+        def read(self, timeout):
+            raise LinkError("unplugged")
+
+        def close(self):
+            pass
+
+    clock = VirtualClock()
+    line = Reopening(Port, clock, b"")
+    line.set_dtr(True)
+    line.read(0.0)
+    line.set_dtr(False)
+    assert states == [True]

@@ -138,7 +138,7 @@ def test_distances_end_at_4095_mm(scene_of, distance, seen):
 
 def test_it_sees_its_own_deck_below():
     spec = link_spec("usb")
-    own = own_housing("create2", tuple(spec.elevations))
+    own = own_housing("create2", spec.elevations)
     below = np.argmin(np.abs(spec.elevations + math.pi / 2))
     assert 0.15 < own.distances[below] < 0.25
     assert own.normals[below] == pytest.approx([0, 0, 1], abs=1e-9)

@@ -1,0 +1,28 @@
+"""Recognising the LDROBOT lidars by listening: they send by themselves and take no commands."""
+
+from __future__ import annotations
+
+from scan3d_twin.devices.device import LidarProbe
+from scan3d_twin.devices.ldrobot.codec import READINGS, Splitter
+from scan3d_twin.devices.ldrobot.model import LD19, STL27L
+
+MIN_PACKETS = 3
+"""Good packets that are no chance: a CRC-8 fits one in 256."""
+
+
+def recognise_ld(data: bytes) -> str | None:
+    """Return the name of the lidar that sent ``data``, by the rate of its readings.
+
+    An LD06 cannot be told from an LD19, whose numbers are the same: it is called ``ld19``.
+    """
+    packets = Splitter().feed(data)
+    if len(packets) < MIN_PACKETS:
+        return None
+    rates = sorted(100 * p.speed * (READINGS - 1) / max(1, p.span) for p in packets)
+    rate = rates[len(rates) // 2]
+    nearest = min((LD19, STL27L), key=lambda model: abs(rate / model.sample_rate - 1))
+    return nearest.name.lower()
+
+
+PROBE = LidarProbe(bauds=(LD19.baud, STL27L.baud), recognise=recognise_ld, wait=0.1)
+"""In a tenth of a second an LD19 sends 37 packets."""

@@ -1,0 +1,230 @@
+"""From the frames of a scan to beams: when each sample was taken, and at which angle.
+
+A capsule states the angle of its first sample only; the turn to the next capsule is spread over its
+samples. Where capsules in between were damaged, the turn is shared among them. No frame has a time:
+samples are counted, and the earliest arrivals of late show when they were taken.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from scan3d_twin.core.errors import ProtocolError
+from scan3d_twin.core.types import VALID, Beams, FloatArray
+from scan3d_twin.devices.links.line_model import BITS_PER_BYTE
+from scan3d_twin.devices.rotating import to_elevation
+from scan3d_twin.devices.rplidar.capsules import (
+    ANGLE_UNITS,
+    CAPSULE_LENGTH,
+    TURN_UNITS,
+    Capsule,
+    decode_dense,
+    decode_express,
+    sample_angles,
+)
+from scan3d_twin.devices.rplidar.codec import ReplyType
+from scan3d_twin.devices.rplidar.frames import CapsuleSplitter, NodeSplitter
+from scan3d_twin.devices.rplidar.model import NO_RETURN, SAMPLES, RplidarModel, ScanMode
+from scan3d_twin.devices.rplidar.nodes import DISTANCE_UNITS, NODE_LENGTH, decode_node
+
+CLOCK_WINDOW = 1.0
+"""Time over which the earliest arrival is looked for [s]: a clock that is off by .1 % errs by 1 ms
+in it; a poll every 5 ms meets some frame of it within a fraction of that."""
+MAX_TURN_CHANGE = 0.04
+"""Largest difference of the turn over a capsule from the mean, as a share of it; assumption.
+Between two turns of an S3 it is .9 % (rplidar_ros#104)."""
+MAX_START_CHANGE = 0.5
+"""The same before the speed of this motor is known; an A1 may turn 1.4 times as fast as another."""
+SMOOTHING = 0.1
+"""Share of the latest turn in the running mean of the turn over a capsule."""
+MAX_IMPLAUSIBLE = 3
+"""Implausible capsules in a row after which the series must have begun anew."""
+_DECODERS = {ReplyType.EXPRESS: decode_express, ReplyType.DENSE: decode_dense}
+
+
+class SampleClock:
+    """Maps the count of samples to the host's clock.
+
+    Frames arrive with a random delay, but never early, so the smallest delay of late is the line's.
+    """
+
+    def __init__(self, period: float) -> None:
+        """Start without frames.
+
+        Args:
+            period: Time per sample [s].
+        """
+        self._period = period
+        self._least: deque[tuple[float, float]] = deque()
+        self._last = -math.inf
+
+    def learn(self, index: int, taken_by: float) -> None:
+        """Take in that sample ``index`` was taken by a time [s]: its arrival less transmission."""
+        offset = taken_by - index * self._period
+        while self._least and self._least[-1][1] >= offset:
+            self._least.pop()
+        self._least.append((taken_by, offset))
+        while self._least[0][0] < taken_by - CLOCK_WINDOW:
+            self._least.popleft()
+
+    def restart(self) -> None:
+        """Forget all arrivals, after samples that were lost and not counted."""
+        self._least.clear()
+
+    def times(self, first: int, count: int) -> FloatArray:
+        """Return when ``count`` samples from ``first`` on were taken [s]; never before earlier."""
+        offset = self._least[0][1]
+        times = offset + self._period * np.arange(first, first + count)
+        times = np.maximum(times, self._last)
+        self._last = float(times[-1])
+        return np.asarray(times)
+
+
+class CapsuleStream:
+    """Makes beams of the bytes of an express or dense scan."""
+
+    def __init__(self, model: RplidarModel, mode: ScanMode) -> None:
+        self._model = model
+        self._decode = _DECODERS[mode.reply]
+        self._count = SAMPLES[mode.reply]
+        self._clock = SampleClock(mode.sample_us * 1e-6)
+        self._transmission = CAPSULE_LENGTH * BITS_PER_BYTE / model.baud
+        self._splitter = CapsuleSplitter()
+        self._implausible = self._refused = 0
+        self._held: Capsule | None = None
+        self._index = self._ahead = 0
+        self._step = self._count * mode.sample_us * 1e-6 * model.turns * TURN_UNITS
+        self._slack = MAX_START_CHANGE
+
+    @property
+    def bad(self) -> int:
+        """Capsules dropped."""
+        return self._splitter.bad + self._refused
+
+    def feed(self, data: bytes, now: float) -> Beams:
+        """Return the beams that are certain once ``data`` has arrived at ``now`` [s]."""
+        parts = []
+        for frame in self._splitter.feed(data, now):
+            self._ahead += 1 + round(frame.skipped / CAPSULE_LENGTH)
+            try:
+                capsule = self._decode(frame.data)
+            except ProtocolError:
+                self._refused += 1
+                continue
+            if (beams := self._take(capsule, frame.arrival)) is not None:
+                parts.append(beams)
+        return Beams.join(parts)
+
+    def _take(self, capsule: Capsule, arrival: float) -> Beams | None:
+        """Return the beams of the capsule before ``capsule``; None if there are none."""
+        held = self._held
+        if held is None or self._implausible >= MAX_IMPLAUSIBLE:
+            self._begin(capsule, arrival)
+            return None
+
+        # Check that it continues the turn
+        step = self._step if capsule.restarted else self._measure_step(held, capsule)
+        if abs(step - self._step) > self._slack * self._step:
+            self._refused += 1
+            self._implausible += 1
+            return None
+
+        # Spread the turn over the samples of the capsule before
+        first, self._index = self._index, self._index + self._ahead * self._count
+        self._hold(capsule, arrival)
+        beams = self._make_beams(held, first, step)
+        self._step += (SMOOTHING if self._slack == MAX_TURN_CHANGE else 1.0) * (step - self._step)
+        self._slack = MAX_TURN_CHANGE
+        return beams
+
+    def _measure_step(self, held: Capsule, capsule: Capsule) -> float:
+        """Return the turn per capsule from ``held`` to ``capsule`` [1/64 deg]."""
+        turn = (capsule.start - held.start) % TURN_UNITS
+        whole = max(0, round((self._ahead * self._step - turn) / TURN_UNITS))
+        return (turn + whole * TURN_UNITS) / self._ahead
+
+    def _begin(self, capsule: Capsule, arrival: float) -> None:
+        """Begin a series with ``capsule``."""
+        self._slack = MAX_START_CHANGE
+        self._clock.restart()
+        self._index += self._ahead * self._count
+        self._hold(capsule, arrival)
+
+    def _hold(self, capsule: Capsule, arrival: float) -> None:
+        """Keep ``capsule`` until the next one shows how far the lidar has turned over it."""
+        self._held, self._ahead, self._implausible = capsule, 0, 0
+        self._clock.learn(self._index + self._count - 1, arrival - self._transmission)
+
+    def _make_beams(self, capsule: Capsule, first: int, step: float) -> Beams:
+        angles = np.array(sample_angles(capsule, step))
+        times = self._clock.times(first, self._count)
+        mm = np.array(capsule.distances_mm, dtype=np.float64)
+        return to_beams(times, angles, mm, self._model)
+
+
+class NodeStream:
+    """Makes beams of the bytes of a standard scan."""
+
+    def __init__(self, model: RplidarModel, mode: ScanMode) -> None:
+        self._model = model
+        self._clock = SampleClock(mode.sample_us * 1e-6)
+        self._transmission = NODE_LENGTH * BITS_PER_BYTE / model.baud
+        self._splitter = NodeSplitter()
+        self._index = 0
+
+    @property
+    def bad(self) -> int:
+        """Nodes dropped."""
+        return self._splitter.bad
+
+    def feed(self, data: bytes, now: float) -> Beams:
+        """See ``CapsuleStream.feed``."""
+        frames = self._splitter.feed(data, now)
+        if not frames:
+            return Beams.join([])
+
+        # Count the samples and learn the clock
+        indices = []
+        for frame in frames:
+            self._index += 1 + round(frame.skipped / NODE_LENGTH)
+            indices.append(self._index)
+            self._clock.learn(self._index, frame.arrival - self._transmission)
+        first = indices[0]
+        times = self._clock.times(first, self._index - first + 1)
+
+        # Decode
+        nodes = [decode_node(frame.data) for frame in frames]
+        angles = np.array([node.angle for node in nodes]) / ANGLE_UNITS
+        mm = np.array([node.distance for node in nodes]) / DISTANCE_UNITS
+        return to_beams(times[np.array(indices) - first], angles, mm, self._model)
+
+
+ScanStream = CapsuleStream | NodeStream
+
+
+def open_stream(model: RplidarModel, mode: ScanMode) -> ScanStream:
+    """Return what decodes the frames of ``mode``."""
+    if mode.reply is ReplyType.NODES:
+        return NodeStream(model, mode)
+    return CapsuleStream(model, mode)
+
+
+def to_beams(times: FloatArray, angles: FloatArray, mm: FloatArray, model: RplidarModel) -> Beams:
+    """Return beams from samples.
+
+    Args:
+        times: When each was taken (n,) [s].
+        angles: Clockwise from the lidar's front (n,) [deg].
+        mm: Distances (n,) [mm]; 0 and what is beyond the lidar's range is no return.
+        model: The lidar.
+    """
+    valid = (mm >= model.min_range_mm) & (mm <= model.max_range_mm)
+    return Beams(
+        times,
+        to_elevation(np.radians(angles)),
+        np.where(valid, mm / 1000, np.nan),
+        np.where(valid, VALID, NO_RETURN),
+    )
