@@ -123,10 +123,9 @@ COMMON_ERRORS: Mapping[str, float | bool] = {
     "warm_up": 0.0,
 }
 """Errors that all models share."""
-LD_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.0025, "offset_sigma": 0.010}
-"""What registration assumes of LD06 and LD19: half of ``surface_bias`` and two thirds of
-``unit_offset``, the shares that the URG-04LX has of its errors."""
-STL27L_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.0015, "offset_sigma": 0.0033}
+LD_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.005, "offset_sigma": 0.015}
+"""What registration assumes of LD06 and LD19: ``surface_bias`` and ``unit_offset`` above."""
+STL27L_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.003, "offset_sigma": 0.005}
 """The same of the STL27L."""
 FLOOR_HEIGHT = 0.05
 """Height below which points seen by LD06 and LD19 are floor [m]: at 0.6 m, where half of it counts
