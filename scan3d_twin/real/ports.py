@@ -86,8 +86,7 @@ def refuse_same_port(base: str, lidar: str) -> None:
     Raises:
         LinkError: Base and lidar are on the same port.
     """
-    is_same = base == lidar if "://" in base else _is_same_file(base, lidar)
-    if is_same:
+    if base == lidar or ("://" not in base and _is_same_file(base, lidar)):
         names = base if base == lidar else f"{base}, which is {lidar},"
         raise LinkError(f"{names} cannot be the port of both base and lidar: name another for one")
 
@@ -96,7 +95,7 @@ def _is_same_file(a: str, b: str) -> bool:
     try:
         return Path(a).samefile(b)
     except OSError:
-        return False
+        return Path(a).resolve() == Path(b).resolve()
 
 
 def choose_lidar_port(base: str | None, lidar: str | None, ports: list[Port] | None = None) -> str:

@@ -36,6 +36,14 @@ ROTATING = "ld19"
 """A lidar that turns all round and measures by a clock of its own."""
 
 
+@pytest.fixture
+def lidar_name(request: pytest.FixtureRequest) -> str:
+    """Return the name of the lidar of the backend of a test."""
+    backend: str = request.node.callspec.params["open_in"]
+    asked: str | None = request.config.getoption("--lidar")
+    return ROTATING if backend.endswith(f"_{ROTATING}") else asked or DEFAULT_LIDAR
+
+
 def backends(config: pytest.Config, *, every_lidar: bool = False) -> dict[str, Opener]:
     """Return what to hold to the contract: by default our own bases, else what is asked for.
 
