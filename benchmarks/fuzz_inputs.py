@@ -36,7 +36,7 @@ class Kind:
 
 READERS = (
     "scan3d_twin.bench.reporting.files", "scan3d_twin.bench.spec", "scan3d_twin.bench.store",
-    "scan3d_twin.core.model.fused_cloud", "scan3d_twin.recording.recover",
+    "scan3d_twin.core.model.fused_cloud", "scan3d_twin.recording.repair.recover",
     "scan3d_twin.recording.scans", "scan3d_twin.sim.robot", "scan3d_twin.sim.scenes.load",
     "scipy.stats", "trimesh", "trimesh.exchange.load",
 )  # fmt: skip
@@ -363,7 +363,7 @@ def read_fault(path: Path) -> None:
     """Repair a session; fewer views than before, or more than one view lost, is an error."""
     from scan3d_twin.core.errors import FileError
     from scan3d_twin.recording.load import load_session
-    from scan3d_twin.recording.recover import recover_session
+    from scan3d_twin.recording.repair.recover import recover_session
 
     def count() -> int:
         try:
@@ -392,7 +392,7 @@ def read_session(path: Path) -> None:
         read_last_odometry,
         read_lines,
     )
-    from scan3d_twin.recording.recover import recover_session
+    from scan3d_twin.recording.repair.recover import recover_session
 
     try:
         session = load_session(path).session

@@ -22,7 +22,7 @@ import numpy as np
 from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.digitize import drop_latest_plan, run_loop
 from scan3d_twin.core.mapping.scan_matching import keep_surfels
-from scan3d_twin.core.model.evaluation import Truth
+from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import Planner, list_planners, make_planner
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan

@@ -12,7 +12,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import find_path
-from scan3d_twin.core.model.evaluation import Truth
+from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extend_costmap
 from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.navigation.motion_control import follow_path

@@ -11,7 +11,7 @@ import numpy as np
 
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.hal import Clock, DriveBase, Robot
-from scan3d_twin.core.model import evaluation
+from scan3d_twin.core.model import truth
 from scan3d_twin.core.navigation.motion_control import measure_travel
 from scan3d_twin.core.observer import Observer, Observers, Unobserved
 from scan3d_twin.core.planning import Planner, make_planner
@@ -28,7 +28,7 @@ Timer = Callable[[], float]
 """Returns the computer's time [s] since some moment."""
 
 
-class Truth(evaluation.Truth, Protocol):
+class Truth(truth.Truth, Protocol):
     """The ground truth of the twin, which also knows its targets by name."""
 
     def locate(self, name: str) -> tuple[float, float]:

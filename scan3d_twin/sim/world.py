@@ -15,7 +15,7 @@ from scan3d_twin.devices.registry import base_device
 from scan3d_twin.sim.base.uneven_floor import draw_uneven_floor, lay_floor
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.resources import find_resource_dir
-from scan3d_twin.sim.scenes.floors import find_floor_planes
+from scan3d_twin.sim.scenes.mjcf.floors import find_floor_planes
 from scan3d_twin.sim.scenes.scene import Scene
 
 PREFIX = "robot/"

@@ -14,7 +14,12 @@ from scan3d_twin.core.model.evaluation import Distances
 from scan3d_twin.core.model.fused_cloud import join_models, measure_scanned_share
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.recording.colours import view_colour
-from scan3d_twin.recording.comparison import MAX_DISTANCE, ComparedRun, find_differences, summarise
+from scan3d_twin.recording.overview.comparison import (
+    MAX_DISTANCE,
+    ComparedRun,
+    find_differences,
+    summarise,
+)
 from scan3d_twin.viz.charts import Chart, Dot, Series, render_chart, round_up
 from scan3d_twin.viz.model_section import render_model
 from scan3d_twin.viz.packing import Mark, Shown

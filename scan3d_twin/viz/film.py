@@ -23,7 +23,7 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.colours import view_colour, view_colours_rgb
 from scan3d_twin.recording.load import RecordedRun, read_track, run_folder
-from scan3d_twin.recording.run_list import REPORT, read_report
+from scan3d_twin.recording.overview.listing import REPORT, read_report
 from scan3d_twin.run.resolve import load_run_scene
 from scan3d_twin.run.settings import REAL_SCENE
 from scan3d_twin.sim.config import RobotErrorConfig

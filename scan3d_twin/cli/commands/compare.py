@@ -18,7 +18,7 @@ def compare(*runs: Path, out: Path = Path("compare.html"), json: bool = False) -
         out: The page to write.
         json: Print the comparison as JSON instead, and write no page.
     """
-    from scan3d_twin.recording.comparison import compare_runs, summarise
+    from scan3d_twin.recording.overview.comparison import compare_runs, summarise
 
     compared = compare_runs(runs)
     if json:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scan3d_twin.recording.run_list import ListedRun
+    from scan3d_twin.recording.overview.listing import ListedRun
 
 _COLUMNS = (
     ("views", "views", "{:d}"),
@@ -29,7 +29,7 @@ def runs(folder: Path = Path("runs"), /, *, json: bool = False) -> None:
         json: Print one JSON document instead of lines.
     """
     from scan3d_twin.cli.summary import format_table
-    from scan3d_twin.recording.run_list import list_runs
+    from scan3d_twin.recording.overview.listing import list_runs
 
     found = list_runs(folder)
     if json:

@@ -15,7 +15,7 @@ from scan3d_twin.core.errors import FileError
 
 if TYPE_CHECKING:
     from scan3d_twin.recording.load import Beginning, RecordedRun
-    from scan3d_twin.recording.recover import Recovery
+    from scan3d_twin.recording.repair.recover import Recovery
     from scan3d_twin.run.report import Report
 
 app = App(
@@ -127,7 +127,7 @@ def recover(folder: Path, /, *, json: bool = False) -> None:
         folder: Folder of a run.
         json: Print one JSON document instead of a line.
     """
-    from scan3d_twin.recording.recover import recover_session
+    from scan3d_twin.recording.repair.recover import recover_session
 
     found = recover_session(folder, time.monotonic)
     if json:
@@ -177,7 +177,7 @@ def drop_view(folder: Path, view: int, /, *, json: bool = False) -> None:
         view: Number of the view, counted from 0 as in the report.
         json: Print the new report as JSON.
     """
-    from scan3d_twin.recording.edit import drop_view as drop
+    from scan3d_twin.recording.repair.edit import drop_view as drop
 
     _show(folder, drop(folder, view, time.monotonic), as_json=json)
 
@@ -190,7 +190,7 @@ def undo(folder: Path, /, *, json: bool = False) -> None:
         folder: Folder of a run.
         json: Print the report as JSON.
     """
-    from scan3d_twin.recording.edit import undo_last_change as take_back
+    from scan3d_twin.recording.repair.edit import undo_last_change as take_back
 
     _show(folder, take_back(folder), as_json=json)
 

@@ -24,7 +24,7 @@ from scan3d_twin.core.plugins import PluginError, load_plugin
 if TYPE_CHECKING:
     import numpy as np
 
-    from scan3d_twin.core.model.evaluation import Truth
+    from scan3d_twin.core.model.truth import Truth
     from scan3d_twin.core.session import Session
     from scan3d_twin.core.types import Plan
 

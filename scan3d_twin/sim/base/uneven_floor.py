@@ -14,8 +14,8 @@ from scipy.ndimage import gaussian_filter
 
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.config import RobotErrorConfig
-from scan3d_twin.sim.scenes.floors import HIDDEN_GROUP, free_name
-from scan3d_twin.sim.scenes.settings import reset_contact
+from scan3d_twin.sim.scenes.mjcf.floors import HIDDEN_GROUP, free_name
+from scan3d_twin.sim.scenes.mjcf.settings import reset_contact
 
 HALF_SIDE = 6.0
 """Half the side of the uneven square around the scene's origin [m]; the floor beyond is even."""

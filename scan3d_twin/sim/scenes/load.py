@@ -13,11 +13,11 @@ from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
 from scan3d_twin.sim.mesh_up import parse_mesh_up
 from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
-from scan3d_twin.sim.scenes.mesh_files import MESH_SUFFIXES, refuse_other_format
-from scan3d_twin.sim.scenes.meshes import complete_obj_meshes, mesh_spec
+from scan3d_twin.sim.scenes.meshes.files import MESH_SUFFIXES, refuse_other_format
+from scan3d_twin.sim.scenes.meshes.spec import complete_obj_meshes, mesh_spec
+from scan3d_twin.sim.scenes.mjcf.trial import check_size, limited_memory, try_mjcf
 from scan3d_twin.sim.scenes.random_scenes import NAME_PREFIX, scene_of_seed
 from scan3d_twin.sim.scenes.scene import Scene, one_line, scene_from_spec
-from scan3d_twin.sim.scenes.trial import check_size, limited_memory, try_mjcf
 
 
 def scene_names() -> tuple[str, ...]:

@@ -38,7 +38,7 @@ MAX_RAYS, MAX_PATCHES = 1_000_000, 50_000
 largest; smaller ones face away from the middle of the mesh."""
 MAX_INCIDENCE = np.radians(80.0)
 """Largest angle of a ray to the normal [rad]; farther aslant a surface is not visible
-(``core.model.evaluation.MIN_COSINE``)."""
+(``core.model.coverable.MIN_COSINE``)."""
 START_OFFSET = 2e-5
 """Distance of a ray's start from its face [m]: less than a sheet is thick, more than rounding."""
 MARGIN = 0.05

@@ -24,17 +24,17 @@ from scan3d_twin.core.config import Tour
 from scan3d_twin.core.errors import SceneError, UnknownNameError
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.scenes.facing import Facing
-from scan3d_twin.sim.scenes.floors import (
+from scan3d_twin.sim.scenes.mjcf.floors import (
     bound_planes,
     compile_scene,
     lay_floor,
     name_planes,
     widen_floors,
 )
-from scan3d_twin.sim.scenes.free_floor import choose_spawn, corners, ring
-from scan3d_twin.sim.scenes.freeze import freeze
+from scan3d_twin.sim.scenes.mjcf.free_floor import choose_spawn, corners, ring
+from scan3d_twin.sim.scenes.mjcf.freeze import freeze
+from scan3d_twin.sim.scenes.mjcf.settings import reset_settings, unify_contacts
 from scan3d_twin.sim.scenes.orientation import find_facings
-from scan3d_twin.sim.scenes.settings import reset_settings, unify_contacts
 from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
 from scan3d_twin.sim.scenes.visibility import DRAWN_GROUPS, choose_seen_parts
 

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from synthetic import Box, cast, observe
 
 from scan3d_twin.core.digitize import integrate
+from scan3d_twin.core.model.coverable import find_coverable_surface
 from scan3d_twin.core.model.evaluation import (
     COVERAGE_DISTANCE,
     TRUTH_SPACING,
@@ -19,7 +20,6 @@ from scan3d_twin.core.model.evaluation import (
     Reference,
     Surface,
     evaluate_model,
-    find_coverable_surface,
     find_true_pose,
     is_of_target,
     measure_displacement,

@@ -12,10 +12,10 @@ from sessions import two_planned_views
 
 from scan3d_twin.core.types import Candidate, Plan, Pose2
 from scan3d_twin.recording.colours import GREY, pack_rgb, view_colours_rgb
-from scan3d_twin.recording.edit import drop_view
 from scan3d_twin.recording.mcap import ros_display
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.ros_display import INFEASIBLE_COLOUR, MODEL_VOXEL, PATH_STEP
+from scan3d_twin.recording.repair.edit import drop_view
 
 KINDS = {7: "<f4", 4: "<u2", 2: "u1"}
 """NumPy's names of the data types of ``sensor_msgs/PointField``."""

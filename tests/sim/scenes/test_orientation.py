@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.model.evaluation import find_coverable_surface
+from scan3d_twin.core.model.coverable import find_coverable_surface
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import choose_caster
 from scan3d_twin.sim.scenes.load import load_scene

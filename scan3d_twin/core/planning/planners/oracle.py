@@ -18,15 +18,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.model.evaluation import (
+from scan3d_twin.core.model.coverable import (
     EYE_HEIGHT,
-    Truth,
     find_coverable_surface,
     find_feasible_places,
-    find_true_pose,
     find_visible,
-    lay_on_truth,
 )
+from scan3d_twin.core.model.evaluation import find_true_pose, lay_on_truth
+from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import (
     PlanningContext,

@@ -11,10 +11,10 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
-from scan3d_twin.recording.edit import drop_view, remove_view, undo_last_change
 from scan3d_twin.recording.mcap.recovering_reader import is_finished
 from scan3d_twin.recording.recorder import Recorder
-from scan3d_twin.recording.recover import recover_session
+from scan3d_twin.recording.repair.edit import drop_view, remove_view, undo_last_change
+from scan3d_twin.recording.repair.recover import recover_session
 
 PLACES = (0.2, 0.0, -0.2)
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import FloatArray, IntArray
-from scan3d_twin.sim.scenes.ply_file import read_ply
-from scan3d_twin.sim.scenes.polygons import check_indices, triangulate
+from scan3d_twin.sim.scenes.meshes.ply_file import read_ply
+from scan3d_twin.sim.scenes.meshes.polygons import check_indices, triangulate
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb", ".gltf", ".off")
 """Formats that are read."""

@@ -11,8 +11,8 @@ from scan3d_twin.core.errors import ConfigError, SceneError
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import MujocoCaster
 from scan3d_twin.sim.scenes.load import load_scene
-from scan3d_twin.sim.scenes.mesh_files import OTHER_SUFFIXES, read_mesh
-from scan3d_twin.sim.scenes.polygons import triangulate
+from scan3d_twin.sim.scenes.meshes.files import OTHER_SUFFIXES, read_mesh
+from scan3d_twin.sim.scenes.meshes.polygons import triangulate
 from scan3d_twin.sim.truth import Truth
 
 STEPS = np.array([[0, 0], [0.6, 0], [0.6, 0.2], [0.4, 0.2], [0.4, 0.4], [0.2, 0.4], [0.2, 0.6]])

@@ -17,7 +17,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import SceneError, UnknownNameError
 from scan3d_twin.core.types import FloatArray
-from scan3d_twin.sim.scenes.floors import compile_scene
+from scan3d_twin.sim.scenes.mjcf.floors import compile_scene
 
 _OBJECT = mujoco.mjtObj
 

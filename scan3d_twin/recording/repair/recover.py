@@ -22,7 +22,7 @@ from scan3d_twin.recording.mcap.rewrite import reopen
 from scan3d_twin.recording.mcap.salvage import Salvage, salvage
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
 from scan3d_twin.recording.recorder import finish_file
-from scan3d_twin.recording.salvage_session import SalvagedLog
+from scan3d_twin.recording.repair.salvage_session import SalvagedLog
 from scan3d_twin.recording.session_log import Mark, Record, SessionLog, SessionState
 from scan3d_twin.run.settings import RunConfig, Settings, settings_toml
 

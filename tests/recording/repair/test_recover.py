@@ -14,7 +14,7 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 from scan3d_twin.recording.load import load_session, read_lines
 from scan3d_twin.recording.mcap.recovering_reader import is_sound
-from scan3d_twin.recording.recover import UNKNOWN, recover_session
+from scan3d_twin.recording.repair.recover import UNKNOWN, recover_session
 
 SEED, FAULTS = 4, 4
 """Single faults of each kind; benchmarks/fuzz.py takes hundreds."""

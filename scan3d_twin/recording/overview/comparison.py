@@ -19,7 +19,7 @@ from scan3d_twin.core.registration import register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.load import RecordedRun, load_session, run_folder
-from scan3d_twin.recording.run_list import REPORT, read_report
+from scan3d_twin.recording.overview.listing import REPORT, read_report
 from scan3d_twin.run.report import Report
 from scan3d_twin.run.settings import settings_toml
 

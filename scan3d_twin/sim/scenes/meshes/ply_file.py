@@ -14,7 +14,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import FloatArray, IntArray
-from scan3d_twin.sim.scenes.polygons import check_indices, triangulate
+from scan3d_twin.sim.scenes.meshes.polygons import check_indices, triangulate
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},

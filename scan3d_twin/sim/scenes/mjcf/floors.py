@@ -18,7 +18,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import BoolArray, FloatArray
-from scan3d_twin.sim.scenes.settings import make_solid, reset_contact
+from scan3d_twin.sim.scenes.mjcf.settings import make_solid, reset_contact
 from scan3d_twin.sim.scenes.visibility import is_visible
 
 ROBOT_HEIGHT = 0.35

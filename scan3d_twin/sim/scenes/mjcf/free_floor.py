@@ -18,7 +18,7 @@ from scipy.ndimage import distance_transform_edt, label
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
 from scan3d_twin.sim.ray_casting import RayCaster, choose_caster
-from scan3d_twin.sim.scenes.floors import ROBOT_HEIGHT, level_planes
+from scan3d_twin.sim.scenes.mjcf.floors import ROBOT_HEIGHT, level_planes
 from scan3d_twin.sim.scenes.surface_samples import bounding_points
 
 CELL = 0.1

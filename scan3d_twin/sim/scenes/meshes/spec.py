@@ -15,8 +15,8 @@ import numpy as np
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 from scan3d_twin.sim.mesh_up import MeshUp
-from scan3d_twin.sim.scenes.mesh_cleanup import drop_surroundings, turn_up
-from scan3d_twin.sim.scenes.mesh_files import GLTF_SUFFIXES, count_obj_objects, read_mesh
+from scan3d_twin.sim.scenes.meshes.cleanup import drop_surroundings, turn_up
+from scan3d_twin.sim.scenes.meshes.files import GLTF_SUFFIXES, count_obj_objects, read_mesh
 from scan3d_twin.sim.scenes.surface_samples import sample_triangles
 from scan3d_twin.sim.scenes.walls import add_walls
 

@@ -4,8 +4,8 @@ import pytest
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.limits import VARIABLE, limit_factor, scaled
-from scan3d_twin.sim.scenes import trial
 from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.mjcf import trial
 
 SCENE = """<mujoco><worldbody><site name="spawn"/>
 <body name="target" pos="1.5 0 0.2"><geom type="box" size="0.2 0.2 0.2"/></body>{more}

@@ -1,0 +1,1 @@
+"""Several recorded runs: listed, and side by side."""

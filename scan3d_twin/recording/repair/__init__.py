@@ -1,0 +1,1 @@
+"""Damaged and unwanted parts of a session: recovered, and taken out."""
