@@ -52,31 +52,45 @@ def embed_json(data: Any, indent: int | None = None) -> str:
 
 
 def render_table(
-    names: Sequence[str], rows: Iterable[Sequence[Cell]], ids: Iterable[str] | None = None
+    names: Sequence[str],
+    rows: Iterable[Sequence[Cell]],
+    *,
+    remark: str = "",
+    ids: Iterable[str] | None = None,
 ) -> str:
     """Return a table; on a narrow screen each cell stands beside its name.
 
     Args:
         names: Titles of the columns, as text.
         rows: The cells of each row.
+        remark: Title of the column of remarks, which is set apart; empty for none.
         ids: The id of each row, to lead to; None for rows without.
     """
-    header = "".join(f'<th scope="col">{escape(name)}</th>' for name in names)
+    kinds = ["remark" if name == remark else "" for name in names]
+    header = "".join(
+        f'<th scope="col"{_class_of(kind)}>{escape(name)}</th>'
+        for name, kind in zip(names, kinds, strict=True)
+    )
     marks = repeat("") if ids is None else (f' id="{escape(each)}" tabindex="-1"' for each in ids)
-    body = "".join(_render_row(names, row, mark) for row, mark in zip(rows, marks, strict=False))
+    body = "".join(
+        _render_row(names, kinds, row, mark) for row, mark in zip(rows, marks, strict=False)
+    )
     return (
         '<div class="scroll" tabindex="0" role="group" aria-label="Table"><table>'
         f"<thead><tr>{header}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
 
-def _render_row(names: Sequence[str], row: Sequence[Cell], mark: str) -> str:
-    kinds = {True: ' class="over"', False: ""}
+def _render_row(names: Sequence[str], kinds: Sequence[str], row: Sequence[Cell], mark: str) -> str:
     cells = [
-        f'<td data-label="{escape(name)}"{kinds[over]}>{content}</td>'
-        for name, (content, over) in zip(names, row, strict=True)
+        f'<td data-label="{escape(name)}"{_class_of("over" if over else kind)}>{content}</td>'
+        for name, kind, (content, over) in zip(names, kinds, row, strict=True)
     ]
     return f"<tr{mark}>{''.join(cells)}</tr>"
+
+
+def _class_of(kind: str) -> str:
+    return f' class="{kind}"' if kind else ""
 
 
 def _read_asset(name: str) -> str:

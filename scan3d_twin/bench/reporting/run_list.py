@@ -45,7 +45,8 @@ def render_runs(records: Sequence[Record]) -> str:
     """Return the table of all runs: results, folder and command."""
     names = ["Seed", "Scene", "Variant", "Success", "Views", "Worst error", "Coverage"]
     names += ["Robot's time", "Ended", "Again"]
-    return render_table(names, map(_cells, records), ids=map(run_anchor, records))
+    ids = map(run_anchor, records)
+    return render_table(names, map(_cells, records), remark="Ended", ids=ids)
 
 
 def _cells(record: Record) -> list[Cell]:
