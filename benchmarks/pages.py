@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import json
 import shutil
 import tempfile
 from pathlib import Path
@@ -36,10 +37,11 @@ def make_run(views: int, folder: Path) -> Path:
     """Return the folder of a run of ``views`` views."""
     from scan3d_twin.cli import main
 
-    # No step meets so small an epsilon: the default overlap of 80 % makes many views.
-    many = ["--epsilon", "0.1", "--tour", "full", "--max-views", str(views)]
-    with contextlib.redirect_stdout(io.StringIO()):
-        main(["sim", "--scene", "sine_box", *many, "--out", str(folder)])
+    # Short steps at a short distance make many views
+    many = ["--planner", "fixed80", "--planning.standoff", "0.5", "--tour", "full"]
+    many += ["--max-views", str(views)]
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        main(["sim", "--scene", "three_boxes", *many, "--out", str(folder)])
     return folder
 
 
@@ -66,7 +68,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
         run = arguments.run or make_run(arguments.views, Path(folder) / "run")
         page = (run / "report.html").resolve()
-        print(f"report.html of {run}: {page.stat().st_size / 1e6:.1f} MB")
+        count = json.loads((run / "report.json").read_text(encoding="utf-8"))["views"]
+        print(f"report.html of {count} views: {page.stat().st_size / 1e6:.1f} MB")
         options = ["--no-sandbox", "--enable-unsafe-swiftshader"]
         browser = driver.chromium.launch(executable_path=chromium, args=options)
         for width in WIDTHS:

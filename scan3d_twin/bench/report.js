@@ -70,7 +70,7 @@ for (const figure of document.querySelectorAll(".plot")) {
 
   const point = (link) => {
     for (const each of links) each.classList.toggle("near", each === link);
-    words.textContent = link ? link.getAttribute("aria-label") : "";
+    words.textContent = link ? link.querySelector("title").textContent : "";
   };
   const stop = (link) => {
     for (const each of links) each.setAttribute("tabindex", each === link ? "0" : "-1");
@@ -103,5 +103,7 @@ for (const figure of document.querySelectorAll(".plot")) {
 /* The line that a dot leads to takes the focus, so that Tab goes on from there. */
 window.addEventListener("hashchange", () => {
   const row = document.getElementById(decodeURIComponent(location.hash.slice(1)));
-  if (row && row.tagName === "TR") row.focus();
+  if (!row || row.tagName !== "TR") return;
+  row.tabIndex = -1;
+  row.focus();
 });

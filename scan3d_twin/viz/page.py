@@ -71,7 +71,7 @@ def render_table(
         f'<th scope="col"{_class_of(kind)}>{escape(name)}</th>'
         for name, kind in zip(names, kinds, strict=True)
     )
-    marks = repeat("") if ids is None else (f' id="{escape(each)}" tabindex="-1"' for each in ids)
+    marks = repeat("") if ids is None else (f' id="{escape(each)}"' for each in ids)
     body = "".join(
         _render_row(names, kinds, row, mark) for row, mark in zip(rows, marks, strict=False)
     )

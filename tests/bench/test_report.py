@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from accessible import MAX_PAGE, SCHEMES, WIDTHS, find_violations, tab_stops
 
+from scan3d_twin.bench.execute import picture_path
 from scan3d_twin.bench.reporting.compare import compare_variants, compare_with_oracle, views_to
 from scan3d_twin.bench.reporting.figures import draw_figures, draw_pareto
 from scan3d_twin.bench.reporting.files import write_report
@@ -204,6 +205,19 @@ def test_many_dots_are_no_longer_links(make):
     assert figure.svg.count("<circle") == len(many)
 
 
+def test_pictures_take_no_more_room_than_the_page_has(records, tmp_path):
+    """Of three of 3 MB two fit, as text of 8 MB; the page says that one is left out."""
+    for k, record in enumerate(records[:3]):
+        path = picture_path(tmp_path, record)
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"<svg xmlns='http://www.w3.org/2000/svg'>" + b" " * (3_000_000 + k))
+    page = write_report(records, "large", tmp_path, tmp_path)
+    assert page.stat().st_size < MAX_PAGE
+    text = page.read_text()
+    assert text.count("data:image/svg+xml") == 2
+    assert "1 more in top_views/" in text
+
+
 def test_figures_are_numbered_without_gaps(report, make, tmp_path):
     bare = write_report([make("a"), make("a", 1)], "no choice", tmp_path, tmp_path)
     for page, least in ((report / "report.html", 9), (bare, 5)):
@@ -322,7 +336,7 @@ def test_a_dot_is_hit_beside_it_and_leads_to_its_run(shown):
     dot = page.locator(".plot svg a").first
     dot.scroll_into_view_if_needed()
     box = dot.locator("circle").bounding_box()
-    words, target = dot.get_attribute("aria-label"), dot.get_attribute("href")
+    words, target = dot.locator("title").text_content(), dot.get_attribute("href")
 
     # A place 10 px off the middle belongs to it, as no other is nearer
     place = (box["x"] + box["width"] / 2 - 10, box["y"] + box["height"] / 2)
@@ -345,7 +359,7 @@ def test_a_figure_is_one_stop_of_tab_and_arrows_go_from_dot_to_dot(shown):
     first.focus()
     before = page.evaluate("document.activeElement.outerHTML")
     page.keyboard.press("ArrowRight")
-    second = page.evaluate("document.activeElement.getAttribute('aria-label')")
+    second = page.evaluate("document.activeElement.textContent.trim()")
     assert page.evaluate("document.activeElement.outerHTML") != before
     assert page.locator(".plot .pointed").first.inner_text() == second
     page.keyboard.press("Enter")

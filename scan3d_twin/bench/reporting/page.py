@@ -26,8 +26,10 @@ from scan3d_twin.viz.page import Cell, render_page, render_table
 
 MAX_PICTURES = 12
 """Most top views on the page; the others stay in their folder."""
-MAX_PICTURE_BYTES = 4_000_000
-"""Most bytes of all top views on the page together: 5.3 MB as text, of the 10 MB of a page."""
+MAX_PAGE_BYTES = 9_000_000
+"""Size that the top views may fill up to: a page of 10 MB still opens at once on a phone."""
+RUN_BYTES = 1_000
+"""Size of a line in the table of runs, about."""
 _DASH = "\N{EN DASH}"
 _DOTS = (
     '<p class="note">Each dot leads to the line of its run: click it, or press Tab to reach a '
@@ -61,7 +63,7 @@ def render_bench_page(
         "Results": _render_results(rows),
         "Comparisons": _render_comparisons(comparisons),
         "Against the oracle": _render_regrets(regrets),
-        "Top views": _render_pictures(pictures, counted),
+        "Top views": _render_pictures(pictures, _picture_room(records, figures), counted),
     }
     for kind, group in groupby(figures, key=lambda figure: figure.kind):
         sections[TITLES[kind]] = _render_figures(list(group), counted)
@@ -216,12 +218,18 @@ def _render_regrets(regrets: Sequence[Regret]) -> str:
     )
 
 
-def _render_pictures(pictures: Mapping[str, bytes], counted: _FigureCount) -> str:
-    """Return the first top views, as many as the page has room for."""
+def _picture_room(records: Sequence[Record], figures: Sequence[Figure]) -> float:
+    """Return the bytes that the page has left for pictures; as text they take a third more."""
+    rest = RUN_BYTES * len(records) + sum(len(figure.svg) for figure in figures)
+    return 3 / 4 * (MAX_PAGE_BYTES - rest)
+
+
+def _render_pictures(pictures: Mapping[str, bytes], room: float, counted: _FigureCount) -> str:
+    """Return the first top views, as many as ``room`` [bytes] allows."""
     parts, size = [], 0
     for caption, svg in list(pictures.items())[:MAX_PICTURES]:
         size += len(svg)
-        if size > MAX_PICTURE_BYTES:
+        if size > room:
             break
         data = base64.b64encode(svg).decode("ascii")
         parts.append(

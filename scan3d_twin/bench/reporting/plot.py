@@ -18,7 +18,7 @@ LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 34.0, 46.0
 LEGEND_LINE = 20.0
 LETTER = 7.0
 """Width that a letter takes on the average, rounded up [units of the picture]."""
-MAX_LINKED_DOTS = 600
+MAX_LINKED_DOTS = 400
 """Most dots of a plot that are links: more of them cover each other, and make pages heavy."""
 MAX_LOG_TICKS = 8
 STYLE = """
@@ -158,9 +158,8 @@ class Plot:
             return circle
         self._linked += 1
         title = escape(dot.title)
-        label = escape(dot.title, {'"': "&quot;"})
         href = escape(dot.href, {'"': "&quot;"})
-        return f'<a href="{href}" aria-label="{label}"><title>{title}</title>{circle}</a>'
+        return f'<a href="{href}"><title>{title}</title>{circle}</a>'
 
     def add_line(self, points: Iterable[tuple[float, float]], colour: str) -> None:
         """Join ``points``."""
