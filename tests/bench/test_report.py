@@ -303,6 +303,11 @@ def test_the_page_is_accessible(shown, report, width, scheme):
     assert (report / "report.html").stat().st_size < MAX_PAGE
 
 
+def test_on_a_phone_no_table_is_cut(shown):
+    hidden = "all => all.filter(e => e.scrollWidth > e.clientWidth).length"
+    assert shown(390).eval_on_selector_all(".scroll", hidden) == 0
+
+
 def test_the_index_leads_to_every_section(shown):
     page = shown()
     listed = page.eval_on_selector_all("nav a", "all => all.map(e => e.hash.slice(1))")

@@ -374,7 +374,13 @@ def test_on_a_phone_the_colour_of_a_view_stands_at_its_number(open_page, url):
 
 def test_on_a_phone_the_numbers_of_a_chart_can_be_read(open_page, url):
     page = open_page(url, width=390).page
-    heights = page.eval_on_selector_all(
-        ".chart .tick", "all => all.map(e => e.getBoundingClientRect().height)"
-    )
-    assert min(heights) > 10
+    boxes = """all => all.map((each) => {
+      const box = each.getBoundingClientRect();
+      return [box.x, box.right, box.height];
+    })"""
+    ticks = page.eval_on_selector_all(".wide .chart .tick[text-anchor=end]", boxes)
+    (label,) = page.eval_on_selector_all(".wide .chart text[transform]", boxes)
+    (chart,) = page.eval_on_selector_all(".wide .chart", boxes)
+    assert min(height for _, _, height in ticks) > 10
+    assert chart[0] <= label[0]
+    assert label[1] <= min(left for left, _, _ in ticks)
