@@ -14,7 +14,7 @@ copyright = author
 release = version = scan3d_twin.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "offline",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
@@ -26,6 +26,12 @@ exclude_patterns = ["gallery/*.ipynb", "gallery/*.py", "gallery/*.md5"]
 # Pages: Markdown with anchors on headings, so that `page.md#heading` works as on a forge.
 myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence"]
+
+# The notebook: run while the site is built; an error in a cell ends the build.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+nb_merge_streams = True
 
 # Reference: the front door, in the words of its docstrings.
 autodoc_member_order = "bysource"
@@ -66,6 +72,7 @@ html_theme_options = {
     "footer_end": [],
     "show_prev_next": True,
     "navigation_with_keys": False,
-    "pygments_light_style": "friendly",
-    "pygments_dark_style": "github-dark",
+    # Code in colours that keep WCAG AA; those of "friendly" are too pale.
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
 }

@@ -11,8 +11,10 @@ every processor; see ``scan3d_twin.arithmetic``.
 import lazy_loader
 
 from scan3d_twin.arithmetic import fix_arithmetic
+from scan3d_twin.core.display import install_renderer
 
 __version__ = "0.2.0"
 
 fix_arithmetic()
+install_renderer("scan3d_twin.viz.notebook:render_html")
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

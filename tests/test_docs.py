@@ -1,6 +1,7 @@
 """README, pages and examples as a reader gets them: they run, lead somewhere and stay offline."""
 
 import ast
+import json
 import re
 import runpy
 import sys
@@ -71,6 +72,27 @@ CODE = {
     for page in [ROOT / "README.md", *ROOT.glob("docs/*.md")]
     for k, code in enumerate(python_blocks(page))
 } | {f"examples/{path.name}": path.read_text() for path in (ROOT / "examples").glob("*.py")}
+
+
+NOTEBOOKS = {
+    path.name: json.loads(path.read_text(encoding="utf-8"))["cells"]
+    for path in (ROOT / "docs").glob("*.ipynb")
+}
+"""The notebooks, which `make docs` runs."""
+CODE |= {
+    f"{name}-{k}": "".join(cell["source"])
+    for name, cells in NOTEBOOKS.items()
+    for k, cell in enumerate(cells)
+    if cell["cell_type"] == "code"
+}
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_is_kept_as_it_is_before_it_runs(name):
+    code = [cell for cell in NOTEBOOKS[name] if cell["cell_type"] == "code"]
+    assert len(code) >= 5
+    for cell in code:
+        assert (cell["outputs"], cell["execution_count"]) == ([], None)
 
 
 @pytest.mark.parametrize("name", [name for name in CODE if "extending" not in name])

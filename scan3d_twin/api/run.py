@@ -26,6 +26,7 @@ from scan3d_twin.run.report import Effort, Report, failure_reason
 from scan3d_twin.run.run_warnings import OdometryCheck
 from scan3d_twin.run.settings import Settings
 from scan3d_twin.run.versions import collect_versions
+from scan3d_twin.viz.notebook import REPORT_HEIGHT, frame_page, render_html
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,14 @@ class RunOutcome:
     report: Report
     session: Session
     ended: BaseException | None
+
+    def _repr_html_(self) -> str:
+        """Return the report page, or what the session shows where the page is gone."""
+        try:
+            page = (self.folder / "report.html").read_text(encoding="utf-8")
+        except OSError:
+            return render_html(self.session)
+        return frame_page(page, REPORT_HEIGHT, f"Report of {self.report['scene']}")
 
 
 def run_in_folder(

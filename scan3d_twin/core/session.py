@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.display import render_html
 from scan3d_twin.core.options import renamed
 from scan3d_twin.core.types import (
     FloatArray,
@@ -112,6 +113,9 @@ class Session:
 
     def __repr__(self) -> str:
         return f"<Session of {len(self.views)} views: {self.stop_reason or 'not ended'}>"
+
+    def _repr_html_(self) -> str | None:
+        return render_html(self)
 
     def with_view(self, view: View) -> Session:
         """Return a session with ``view`` appended."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
-LEFT, RIGHT, TOP, BOTTOM = 46.0, 12.0, 12.0, 40.0
+LEFT, RIGHT, TOP, BOTTOM = 68.0, 12.0, 12.0, 40.0
 """Margins of the plot [units of the picture]."""
 
 
@@ -145,7 +145,7 @@ def _axes(chart: Chart) -> list[str]:
         f"{escape(chart.x_label)}</text>"
     )
     parts.append(
-        f'<text transform="translate(11 {(TOP + bottom) / 2:g}) rotate(-90)" '
+        f'<text transform="translate(15 {(TOP + bottom) / 2:g}) rotate(-90)" '
         f'text-anchor="middle">{escape(chart.y_label)}</text>'
     )
     return parts

@@ -20,7 +20,7 @@ from scan3d_twin.recording.overview.comparison import (
     find_differences,
     summarise,
 )
-from scan3d_twin.viz.charts import Chart, Dot, Series, render_chart, round_up
+from scan3d_twin.viz.charts import Chart, Dot, Series, render_chart
 from scan3d_twin.viz.model_section import render_model
 from scan3d_twin.viz.packing import Mark, Shown
 from scan3d_twin.viz.page import Cell, render_page, render_table
@@ -86,7 +86,7 @@ def _render_results(runs: Sequence[ComparedRun]) -> str:
         for k, (run, results) in enumerate(zip(runs, summarise(runs)["runs"], strict=True))
     ]  # fmt: skip
     names = ["Run", *(title for title, _, _ in _COLUMNS), "Ended"]
-    return f"<h2>Results</h2>{render_table(names, rows)}"
+    return f"<h2>Results</h2>{render_table(names, rows, remark='Ended')}"
 
 
 def _render_differences(runs: Sequence[ComparedRun]) -> str:
@@ -164,7 +164,7 @@ def _render_coverage(runs: Sequence[ComparedRun]) -> str:
         series.append(Series(dots, view_colour(k)))
     chart = Chart(
         "Coverage against time", "time on the robot's clock [s]", "covered" if known else "scanned",
-        (0.0, round_up(end)), (0.0, 1.0), series[0].dots,
+        (0.0, end if end > 0.0 else 1.0), (0.0, 1.0), series[0].dots,
         percent="y", width=520, height=260, colour=series[0].colour, others=series[1:],
     )  # fmt: skip
     what = (

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
+from itertools import repeat
 from typing import Any
 
 OFFLINE_POLICY = (
@@ -21,7 +22,9 @@ Cell = tuple[str, bool]
 """HTML of a table's cell, and whether it is worse than wanted."""
 
 
-def render_page(title: str, parts: Iterable[str], data: Any, *, drawn: bool) -> str:
+def render_page(
+    title: str, parts: Iterable[str], data: Any, *, drawn: bool, style: str = "", script: str = ""
+) -> str:
     """Return an HTML document that fetches nothing.
 
     Args:
@@ -29,15 +32,20 @@ def render_page(title: str, parts: Iterable[str], data: Any, *, drawn: bool) -> 
         parts: HTML of the sections; empty ones are left out.
         data: What the page gives back as JSON.
         drawn: Whether one of the sections is a model in 3D, which takes scripts.
+        style: Style sheet of the page's own, after the common one.
+        script: Script of the page's own, at its end.
     """
+    sheet = _read_asset("report.css") + style
     document = [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
         OFFLINE_POLICY,
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{escape(title)}</title><style>{_read_asset('report.css')}</style></head><body><main>",
+        '<link rel="icon" href="data:,">',
+        f"<title>{escape(title)}</title><style>{sheet}</style></head><body><main>",
         *parts,
         f'<script type="application/json" id="report">{embed_json(data, indent=2)}</script>',
         *(f"<script>{_read_asset(name)}</script>" for name in SCRIPTS if drawn),
+        f"<script>{script}</script>" if script else "",
         "</main></body></html>\n",
     ]
     return "\n".join(part for part in document if part)
@@ -50,28 +58,46 @@ def embed_json(data: Any, indent: int | None = None) -> str:
     return text.replace("<", "\\u003c")
 
 
-def render_table(names: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
+def render_table(
+    names: Sequence[str],
+    rows: Iterable[Sequence[Cell]],
+    *,
+    remark: str = "",
+    ids: Iterable[str] | None = None,
+) -> str:
     """Return a table; on a narrow screen each cell stands beside its name.
 
     Args:
         names: Titles of the columns, as text.
         rows: The cells of each row.
+        remark: Title of the column of remarks, which is set apart; empty for none.
+        ids: The id of each row, to lead to; None for rows without.
     """
-    header = "".join(f"<th>{escape(name)}</th>" for name in names)
-    body = "".join(_render_row(names, row) for row in rows)
+    kinds = ["remark" if name == remark else "" for name in names]
+    header = "".join(
+        f'<th scope="col"{_class_of(kind)}>{escape(name)}</th>'
+        for name, kind in zip(names, kinds, strict=True)
+    )
+    marks = repeat("") if ids is None else (f' id="{escape(each)}"' for each in ids)
+    body = "".join(
+        _render_row(names, kinds, row, mark) for row, mark in zip(rows, marks, strict=False)
+    )
     return (
-        '<div class="scroll"><table>'
+        '<div class="scroll" tabindex="0" role="group" aria-label="Table"><table>'
         f"<thead><tr>{header}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
 
-def _render_row(names: Sequence[str], row: Sequence[Cell]) -> str:
-    kinds = {True: ' class="over"', False: ""}
+def _render_row(names: Sequence[str], kinds: Sequence[str], row: Sequence[Cell], mark: str) -> str:
     cells = [
-        f'<td data-label="{escape(name)}"{kinds[over]}>{content}</td>'
-        for name, (content, over) in zip(names, row, strict=True)
+        f'<td data-label="{escape(name)}"{_class_of("over" if over else kind)}>{content}</td>'
+        for name, kind, (content, over) in zip(names, kinds, row, strict=True)
     ]
-    return f"<tr>{''.join(cells)}</tr>"
+    return f"<tr{mark}>{''.join(cells)}</tr>"
+
+
+def _class_of(kind: str) -> str:
+    return f' class="{kind}"' if kind else ""
 
 
 def _read_asset(name: str) -> str:

@@ -114,7 +114,7 @@ def render_views(report: Report, session: Session) -> str:
 
     # Return the table with legend
     return (
-        f"<h2>Views</h2>{render_table(names, cells)}"
+        f"<h2>Views</h2>{render_table(names, cells, remark='Note')}"
         '<p class="note">Errors are root mean square over the view\'s target points, against the '
         "view before; orange is more than ε. Predicted by the planner before the move"
         + (", realised as only a simulator can know." if known else ".")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -10,11 +11,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from accessible import MAX_PAGE, SCHEMES, WIDTHS, find_violations, tab_stops
 
+from scan3d_twin.bench.execute import picture_path
 from scan3d_twin.bench.reporting.compare import compare_variants, compare_with_oracle, views_to
-from scan3d_twin.bench.reporting.figures import draw_figures, steps_of
+from scan3d_twin.bench.reporting.figures import draw_figures, draw_pareto
 from scan3d_twin.bench.reporting.files import write_report
 from scan3d_twin.bench.reporting.measures import MEASURES, format_table, summarise
+from scan3d_twin.bench.reporting.plot import MAX_LINKED_DOTS, TOP
+from scan3d_twin.bench.reporting.run_list import name_run, run_command
+from scan3d_twin.bench.reporting.step_figures import steps_of
 from scan3d_twin.bench.store import RESULTS_FILE, read_results, write_parquet
 from scan3d_twin.core.errors import FileError
 
@@ -131,9 +137,9 @@ def test_steps_know_their_length_and_the_features_before_them(make):
 def test_all_figures_are_there_with_their_numbers(report, records):
     names = {figure.name for figure in draw_figures(records)}
     scene = "shiny_cylinder"
-    kinds = ("F2", "F3", "F4", "F5a", "F5b", "F6", "F7")
-    for kind in kinds:
-        assert any(name.startswith(f"{kind}-{scene}") for name in names), kind
+    kinds = ("pareto", "calibration", "overlap", "features", "lambda", "success")
+    coverage = {f"coverage-{along}-{scene}" for along in ("views", "metres", "seconds")}
+    assert names == {f"{kind}-{scene}" for kind in kinds} | coverage
     for name in names:
         root = ET.parse(report / "figures" / f"{name}.svg").getroot()
         assert root.tag.endswith("svg")
@@ -143,7 +149,7 @@ def test_all_figures_are_there_with_their_numbers(report, records):
 
 
 def test_the_pareto_figure_has_a_dot_a_run(records):
-    (figure,) = [f for f in draw_figures(records) if f.name.startswith("F2")]
+    (figure,) = [f for f in draw_figures(records) if f.kind == "pareto"]
     shown = [record for record in records if record.status != "lost"]
     assert figure.svg.count("<circle") == len(shown) == len(figure.rows) - 1
 
@@ -163,11 +169,94 @@ def test_the_same_records_give_the_same_bytes(report, records, tmp_path):
 
 def test_the_page_asks_for_nothing_from_outside(report):
     text = (report / "report.html").read_text()
-    assert "<script" not in text
-    addresses = set(re.findall(r'(?:src|href)="([^"]{0,40})', text))
-    assert all(a.startswith(("data:", "figures/")) for a in addresses)
-    for path in (a for a in addresses if a.startswith("figures/")):
-        assert (report / path).is_file()
+    assert not re.search(r"<script[^>]* src", text)
+    addresses = set(re.findall(r'(?:src|href)="([^"]{0,200})', text))
+    assert all(a.startswith(("data:", "figures/", "runs/", "#")) for a in addresses)
+    for path in (a for a in addresses if a.startswith(("figures/", "runs/"))):
+        assert (report / path).exists()
+    ids = set(re.findall(r' id="([^"]+)"', text))
+    assert {a[1:] for a in addresses if a.startswith("#")} <= ids
+
+
+def test_each_dot_leads_to_its_run_and_its_files(report, records):
+    text = (report / "report.html").read_text()
+    for record in records:
+        name = name_run(record)
+        settings = report / "runs" / name / "settings.toml"
+        assert settings.read_text() == record.settings
+        assert json.loads((settings.parent / "record.json").read_text())["seed"] == record.seed
+        assert run_command(record) in text
+        assert text.count(f'href="#run-{name}"') >= (record.status != "lost")
+    assert len({name_run(record) for record in records}) == len(records)
+
+
+def test_the_names_of_runs_are_not_mixed_up(make):
+    one, two = (
+        replace(make(), scene=scene, variant=variant, key=key)
+        for scene, variant, key in (("a-b", "c", "3f0a"), ("a", "b-c", "91c2"))
+    )
+    assert name_run(one) != name_run(two)
+
+
+def test_many_dots_are_no_longer_links(make):
+    many = [make("a", seed) for seed in range(MAX_LINKED_DOTS + 5)]
+    figure = draw_pareto("scene", {"a": many}, {"a": "#000000"})
+    assert figure.svg.count("<a href") == MAX_LINKED_DOTS
+    assert figure.svg.count("<circle") == len(many)
+
+
+def test_pictures_take_no_more_room_than_the_page_has(records, tmp_path):
+    """Of three of 3 MB two fit, as text of 8 MB; the page says that one is left out."""
+    for k, record in enumerate(records[:3]):
+        path = picture_path(tmp_path, record)
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"<svg xmlns='http://www.w3.org/2000/svg'>" + b" " * (3_000_000 + k))
+    page = write_report(records, "large", tmp_path, tmp_path)
+    assert page.stat().st_size < MAX_PAGE
+    text = page.read_text()
+    assert text.count("data:image/svg+xml") == 2
+    assert "1 more in top_views/" in text
+
+
+def test_figures_are_numbered_without_gaps(report, make, tmp_path):
+    bare = write_report([make("a"), make("a", 1)], "no choice", tmp_path, tmp_path)
+    for page, least in ((report / "report.html", 9), (bare, 5)):
+        numbers = [int(n) for n in re.findall(r"<b>Figure (\d+)\.</b>", page.read_text())]
+        assert numbers == list(range(1, len(numbers) + 1))
+        assert len(numbers) >= least
+
+
+def test_what_is_not_known_is_no_number(make, tmp_path):
+    """A variant of one run, one without registrations, and steps without a spread."""
+    few = [make("a"), make("b", errors=()), make("c", errors=(0.004,)), make("d", max_error=None)]
+    page = write_report(few, "few", tmp_path, tmp_path)
+    for path in (page, *tmp_path.glob("figures/*"), *tmp_path.glob("*.csv")):
+        words = re.sub(r"<(style|script).*?</\1>", "", path.read_text(), flags=re.DOTALL)
+        assert not re.search(r"\bnan\b", words, flags=re.IGNORECASE), path
+    assert not re.search(r"<small>([^,<]+), \1\]?</small>", page.read_text())
+
+
+@pytest.mark.parametrize(
+    "kind", ["pareto", "coverage", "calibration", "overlap", "lambda", "success"]
+)
+def test_both_axes_of_a_figure_are_labelled(records, kind):
+    for figure in (f for f in draw_figures(records) if f.kind == kind):
+        root = ET.fromstring(figure.svg)
+        texts = [e for e in root.iter("{http://www.w3.org/2000/svg}text") if not e.get("class")]
+        turned = [e.text for e in texts if e.get("transform")]
+        middle = [e.text for e in texts if e.get("text-anchor") == "middle"]
+        assert len(turned) == 1
+        assert len(middle) == 2
+        assert all(middle)
+
+
+def test_the_limit_is_drawn_where_it_is(make):
+    """Epsilon is on the axis though every error is far below it."""
+    (figure,) = [f for f in draw_figures([make("a", k, errors=(1e-4,)) for k in range(3)])
+                 if f.kind == "pareto"]  # fmt: skip
+    dots = [float(y) for y in re.findall(r'cy="([\d.]+)"', figure.svg)]
+    (line,) = re.findall(r'class="limit" d="M[\d.]+ ([\d.]+)H', figure.svg)
+    assert TOP < float(line) < min(dots)
 
 
 def test_a_browser_shows_the_page_without_a_word(report, browser):
@@ -185,3 +274,101 @@ def test_a_browser_shows_the_page_without_a_word(report, browser):
     assert widths
     assert min(widths) > 250
     assert over <= 0
+
+
+@pytest.fixture
+def shown(report, browser):
+    """Open the page at a width and in a colour scheme."""
+    pages = []
+
+    def showing(width=1400, scheme="light"):
+        """Return the open page."""
+        pages.append(
+            browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        )
+        pages[-1].goto((report / "report.html").as_uri())
+        return pages[-1]
+
+    yield showing
+    for page in pages:
+        page.close()
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_page_is_accessible(shown, report, width, scheme):
+    page = shown(width, scheme)
+    assert find_violations(page) == []
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert (report / "report.html").stat().st_size < MAX_PAGE
+
+
+def test_on_a_phone_no_table_is_cut(shown):
+    hidden = "all => all.filter(e => e.scrollWidth > e.clientWidth).length"
+    assert shown(390).eval_on_selector_all(".scroll", hidden) == 0
+
+
+def test_the_index_leads_to_every_section(shown):
+    page = shown()
+    listed = page.eval_on_selector_all("nav a", "all => all.map(e => e.hash.slice(1))")
+    assert listed == page.eval_on_selector_all("h2", "all => all.map(e => e.id)")
+    assert len(listed) >= 8
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_tables_sort_by_any_column_and_keep_what_is_unknown_last(shown, width):
+    page = shown(width)
+    column = "all => all.map(row => row.cells[{}].innerText)"
+
+    # Text, then numbers with units in both directions
+    button = page.locator(".runs th button", has_text="Worst error")
+    for state, sign in (("ascending", 1), ("descending", -1)):
+        button.click()
+        texts = page.eval_on_selector_all(".runs tbody tr", column.format(5))
+        numbers = [float(text.removesuffix(" mm")) for text in texts if text != "\N{EN DASH}"]
+        assert numbers == sorted(numbers, key=lambda value: sign * value)
+        assert len(set(numbers)) > 1
+        assert texts[-1] == "\N{EN DASH}"
+        assert page.locator(".runs th[aria-sort]").get_attribute("aria-sort") == state
+    page.locator(".runs th button", has_text="Variant").press("Enter")
+    names = page.eval_on_selector_all(".runs tbody tr", column.format(2))
+    assert names == sorted(names)
+    assert page.locator(".runs th[aria-sort]").inner_text().startswith("Variant")
+
+
+def test_a_dot_is_hit_beside_it_and_leads_to_its_run(shown):
+    page = shown(390)
+    dot = page.locator(".plot svg a").first
+    dot.scroll_into_view_if_needed()
+    box = dot.locator("circle").bounding_box()
+    words, target = dot.locator("title").text_content(), dot.get_attribute("href")
+
+    # A place 10 px off the middle belongs to it, as no other is nearer
+    place = (box["x"] + box["width"] / 2 - 10, box["y"] + box["height"] / 2)
+    page.mouse.move(*place)
+    assert page.locator(".plot .pointed").first.inner_text() in words
+    page.mouse.click(*place)
+    assert page.evaluate("location.hash").startswith("#run-")
+    focused = page.evaluate("document.activeElement.id")
+    assert f"#{focused}" == page.evaluate("location.hash")
+    assert target.startswith("#run-")
+
+
+def test_a_figure_is_one_stop_of_tab_and_arrows_go_from_dot_to_dot(shown):
+    page = shown()
+    figures = page.locator(".plot:has(svg a)").count()
+    dots = page.locator(".plot svg a").count()
+    stops = [stop for stop in tab_stops(page) if "seed" in stop]
+    assert len(stops) == figures < dots
+    first = page.locator(".plot svg a[tabindex='0']").first
+    first.focus()
+    before = page.evaluate("document.activeElement.outerHTML")
+    page.keyboard.press("ArrowRight")
+    second = page.evaluate("document.activeElement.textContent.trim()")
+    assert page.evaluate("document.activeElement.outerHTML") != before
+    assert page.locator(".plot .pointed").first.inner_text() == second
+    page.keyboard.press("Enter")
+    page.wait_for_function("document.activeElement.tagName === 'TR'")
+    seed = page.evaluate("document.activeElement.cells[0].innerText")
+    variant = page.evaluate("document.activeElement.cells[2].innerText")
+    assert second.startswith(f"{variant}, seed {seed}:")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from scan3d_twin.bench.reporting.measures import format_estimate
 from scan3d_twin.bench.reporting.statistics import (
     NO_ESTIMATE,
     estimate_clustered_rate,
@@ -42,6 +43,16 @@ def test_what_is_not_known_is_left_out_and_the_rest_is_the_same_each_time():
     )
     assert estimate_median([1.0, math.nan, 3.0, 2.0]).n == 3
     assert estimate_median([1.0, 2.0, 3.0]) == estimate_median([1.0, 2.0, 3.0])
+
+
+def test_a_single_run_has_no_interval():
+    """Its bootstrap samples are all the same, which says nothing of other runs."""
+    one, group = estimate_median([2.3]), estimate_clustered_rate([[True, False]])
+    assert (one.value, one.n, one.has_interval) == (2.3, 1, False)
+    assert (group.value, group.n, group.has_interval) == (0.5, 2, False)
+    assert estimate_median([2.3, 2.3]).has_interval
+    assert estimate_rate(1, 1).has_interval
+    assert format_estimate(one, "{:.1f}") == "2.3"
 
 
 def test_steps_of_one_run_do_not_narrow_an_interval():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from accessible import MAX_PAGE, SCHEMES, WIDTHS, find_violations
 from pixels import share_of
 
 from scan3d_twin.core.model.evaluation import Comparison, Distances, Evaluation, PairError
@@ -324,3 +325,62 @@ def test_the_table_folds_on_a_phone(open_page, url):
     assert len(lefts) == 1
     name = "getComputedStyle(document.querySelector('td:nth-child(4)'), '::before').content"
     assert page.evaluate(name) == '"Predicted error"'
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_page_is_accessible(open_page, url, page, width, scheme):
+    watched = open_page(url, width=width, color_scheme=scheme)
+    settle(watched.page)
+    assert find_violations(watched.page) == []
+    assert (watched.errors, watched.asked) == ([], [])
+    assert len(page.encode()) < MAX_PAGE
+
+
+def test_every_control_is_reached_by_the_keyboard(open_page, url):
+    page = open_page(url).page
+    settle(page)
+    wanted = page.eval_on_selector_all(
+        "button, select, input, summary, canvas",
+        "all => all.filter(e => e.checkVisibility() && !e.disabled).length",
+    )
+    reached = set()
+    for _ in range(2 * wanted):
+        page.keyboard.press("Tab")
+        reached.add(page.evaluate(
+            "() => [...document.querySelectorAll('button, select, input, summary, canvas')]"
+            ".indexOf(document.activeElement)"
+        ))  # fmt: skip
+    assert len(reached - {-1}) == wanted > 10
+
+
+def test_in_print_nothing_lies_on_the_still_picture(open_page, url):
+    page = open_page(url).page
+    settle(page)
+    page.select_option("#colouring", "height")
+    assert page.locator("#model .scale").is_visible()
+    assert page.locator("#model .legend").is_visible()
+    page.emulate_media(media="print")
+    for name in (".scale", ".legend", ".distance", "canvas"):
+        assert not page.locator(f"#model {name}").is_visible()
+
+
+def test_on_a_phone_the_colour_of_a_view_stands_at_its_number(open_page, url):
+    page = open_page(url, width=390).page
+    cell = page.locator("tbody tr:nth-child(2) td:first-child")
+    swatch, whole = cell.locator(".swatch").bounding_box(), cell.bounding_box()
+    assert swatch["x"] > whole["x"] + 0.8 * whole["width"]
+
+
+def test_on_a_phone_the_numbers_of_a_chart_can_be_read(open_page, url):
+    page = open_page(url, width=390).page
+    boxes = """all => all.map((each) => {
+      const box = each.getBoundingClientRect();
+      return [box.x, box.right, box.height];
+    })"""
+    ticks = page.eval_on_selector_all(".wide .chart .tick[text-anchor=end]", boxes)
+    (label,) = page.eval_on_selector_all(".wide .chart text[transform]", boxes)
+    (chart,) = page.eval_on_selector_all(".wide .chart", boxes)
+    assert min(height for _, _, height in ticks) > 10
+    assert chart[0] <= label[0]
+    assert label[1] <= min(left for left, _, _ in ticks)

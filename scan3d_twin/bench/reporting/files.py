@@ -1,9 +1,10 @@
-"""The files of a report: report.html, and each figure and table as SVG and CSV."""
+"""The files of a report: report.html, each figure and table as SVG and CSV, and a folder a run."""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -11,9 +12,11 @@ from pathlib import Path
 from scan3d_twin.bench.execute import PICTURES_FOLDER, picture_path
 from scan3d_twin.bench.record import Record, Step
 from scan3d_twin.bench.reporting.compare import compare_variants, compare_with_oracle
-from scan3d_twin.bench.reporting.figures import Cells, draw_figures
+from scan3d_twin.bench.reporting.figure import Cells
+from scan3d_twin.bench.reporting.figures import draw_figures
 from scan3d_twin.bench.reporting.measures import MEASURES, SummaryRow, summarise
-from scan3d_twin.bench.reporting.page import comparison_cells, render_page
+from scan3d_twin.bench.reporting.page import comparison_cells, render_bench_page
+from scan3d_twin.bench.reporting.run_list import PICTURE_FILE, RUNS_FOLDER, name_run, run_files
 from scan3d_twin.run.folder import write_file, write_inside
 
 PAGE_FILE = "report.html"
@@ -34,16 +37,25 @@ def write_report(records: Sequence[Record], title: str, pictures: Path, out: Pat
     # Write the figures
     rows, compared, figures = summarise(records), compare_variants(records), draw_figures(records)
     for figure in figures:
-        write_inside(out, out / "figures" / f"{figure.name}.svg", figure.svg)
-        write_inside(out, out / "figures" / f"{figure.name}.csv", csv_text(figure.rows))
+        alone = figure.svg.replace('href="#', f'href="../{PAGE_FILE}#')
+        write_inside(out, out / "figures" / f"{figure.file_name}.svg", alone)
+        write_inside(out, out / "figures" / f"{figure.file_name}.csv", csv_text(figure.rows))
 
     # Write the tables
     write_file(out / "summary.csv", csv_text(_summary_rows(rows)))
     write_file(out / "steps.csv", csv_text(_step_rows(records)))
     write_file(out / "comparisons.csv", csv_text(comparison_cells(compared)))
 
+    # Write the folder of each run
+    for record in records:
+        home = out / RUNS_FOLDER / name_run(record)
+        for name, text in run_files(record).items():
+            write_file(home / name, text)
+        if (picture := picture_path(pictures, record)).is_file():
+            write_file(home / PICTURE_FILE, picture.read_bytes())
+
     # Write the page
-    text = render_page(
+    text = render_bench_page(
         title,
         records,
         rows,
@@ -57,9 +69,12 @@ def write_report(records: Sequence[Record], title: str, pictures: Path, out: Pat
 
 
 def csv_text(rows: Cells) -> str:
-    """Return ``rows`` as CSV; None is an empty cell."""
+    """Return ``rows`` as CSV; None and NaN are empty cells."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows(
+        [None if isinstance(cell, float) and math.isnan(cell) else cell for cell in row]
+        for row in rows
+    )
     return text.getvalue()
 
 

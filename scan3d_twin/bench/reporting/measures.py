@@ -210,9 +210,11 @@ def _cell(row: SummaryRow, measure: Measure) -> str:
 
 
 def format_estimate(estimate: Estimate, form: str) -> str:
-    """Return a value with its interval in brackets; a dash without runs."""
+    """Return a value with its interval, if any, in brackets; a dash without runs."""
     if estimate.n == 0:
         return "-"
+    if not estimate.has_interval:
+        return form.format(estimate.value)
     low, high = form.format(estimate.low), form.format(estimate.high)
     return f"{form.format(estimate.value)} [{low}, {high}]"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from html import escape
@@ -11,15 +12,32 @@ from itertools import groupby
 
 from scan3d_twin.bench.record import Record
 from scan3d_twin.bench.reporting.compare import Comparison, Regret
-from scan3d_twin.bench.reporting.figures import Cells, Figure
-from scan3d_twin.bench.reporting.measures import MEASURES, SummaryRow, format_estimate, format_table
-from scan3d_twin.viz.page import OFFLINE_POLICY
+from scan3d_twin.bench.reporting.figure import TITLES, Cells, Figure
+from scan3d_twin.bench.reporting.measures import (
+    MEASURES,
+    SummaryRow,
+    format_estimate,
+    format_table,
+    rows_as_dicts,
+)
+from scan3d_twin.bench.reporting.run_list import render_runs
+from scan3d_twin.bench.reporting.statistics import Estimate
+from scan3d_twin.viz.page import Cell, render_page, render_table
 
 MAX_PICTURES = 12
-"""Most top views on the page, each up to 2 MB; the others stay in their folder."""
+"""Most top views on the page; the others stay in their folder."""
+MAX_PAGE_BYTES = 9_000_000
+"""Size that the top views may fill up to: a page of 10 MB still opens at once on a phone."""
+RUN_BYTES = 1_000
+"""Size of a line in the table of runs, about."""
+_DASH = "\N{EN DASH}"
+_DOTS = (
+    '<p class="note">Each dot leads to the line of its run: click it, or press Tab to reach a '
+    "figure, arrows to go from dot to dot, and Enter.</p>"
+)
 
 
-def render_page(
+def render_bench_page(
     title: str,
     records: Sequence[Record],
     rows: Sequence[SummaryRow],
@@ -39,31 +57,31 @@ def render_page(
         figures: All figures.
         pictures: Top views as SVG, by caption.
     """
-    parts = [
-        f"<h1>{escape(title)}</h1>",
-        *_facts(records),
-        "<h2>Figures of all runs</h2>",
-        _table(format_table(rows)),
-        "<p class=facts>In brackets: 95 % intervals, Wilson's for shares of runs and bootstrap for "
-        "medians.</p>",
-        _meanings(),
-        *_comparisons(comparisons),
-        *_regrets(regrets),
-        *_pictures(pictures),
-        *_figures(figures),
+    # Put together the sections with a title
+    counted = _FigureCount()
+    sections = {
+        "Results": _render_results(rows),
+        "Comparisons": _render_comparisons(comparisons),
+        "Against the oracle": _render_regrets(regrets),
+        "Top views": _render_pictures(pictures, _picture_room(records, figures), counted),
+    }
+    for kind, group in groupby(figures, key=lambda figure: figure.kind):
+        sections[TITLES[kind]] = _render_figures(list(group), counted)
+    sections["Runs"] = _render_runs(records)
+
+    # Number them in an index
+    found = [
+        (f"section-{k}", name, text) for k, (name, text) in enumerate(sections.items()) if text
     ]
-    return "\n".join([_head(title), *parts, "</body></html>\n"])
-
-
-def _head(title: str) -> str:
-    style = (files("scan3d_twin.bench") / "report.css").read_text(encoding="utf-8")
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f"{OFFLINE_POLICY}"
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<link rel="icon" href="data:,">'
-        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
-    )
+    index = "".join(f'<li><a href="#{place}">{escape(name)}</a></li>' for place, name, _ in found)
+    parts = [
+        _render_head(title, records),
+        f'<nav class="screen" aria-label="Contents"><ul>{index}</ul></nav>',
+        *(f'<h2 id="{place}">{escape(name)}</h2>{text}' for place, name, text in found),
+    ]
+    data = {"runs": len(records), "figures": rows_as_dicts(rows)}
+    style, script = _read_asset("report.css"), _read_asset("report.js")
+    return render_page(title, parts, data, drawn=False, style=style, script=script)
 
 
 def comparison_cells(comparisons: Iterable[Comparison]) -> Cells:
@@ -77,144 +95,180 @@ def comparison_cells(comparisons: Iterable[Comparison]) -> Cells:
     return rows
 
 
-def _facts(records: Sequence[Record]) -> list[str]:
-    """Return the provenance of the numbers: runs, seeds, processor hours, versions."""
+class _FigureCount:
+    """Numbers the figures of a page in their order, from 1."""
+
+    def __init__(self) -> None:
+        self._last = 0
+
+    def caption(self, text: str) -> str:
+        """Return ``text`` after the number of the next figure, as HTML."""
+        self._last += 1
+        return f"<b>Figure {self._last}.</b> {escape(text)}"
+
+
+def _render_head(title: str, records: Sequence[Record]) -> str:
+    """Return the title and the provenance: runs, seeds, processor hours, versions."""
     # Count runs, seeds and hours
     codes = sorted({record.code for record in records if record.code})
     versions = sorted({record.version for record in records})
     hours = sum(record.cpu or 0.0 for record in records) / 3600
     lost = sum(record.status == "lost" for record in records)
-    seeds = len({record.seed for record in records})
-    parts = [
-        f"<p class=facts>{len(records)} runs of {len({r.variant for r in records})} variants "
-        f"on {len({r.scene for r in records})} scenes with {seeds} seeds, {hours:.1f} processor "
-        f"hours; "
-        f"scan3d_twin {', '.join(versions)}, sources {', '.join(codes)}.</p>"
-    ]
+    figures = {
+        "Runs": f"{len(records)}",
+        "Variants": f"{len({record.variant for record in records})}",
+        "Scenes": f"{len({record.scene for record in records})}",
+        "Seeds": f"{len({record.seed for record in records})}",
+    }
+    cells = "".join(f"<div><dt>{name}</dt><dd>{text}</dd></div>" for name, text in figures.items())
+    lead = f"{hours:.1f} processor hours; scan3d_twin {', '.join(versions)}"
+    lead += f", sources {', '.join(codes)}" if codes else ""
 
     # Warn of mixed or lost runs
+    warnings = []
     if len(codes) > 1:
-        parts.append("<p class=note>These runs are of different sources: do not quote them.</p>")
+        warnings.append("These runs are of different sources: do not quote them.")
     if lost:
-        parts.append(f"<p class=note>{lost} runs were lost with their workers and are missing.</p>")
-    return parts
+        warnings.append(f"{lost} runs were lost with their workers and are missing.")
+    items = "".join(f"<li>{each}</li>" for each in warnings)
+    return (
+        f'<header><h1>{escape(title)}</h1><p class="lead">{escape(lead)}.</p>'
+        f'<dl class="figures">{cells}</dl></header>'
+        + (f'<div class="warnings"><ul>{items}</ul></div>' if items else "")
+    )
 
 
-def _table(cells: Sequence[Sequence[str]]) -> str:
-    heading, *rows = cells
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in heading)
-    body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in rows)
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    return f"<div class=wide>{table}</div>"
-
-
-def _cell(text: str) -> str:
-    """Return a table cell, its interval, if any, below the value."""
-    value, bracket, interval = text.partition(" [")
-    below = f"<br><small>{escape(bracket[1:] + interval)}</small>" if bracket else ""
-    return f"<td>{escape(value)}{below}</td>"
-
-
-def _meanings() -> str:
+def _render_results(rows: Sequence[SummaryRow]) -> str:
+    names, *lines = format_table(rows)
     terms = "".join(f"<dt>{escape(m.title)}</dt><dd>{escape(m.meaning)}</dd>" for m in MEASURES)
-    return f"<details><summary>What they mean</summary><dl>{terms}</dl></details>"
+    return (
+        f"{_render_texts(names, lines)}"
+        '<p class="note">In brackets: 95 % intervals, Wilson\'s for shares of runs and bootstrap '
+        "for medians; a single run has none of the latter.</p>"
+        f'<details class="terms"><summary>What they mean</summary><dl>{terms}</dl></details>'
+    )
 
 
-def _comparisons(comparisons: Sequence[Comparison]) -> list[str]:
+def _render_texts(names: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """Return a table of texts, intervals below their values."""
+    return render_table(names, [[_render_text(text) for text in line] for line in lines])
+
+
+def _render_text(text: str) -> Cell:
+    value, bracket, interval = text.partition(" [")
+    below = f"<small>{escape(bracket[1:] + interval)}</small>" if bracket else ""
+    return f"<span>{escape(_DASH if value == '-' else value)}{below}</span>", False
+
+
+def _render_comparisons(comparisons: Sequence[Comparison]) -> str:
     """Return a table per scene and scope."""
     parts = []
+    names = ["variant", "pairs", "success", "p of success", "views", "p of views"]
+    names += ["time", "p of time"]
     for (scene, scope), group in groupby(comparisons, key=lambda c: (c.scene, c.scope)):
         found = list(group)
-
-        # Fill one row per variant
-        heading = ["variant", "pairs", "success", "p", "views", "p", "time", "p"]
-        cells = [heading] + [
-            [
-                c.variant,
-                str(c.pairs),
-                f"{100 * c.success:+.0f} points",
-                f"{c.success_p:.2g}",
-                "\N{MULTIPLICATION SIGN} " + format_estimate(c.views, "{:.2f}"),
-                f"{c.views_p:.2g}",
-                "\N{MULTIPLICATION SIGN} " + format_estimate(c.time, "{:.2f}"),
-                f"{c.time_p:.2g}",
-            ]
-            for c in found
-        ]
-
-        # Title and table
-        parts.append(f"<h2>{escape(scene)}, registration of the {escape(scope)}: "
-                     f"against {escape(found[0].reference)}</h2>")  # fmt: skip
-        parts.append(_table(cells))
+        parts.append(f"<h3>{escape(scene)}, registration of the {escape(scope)}: "
+                     f"against {escape(found[0].reference)}</h3>")  # fmt: skip
+        parts.append(_render_texts(names, map(_compare_cells, found)))
     if parts:
         parts.append(
-            "<p class=facts>Run by run on the same seeds, within one scope of registration. p: "
+            '<p class="note">Run by run on the same seeds, within one scope of registration. p: '
             "McNemar's exact test for success, Wilcoxon's signed-rank test for views and time.</p>"
         )
-    return parts
+    return "".join(parts)
 
 
-def _regrets(regrets: Sequence[Regret]) -> list[str]:
+def _compare_cells(c: Comparison) -> list[str]:
+    """Return the cells of a comparison; without pairs there is nothing to compare."""
+    if c.pairs == 0:
+        return [c.variant, "0", *["-"] * 6]
+    return [
+        c.variant,
+        str(c.pairs),
+        f"{100 * c.success:+.0f} points",
+        _p_text(c.success_p),
+        _ratio(c.views),
+        _p_text(c.views_p),
+        _ratio(c.time),
+        _p_text(c.time_p),
+    ]
+
+
+def _ratio(estimate: Estimate) -> str:
+    text = format_estimate(estimate, "{:.2f}")
+    return text if estimate.n == 0 else f"\N{MULTIPLICATION SIGN} {text}"
+
+
+def _p_text(p: float) -> str:
+    return f"{p:.2g}" if math.isfinite(p) else "-"
+
+
+def _render_regrets(regrets: Sequence[Regret]) -> str:
     if not regrets:
-        return []
-    cells = [["scene", "variant", "oracle", "views over the oracle's", "pairs"]] + [
+        return ""
+    names = ["scene", "variant", "oracle", "views over the oracle's", "pairs"]
+    lines = [
         [r.scene, r.variant, r.oracle, format_estimate(r.regret, "{:.2f}"), str(r.regret.n)]
         for r in regrets
     ]
-    return [
-        "<h2>Against the oracle</h2>",
-        _table(cells),
-        "<p class=facts>Views up to the lower of both final coverages, seed by seed. The oracle "
-        "knows the surface and places the fewest views that overlap as required.</p>",
-    ]
+    return (
+        f"{_render_texts(names, lines)}"
+        '<p class="note">Views up to the lower of both final coverages, seed by seed. The oracle '
+        "knows the surface and places the fewest views that overlap as required.</p>"
+    )
 
 
-def _pictures(pictures: Mapping[str, bytes]) -> list[str]:
-    if not pictures:
-        return []
+def _picture_room(records: Sequence[Record], figures: Sequence[Figure]) -> float:
+    """Return the bytes that the page has left for pictures; as text they take a third more."""
+    rest = RUN_BYTES * len(records) + sum(len(figure.svg) for figure in figures)
+    return 3 / 4 * (MAX_PAGE_BYTES - rest)
 
-    # Embed pictures with their captions
-    shown = list(pictures.items())[:MAX_PICTURES]
-    parts = ["<h2>F1: top views</h2><div class=figures>"]
-    for caption, svg in shown:
+
+def _render_pictures(pictures: Mapping[str, bytes], room: float, counted: _FigureCount) -> str:
+    """Return the first top views, as many as ``room`` [bytes] allows."""
+    parts, size = [], 0
+    for caption, svg in list(pictures.items())[:MAX_PICTURES]:
+        size += len(svg)
+        if size > room:
+            break
         data = base64.b64encode(svg).decode("ascii")
         parts.append(
-            f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(caption)}">'
-            f"<figcaption>{escape(caption)}</figcaption></figure>"
+            f'<figure><img src="data:image/svg+xml;base64,{data}" '
+            f'alt="Top view of {escape(caption, quote=True)}">'
+            f"<figcaption>{counted.caption(caption)}</figcaption></figure>"
         )
 
     # Count the pictures left out
-    left = len(pictures) - len(shown)
-    parts.append("</div>" + (f"<p class=facts>{left} more in top_views/.</p>" if left else ""))
-    return parts
+    left = len(pictures) - len(parts)
+    more = f'<p class="note">{left} more in top_views/.</p>' if left else ""
+    return f'<div class="charts">{"".join(parts)}</div>{more}' if parts or left else ""
 
 
-def _figures(figures: Sequence[Figure]) -> list[str]:
+def _render_figures(figures: Sequence[Figure], counted: _FigureCount) -> str:
+    """Return the figures of one kind."""
     parts = []
-    for number, group in groupby(sorted(figures, key=_number), key=_number):
-        parts.append(f"<h2>{number}: {_TITLES[number]}</h2><div class=figures>")
-        for figure in group:
-            links = "".join(
-                f' <a href="figures/{escape(figure.name)}.{kind}">{kind}</a>'
-                for kind in ("svg", "csv")
-            )
-            parts.append(
-                f"<figure>{figure.svg}<figcaption>{escape(figure.caption)}{links}</figcaption>"
-                "</figure>"
-            )
-        parts.append("</div>")
-    return parts
+    for figure in figures:
+        name = escape(figure.file_name, quote=True)
+        links = " ".join(
+            f'<a href="figures/{name}.{kind}" aria-label="{kind.upper()} of {name}">{kind}</a>'
+            for kind in ("svg", "csv")
+        )
+        parts.append(
+            f'<figure class="plot">{figure.svg}<p class="pointed" aria-hidden="true"></p>'
+            f"<figcaption>{counted.caption(figure.caption)} {links}</figcaption></figure>"
+        )
+    linked = any("<a href" in figure.svg for figure in figures)
+    return f'{_DOTS if linked else ""}<div class="charts">{"".join(parts)}</div>'
 
 
-_TITLES = {
-    "F2": "views and errors",
-    "F3": "coverage",
-    "F4": "predicted and realised errors",
-    "F5": "overlaps and features",
-    "F6": "the error the planner assumes",
-    "F7": "variants side by side",
-}
+def _render_runs(records: Sequence[Record]) -> str:
+    """Return the table of all runs."""
+    return (
+        "<p>Each seed leads to the folder of its run: its settings and its record, and the "
+        "top view if it was drawn. The command, given in the folder of this page, repeats the run "
+        f'with all its files.</p><div class="runs">{render_runs(records)}</div>'
+    )
 
 
-def _number(figure: Figure) -> str:
-    return figure.name[:2]
+def _read_asset(name: str) -> str:
+    return (files("scan3d_twin.bench") / name).read_text(encoding="utf-8")

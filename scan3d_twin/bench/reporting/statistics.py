@@ -19,12 +19,20 @@ BOOTSTRAP_SEED = 0
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value with its 95 % interval, from ``n`` runs; all NaN without runs."""
+    """A value with its 95 % interval, from ``n`` values; all NaN without any.
+
+    The interval is NaN where there is none, such as that of the median of a single value.
+    """
 
     value: float
     low: float
     high: float
     n: int
+
+    @property
+    def has_interval(self) -> bool:
+        """Whether the interval is known."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
 
 
 NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan, 0)
@@ -41,10 +49,15 @@ def estimate_rate(successes: int, n: int) -> Estimate:
 
 
 def estimate_median(values: Sequence[float]) -> Estimate:
-    """Return the median with its percentile bootstrap interval (Efron 1979)."""
+    """Return the median with its percentile bootstrap interval (Efron 1979).
+
+    A single value has no interval: every bootstrap sample of it is that value.
+    """
     known = np.asarray([value for value in values if math.isfinite(value)], dtype=np.float64)
     if len(known) == 0:
         return NO_ESTIMATE
+    if len(known) == 1:
+        return Estimate(float(known[0]), math.nan, math.nan, 1)
     index = np.random.default_rng(BOOTSTRAP_SEED).integers(
         0, len(known), (BOOTSTRAP_DRAWS, len(known))
     )
@@ -57,19 +70,22 @@ def estimate_clustered_rate(groups: Sequence[Sequence[bool]]) -> Estimate:
     """Return the share of True over all ``groups``, with a cluster bootstrap interval.
 
     The bootstrap draws whole groups, because the steps of one run share a robot and its errors and
-    are not independent.
+    are not independent. A single group has no interval.
     """
     filled = [group for group in groups if group]
     if not filled:
         return NO_ESTIMATE
     hits = np.array([sum(group) for group in filled])
     sizes = np.array([len(group) for group in filled])
+    share, n = float(hits.sum() / sizes.sum()), int(sizes.sum())
+    if len(filled) == 1:
+        return Estimate(share, math.nan, math.nan, n)
     index = np.random.default_rng(BOOTSTRAP_SEED).integers(
         0, len(filled), (BOOTSTRAP_DRAWS, len(filled))
     )
     draws = hits[index].sum(axis=1) / sizes[index].sum(axis=1)
     low, high = np.quantile(draws, [0.025, 0.975])
-    return Estimate(float(hits.sum() / sizes.sum()), float(low), float(high), int(sizes.sum()))
+    return Estimate(share, float(low), float(high), n)
 
 
 def wilcoxon_p(a: Sequence[float], b: Sequence[float]) -> float:

@@ -8,6 +8,7 @@ import sys
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
@@ -218,18 +219,17 @@ def _print_figures(records: list[Record], folder: Path, *, as_json: bool) -> Non
     """Print the figures of all records in ``folder``."""
     from scan3d_twin.bench.reporting.measures import format_table, rows_as_dicts, summarise
     from scan3d_twin.bench.store import RESULTS_FILE
+    from scan3d_twin.cli.bench_table import fold_table
 
     rows = summarise(records)
     if as_json:
         document = {"folder": str(folder), "runs": len(records), "figures": rows_as_dicts(rows)}
         print(json_module.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
         return
-    cells = format_table(rows)
-    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
-    for row in cells:
-        padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        say("  ".join(padded).rstrip(), sys.stdout)
-    print(f"\n[low, high]: 95 % intervals; {folder}: {RESULTS_FILE} journal top_views/")
+    say("\n".join(fold_table(format_table(rows), get_terminal_size().columns)), sys.stdout)
+    print("\n[low, high]: 95 % intervals")
+    print(f"{folder}: {RESULTS_FILE} journal top_views/")
+    print(f"twin bench report {folder}: a page with figures")
     codes = {record.code for record in records if record.code}
     if len(codes) > 1:
         print(f"do not quote these figures: the runs used {len(codes)} versions of the sources")

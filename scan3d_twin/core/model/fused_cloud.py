@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scan3d_twin.core.display import render_html
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.registration.native import engine
@@ -54,6 +55,9 @@ class Model:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def _repr_html_(self) -> str | None:
+        return render_html(self)
 
     def select(self, mask: BoolArray | IntArray) -> Model:
         """Return the points that a mask (n,) or an index (k,) selects."""

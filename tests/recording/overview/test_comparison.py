@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from accessible import MAX_PAGE, SCHEMES, WIDTHS, find_violations
 from recorded import record
 
 from scan3d_twin.core.types import Pose2
@@ -57,3 +58,25 @@ def test_models_that_do_not_fit_are_said_not_to(runs, session, tmp_path):
     compared = compare_runs([runs[0], tmp_path / "none"])
     assert [run.apart for run in compared] == [None, None]
     assert "do not fit on each other" in render_compare_page(compared)
+
+
+def test_the_page_is_accessible(runs, tmp_path, browser):
+    text = render_compare_page(compare_runs(runs))
+    assert len(text.encode()) < MAX_PAGE
+    (tmp_path / "compared.html").write_text(text, encoding="utf-8")
+    for width in WIDTHS:
+        for scheme in SCHEMES:
+            page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+            said, asked = [], []
+            page.on(
+                "console", lambda m, said=said: said.append(m.text) if m.type == "error" else None
+            )
+            page.on("pageerror", lambda error, said=said: said.append(str(error)))
+            page.on("request", lambda request, asked=asked: asked.append(request.url))
+            page.goto((tmp_path / "compared.html").as_uri())
+            page.wait_for_selector("#model.drawn")
+            assert find_violations(page) == []
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            assert said == []
+            assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+            page.close()
