@@ -22,7 +22,14 @@ from scan3d_twin.recording.ply import model_ply
 from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.closed_loop import Truth
 from scan3d_twin.run.folder import require_own_folders, write_file, write_inside
-from scan3d_twin.run.report import Effort, Journey, Report, build_report, report_json
+from scan3d_twin.run.report import (
+    Effort,
+    Journey,
+    Report,
+    build_report,
+    count_views,
+    report_json,
+)
 from scan3d_twin.run.settings import Settings, settings_toml
 from scan3d_twin.viz.packing import show_run
 from scan3d_twin.viz.report_page import Pictures, render_report_page
@@ -135,7 +142,7 @@ def _mesh_accuracy(session: Session, mesh: Mesh, reference: Reference) -> Distan
 
 def _title(report: Report) -> str:
     parts = [
-        f"{report['views']} views",
+        count_views(report),
         f"\N{GREEK SMALL LETTER EPSILON} = {report['epsilon_mm']:g} mm",
     ]
     if report["coverage_20mm"] is not None:

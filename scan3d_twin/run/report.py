@@ -65,6 +65,11 @@ class Journey:
     track: FloatArray = field(default_factory=lambda: np.zeros((0, 4)), compare=False, repr=False)
 
 
+def count_views(report: Report) -> str:
+    """Return the number of views in words: ``1 view``, ``2 views``."""
+    return f"{report['views']} view" + ("" if report["views"] == 1 else "s")
+
+
 def thin_track(track: FloatArray) -> FloatArray:
     """Return the places of ``track`` (n, 4) that are ``TRACK_STEP`` or more from the one before."""
     kept: list[int] = []

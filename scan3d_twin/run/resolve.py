@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from scan3d_twin.core.config import preset_options
-from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.planning import check_planner
 from scan3d_twin.run.settings import (
     NAME_OR_PLACE,
@@ -16,6 +18,7 @@ from scan3d_twin.run.settings import (
     world_options,
 )
 from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.meshes.files import MESH_SUFFIXES
 from scan3d_twin.sim.scenes.scene import Scene
 
 
@@ -29,9 +32,28 @@ def resolve_sim(given: Options) -> tuple[Settings, Scene]:
     effective = build_settings([*_named_options(given), given])
     check_planner(effective.config.planner, truth_known=True)
     run = effective.run
+    _refuse_mesh_options(run)
     scene = load_run_scene(run)
     _check_target(run.target, scene)
     return settings_for_scene(scene, given), scene
+
+
+def is_mesh_file(scene: str) -> bool:
+    """Return whether ``scene`` is the name of a mesh file."""
+    return Path(scene).suffix.lower() in MESH_SUFFIXES
+
+
+def _refuse_mesh_options(run: RunConfig) -> None:
+    """Refuse options of meshes for a scene that is none, where they would do nothing."""
+    usual = RunConfig()
+    stated = {
+        "--mesh-scale": run.mesh_scale != usual.mesh_scale,
+        "--mesh-up": run.mesh_up != usual.mesh_up,
+        "--room": run.room != usual.room,
+    }
+    names = ", ".join(name for name, is_stated in stated.items() if is_stated)
+    if names and not is_mesh_file(run.scene):
+        raise ConfigError(f"{names} changes a mesh file, and the scene {run.scene} is none")
 
 
 def load_run_scene(run: RunConfig) -> Scene:

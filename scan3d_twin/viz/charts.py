@@ -183,10 +183,11 @@ def _line(chart: Chart, series: Series) -> list[str]:
 def _dot(chart: Chart, dot: Dot) -> str:
     x, y = chart.x(dot.x), chart.y(dot.y)
 
-    # Write tooltip and label
+    # Write tooltip and label, which stands below a dot at the upper edge
+    at = y - 9 if y > TOP + 10 else y + 18
     title = f"<title>{escape(dot.title)}</title>" if dot.title else ""
     label = (
-        f'<text class="label" x="{x:.1f}" y="{y - 9:.1f}" text-anchor="middle">'
+        f'<text class="label" x="{x:.1f}" y="{at:.1f}" text-anchor="middle">'
         f"{escape(dot.label)}</text>"
         if dot.label
         else ""

@@ -24,6 +24,7 @@ from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.colours import view_colour, view_colours_rgb
 from scan3d_twin.recording.load import RecordedRun, read_track, run_folder
 from scan3d_twin.recording.overview.listing import REPORT, read_report
+from scan3d_twin.run.report import count_views
 from scan3d_twin.run.resolve import load_run_scene
 from scan3d_twin.run.settings import REAL_SCENE
 from scan3d_twin.sim.config import RobotErrorConfig
@@ -114,7 +115,8 @@ def prepare_film(run: RecordedRun) -> Film:
     points, stamps, colours = _points_by_time(session, T_map_world)
 
     # Draw the scene without the robot
-    eye = _eye_of(points) if real else choose_eye(scene)
+    way = np.column_stack([placed[:, :2], np.zeros(len(placed))])
+    eye = _eye_of(points, way) if real else choose_eye(scene)
     cut_away(model, data, eye)
     bare = build_physics(scene, settings.twin.robot, errors)
     bare.geom_rgba[:], bare.geom_matid[:] = model.geom_rgba, model.geom_matid
@@ -128,7 +130,7 @@ def prepare_film(run: RecordedRun) -> Film:
         qpos=data.qpos.copy(), place=int(model.jnt_qposadr[base]),
         track=np.column_stack([track[:, 0], placed]), points=points, stamps=stamps,
         colours=colours, errors=_errors(run), epsilon=1e3 * session.config.planning.epsilon,
-        title=f"{run.name}: {len(session.views)} views",
+        title=f"{run.name}: {count_views({'views': len(session.views)})}",
     )  # fmt: skip
 
 
@@ -203,8 +205,10 @@ def _draw_strip(film: Film, stamp: float) -> Picture:
     taken = int(np.searchsorted(film.stamps, stamp, side="right"))
     draw.text((18, 16), film.title, ink, large)
     draw.text((18, 48), f"{stamp:.0f} s on the robot's clock", soft, small)
-    draw.text((18, 70), f"{taken:,} points".replace(",", " "), soft, small)
-    draw.text((18, 92), "filled: realised, ring: predicted error", soft, small)
+    draw.text((18, 70), f"{taken:,} readings".replace(",", " "), soft, small)
+    known = np.isfinite(film.errors[:, 2]).any()
+    words = "filled: realised, ring: predicted error" if known else "ring: predicted error"
+    draw.text((18, 92), words if len(film.errors) else "", soft, small)
 
     # Draw the scale: up to twice epsilon
     left, right, bottom, top = 380, WIDTH - 90, STRIP - 18, 14
@@ -287,8 +291,9 @@ def _errors(run: RecordedRun) -> FloatArray:
     return np.array(rows).reshape(-1, 3)
 
 
-def _eye_of(points: FloatArray) -> Eye:
-    """Return an eye that sees the ``points`` (n, 3) from above and aside."""
+def _eye_of(points: FloatArray, way: FloatArray) -> Eye:
+    """Return an eye that sees ``points`` (n, 3) and all of the ``way`` (m, 3) from above, aside."""
     low, high = np.quantile(points, (0.02, 0.98), axis=0)
+    low, high = np.minimum(low, way.min(axis=0)), np.maximum(high, way.max(axis=0))
     looks_at = (low + high) / 2 * (1.0, 1.0, 0.5)
     return Eye(looks_at + 0.9 * float((high - low).max()) * np.array([-0.7, -0.35, 0.62]), looks_at)

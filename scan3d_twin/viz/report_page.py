@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from scan3d_twin.core.model.evaluation import Evaluation
 from scan3d_twin.core.session import Session
-from scan3d_twin.run.report import Report
+from scan3d_twin.run.report import Report, count_views
 from scan3d_twin.viz import sections
 from scan3d_twin.viz.model_section import render_model
 from scan3d_twin.viz.packing import Shown
@@ -60,5 +60,5 @@ def render_report_page(
         sections.render_options(settings_toml),
         sections.render_foot(report),
     ]
-    title = f"{report['scene']}: {report['views']} views"
+    title = f"{report['scene']}: {count_views(report)}"
     return render_page(title, parts, report, drawn=len(shown.model) > 0)

@@ -94,7 +94,8 @@ def draw_top_view(
     """
     # Lay out the picture
     reach = 1.25 * standoff
-    frame = _frame(points, viewpoints, sweep_width, reach)
+    way = np.zeros((0, 2)) if way is None else way
+    frame = _frame(points, way, viewpoints, sweep_width, reach)
     total = frame.height + TITLE_HEIGHT + MARGIN
 
     # Draw from back to front
@@ -105,7 +106,7 @@ def draw_top_view(
         f'<text x="{MARGIN:g}" y="22" font-size="15" font-weight="600">{escape(title)}</text>',
         *_axes(frame),
         *_shape(frame, np.zeros((0, 2)) if truth is None else truth[:, :2]),
-        *_way(frame, np.zeros((0, 2)) if way is None else way),
+        *_way(frame, way),
         *_sectors(frame, viewpoints, sweep_width, reach),
         *_points(frame, points, view),
         *_stars(frame, viewpoints),
@@ -116,12 +117,16 @@ def draw_top_view(
 
 
 def _frame(
-    points: FloatArray, viewpoints: Sequence[Pose2], sweep_width: float, reach: float
+    points: FloatArray,
+    way: FloatArray,
+    viewpoints: Sequence[Pose2],
+    sweep_width: float,
+    reach: float,
 ) -> _Frame:
-    """Return a frame around all points and sectors, with a border."""
-    # Bound all points and sectors
+    """Return a frame around all points, the way and the sectors, with a border."""
+    # Bound all that is shown
     corners = [_sector_points(pose, sweep_width, reach) for pose in viewpoints]
-    seen = np.concatenate([points[:, :2], *corners])
+    seen = np.concatenate([points[:, :2], way, *corners])
     low, high = seen.min(axis=0) - 0.15, seen.max(axis=0) + 0.15
 
     # Fit the scale to both axes

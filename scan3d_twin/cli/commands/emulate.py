@@ -35,6 +35,10 @@ class EmulateOptions:
 
     scene: str = "three_boxes"
     """Name of a scene (`twin scenes`), or an .xml, .stl, .ply, .obj or .glb file."""
+    mesh_scale: float = 1.0
+    """Metres per unit of a mesh file."""
+    mesh_up: str = "auto"
+    """Axis of a mesh file that is up: y, z or auto."""
     robot: Annotated[str, Parameter(name=("--robot", "--base"))] = DEFAULT_BASE
     """Name of the base, see `twin devices`."""
     lidar: str = DEFAULT_LIDAR
@@ -163,6 +167,7 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
     from scan3d_twin.devices.registry import base_device, lidar_device
     from scan3d_twin.sim.config import DEFAULT_WORLD, TwinConfig
     from scan3d_twin.sim.robot import open_robot
+    from scan3d_twin.sim.scenes.load import load_scene
 
     base_model, lidar_model = base_device(options.robot), lidar_device(options.lidar)
     wiring = _wiring(options, lidar_model)
@@ -180,7 +185,8 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, Port, Port]]:
         opened = PtyPort(line) if numbers is None else TcpPort(line, port=numbers[index])
         return stack.enter_context(closing(opened))
 
-    with open_robot(options.scene, options.seed, config) as robot, ExitStack() as stack:
+    scene = load_scene(options.scene, options.mesh_scale, mesh_up=options.mesh_up)
+    with open_robot(scene, options.seed, config) as robot, ExitStack() as stack:
         base = port(base_model.emulate(robot.base), 0)
         lidar = port(lidar_model.emulate(robot.lidar, wiring), 1)
         yield robot.clock, base, lidar

@@ -5,31 +5,38 @@ from __future__ import annotations
 import json as json_module
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.plugins import PluginError
 
+if TYPE_CHECKING:
+    from scan3d_twin.sim.scenes.scene import Scene
+
 
 def scenes(
     *,
     show: str | None = None,
     out: Annotated[Path | None, Parameter(show_default="NAME.png")] = None,
+    mesh_scale: float = 1.0,
+    mesh_up: str = "auto",
     json: bool = False,
 ) -> None:
     """List the scenes that come with the package, or draw one.
 
     Args:
         show: Draw this scene, a name or a file as for `twin sim --scene`, instead of listing.
-        out: File for the picture.
+        out: File for the picture, a PNG.
+        mesh_scale: Metres per unit of a mesh file.
+        mesh_up: Axis of a mesh file that is up: y, z or auto.
         json: Print one JSON document instead of lines.
     """
     from scan3d_twin.sim.scenes.load import load_scene, scene_names
 
     if show is not None:
-        _draw(show, out, json)
+        _draw(load_scene(show, mesh_scale, mesh_up=mesh_up), out, json)
         return
     if out is not None:
         raise ConfigError("--out goes with --show NAME")
@@ -37,12 +44,10 @@ def scenes(
     _show({scene.name: f"[{scene.tour}] {scene.description}" for scene in loaded}, json)
 
 
-def _draw(name: str, out: Path | None, as_json: bool) -> None:
+def _draw(scene: Scene, out: Path | None, as_json: bool) -> None:
     """Write the picture of a scene and say where."""
-    from scan3d_twin.sim.scenes.load import load_scene
     from scan3d_twin.sim.scenes.pictures import render_scene, write_png
 
-    scene = load_scene(name)
     path = Path(f"{scene.name}.png") if out is None else out
     write_png(path, render_scene(scene))
     print(json_module.dumps({"scene": scene.name, "picture": str(path)}) if as_json else path)

@@ -53,12 +53,16 @@ def sim(
     Raises:
         TwinError: The scan failed or was stopped; the views finished by then are saved.
     """
+    from scan3d_twin.run.resolve import is_mesh_file
+
     given = {} if dotted is None else stated(dotted)
     if options.resume is None:
         resume, (effective, scene) = None, resolve(options, given)
     else:
         resume, scene = _going_on(options, options.resume, given)
         effective = resume.settings
+    if is_mesh_file(effective.run.scene):
+        say(f"{scene.description}; --mesh-up and --mesh-scale change that")
     for note in scene.notes:
         say(note)
 

@@ -13,6 +13,8 @@ from scan3d_twin.recording.names import PART, SESSION_FILE
 
 REPORT = "report.json"
 """File of the report in a run's folder."""
+NO_REPORT = "no report"
+"""State of a run without one."""
 _NUMBERS = ("views", "seed", "coverage_20mm", "max_registration_error_mm", "path_m", "sim_time_s")
 """Fields of a report that are numbers, or not known."""
 
@@ -62,6 +64,8 @@ def _describe(folder: Path) -> ListedRun:
     report, state = read_report(folder / REPORT)
     if (folder / _PARTIAL).is_file():
         state = "not finished: twin session recover, or it still runs"
+    elif not report and state == NO_REPORT:
+        state = f"{NO_REPORT}: ended while it was saved? twin sim --resume writes it"
     return ListedRun(folder, written, report, state)
 
 
@@ -70,7 +74,7 @@ def read_report(path: Path) -> tuple[dict[str, Any], str]:
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return {}, "no report"
+        return {}, NO_REPORT
     except (OSError, ValueError, RecursionError):
         return {}, "its report cannot be read"
     return (report, "finished") if _is_report(report) else ({}, "its report cannot be read")

@@ -28,6 +28,9 @@ from scan3d_twin.core.errors import FileError
 FOLDER = Path(__file__).parent
 LIBRARY = FOLDER / "libengine.so.1"
 CURE = "run `make setup` in a checkout, or install the package again"
+SHADOWED = (
+    "Python has found the sources here, not the installed package: run it from another folder"
+)
 
 ByteArray = npt.NDArray[np.uint8]
 
@@ -346,7 +349,8 @@ class Engine:
         try:
             library = ctypes.CDLL(str(self.path))
         except OSError as error:
-            raise FileError(f"cannot load the compiled engine ({error}): {CURE}") from None
+            cure = CURE if self.path.exists() else f"{SHADOWED}, or {CURE}"
+            raise FileError(f"cannot load the compiled engine ({error}): {cure}") from None
         wanted, found = digest_sources(), ctypes.c_char_p.in_dll(library, "engine_digest")
         built_from = ctypes.string_at(ctypes.addressof(found)).decode()
         if wanted is not None and built_from != wanted:

@@ -89,7 +89,9 @@ def mesh_spec(
     spec.worldbody.add_light(pos=[0, 0, 3], dir=[0.3, 0, -1])
     spec.add_text(name="scan3d.tour", data="full")
     place = "on an open floor" if room is None else _add_room(spec, vertices[faces], room)
-    spec.add_text(name="scan3d.description", data=f"mesh {path.name} {place}")
+    x, y, z = np.ptp(vertices, axis=0)
+    size = f"{x:.2f} x {y:.2f} x {z:.2f} m high"
+    spec.add_text(name="scan3d.description", data=f"mesh {path.name}, {size}, {place}")
     return spec, notes
 
 
