@@ -105,6 +105,7 @@ class Model:
         counts_per_turn: Encoder counts per wheel turn; 0 where packets 43 and 44 do not exist.
         songs: Number of songs it can store.
         radius_mm: Radius of the round body [mm].
+        min_speed_mm: Speed of the faster wheel below which it may not turn at all [mm/s].
     """
 
     name: str
@@ -116,6 +117,7 @@ class Model:
     counts_per_turn: float
     songs: int
     radius_mm: float = 165.0  # create_robot URDF; both generations
+    min_speed_mm: float = 0.0
 
     @property
     def has_counts(self) -> bool:

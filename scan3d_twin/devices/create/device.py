@@ -80,7 +80,11 @@ def describe_roomba(stated: oi.Model, summary: str) -> BaseDevice:
         emulate=lambda base: CreateEmulator(base, stated),
         open_driver=partial(open_create, stated=stated),
         open_stated=None,
-        options={"motion": {"robot_radius": stated.radius_mm / 1000 + BODY_MARGIN}},
+        options={
+            "motion": {"robot_radius": stated.radius_mm / 1000 + BODY_MARGIN},
+            # The slowest turn that all of them drive: 5.4 deg/s
+            "sweep": {"yaw_rate": 2 * stated.min_speed_mm / stated.wheel_base_mm},
+        },
     )
 
 

@@ -309,6 +309,8 @@ class CreateEmulator:
         self._turn_wheels(right, left)
 
     def _turn_wheels(self, right_mm: int, left_mm: int) -> None:
+        if max(abs(right_mm), abs(left_mm)) < self._model.min_speed_mm:
+            right_mm = left_mm = 0
         if self._quirks.steps_speed:
             right_mm, left_mm = step_speed(right_mm), step_speed(left_mm)
         self.wheels_mm = (right_mm, left_mm)

@@ -242,4 +242,5 @@ def base_spec(model: Model, *, streams: bool) -> BaseSpec:
         counts_per_turn=model.counts_per_turn if model.has_counts else whole_mm,
         max_wheel_speed=oi.MAX_WHEEL_SPEED_MM / 1000,
         sample_period=oi.PERIOD if streams else POLL_PERIOD,
+        min_wheel_speed=model.min_speed_mm / 1000,
     )

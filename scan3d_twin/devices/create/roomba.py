@@ -22,23 +22,24 @@ from dataclasses import replace
 
 from scan3d_twin.devices.create.codec import CREATE2, MAX_WHEEL_SPEED_MM, Op
 
+FIRST_STEP_MM, STEP_MM = 11.0, 28.5
+"""Slowest wheel speed that moves one Create 2, and the width of a step of speed [mm/s];
+ktibow.github.io/blog/roombamotors. Nobody has reported the steps of another one, nor of a Roomba;
+that a Roomba does not drive under 10 mm/s is on page 15 of Hacking Roomba, too."""
+
+ROOMBA600 = replace(CREATE2, name="roomba600", min_speed_mm=FIRST_STEP_MM)
 ROOMBA500 = replace(
-    CREATE2,
+    ROOMBA600,
     name="roomba500",
     # [500] ends at opcode 168
     opcodes={op: size for op, size in CREATE2.opcodes.items() if op not in (Op.RESET, Op.STOP)},
     songs=16,  # [500]: songs 0 to 15
 )
-ROOMBA600 = replace(CREATE2, name="roomba600")
 LARGE_RADIUS_MM = 176.5
 """Radius of a 700 or 800 [mm]: half of 353 mm, the largest of the round ones in [W]. No source that
 was found has the radius of either series; the larger one keeps more clear of obstacles."""
-ROOMBA700 = replace(CREATE2, name="roomba700", radius_mm=LARGE_RADIUS_MM)
-ROOMBA800 = replace(CREATE2, name="roomba800", radius_mm=LARGE_RADIUS_MM)
-
-FIRST_STEP_MM, STEP_MM = 11.0, 28.5
-"""Slowest wheel speed that moves one Create 2, and the width of a step of speed [mm/s];
-ktibow.github.io/blog/roombamotors. Nobody has reported them of another one, nor of a Roomba."""
+ROOMBA700 = replace(ROOMBA600, name="roomba700", radius_mm=LARGE_RADIUS_MM)
+ROOMBA800 = replace(ROOMBA600, name="roomba800", radius_mm=LARGE_RADIUS_MM)
 
 
 def step_speed(speed_mm: int) -> int:

@@ -1,11 +1,16 @@
 """The Roomba 500 to 800: told by their users, otherwise a Create 2; their numbers and sensors."""
 
+import logging
 import math
 
 import pytest
 from kinematic import JumpingClock, KinematicBase
 
+from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.errors import ConfigError, LinkError
+from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.navigation.motion_control import turn_by
+from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import CREATE1, CREATE2, CommandParser
 from scan3d_twin.devices.create.device import ROOMBA500, ROOMBA800
@@ -13,9 +18,10 @@ from scan3d_twin.devices.create.driver import open_create
 from scan3d_twin.devices.create.emulated_body import Quirks
 from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.create.packets import DockSignal, Mode, Packet
-from scan3d_twin.devices.create.roomba import step_speed
+from scan3d_twin.devices.create.roomba import ROOMBA600, step_speed
 from scan3d_twin.devices.links.line_model import NO_FAULTS, Line, Wire
 from scan3d_twin.devices.registry import Devices, base_device
+from scan3d_twin.real.robot import ServicedClock
 from scan3d_twin.sim.world import robot_spec
 
 NAMES = ["roomba500", "roomba600", "roomba700", "roomba800"]
@@ -127,6 +133,74 @@ def test_a_base_with_stepped_speeds_drives_them():
     clock.sleep(0.1)
     wire.read(0.0)
     assert device.wheels_mm == (39, 0)
+
+
+def roomba(quirks=None, model=ROOMBA600):
+    """Return a robot without a lidar: the driver on an emulated Roomba, in virtual time."""
+    wire, clock, _ = wire_to(model, quirks)
+    serviced = ServicedClock(clock)
+    base = open_create(wire, serviced, stated=model)
+    serviced.attach(base)
+    return Robot(base, None, serviced)
+
+
+@pytest.mark.parametrize("stepped", [False, True])
+@pytest.mark.parametrize("degrees", [30, -3, 1, 0.7])
+def test_a_roomba_finishes_small_turns_whether_its_speeds_have_steps_or_not(stepped, degrees):
+    """Below 11 mm/s its wheels may stand: a turn of 1 deg would never end."""
+    robot = roomba(Quirks(steps_speed=stepped))
+    turn_by(robot, math.radians(degrees), MotionConfig())
+    robot.clock.sleep(0.5)
+    yaw = robot.base.odometry().T_odom_base.yaw
+    assert math.degrees(yaw) == pytest.approx(degrees, abs=1.0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_sweep_of_a_roomba_is_the_slowest_turn_that_it_drives(name):
+    device = base_device(name)
+    rate = device.options["sweep"]["yaw_rate"]
+    left, right = split_velocity(device.spec, 0.0, rate)
+    assert (left, right) == pytest.approx((-0.011, 0.011), abs=1e-9)
+    assert math.degrees(rate) == pytest.approx(5.36, abs=0.01)
+
+
+def test_too_slow_a_command_is_sped_up_on_the_same_path():
+    left, right = split_velocity(ROOMBA500.spec, 0.003, 0.02)
+    assert right == pytest.approx(0.011, abs=1e-9)
+    assert left == pytest.approx(0.011 * (0.003 - 0.00235) / (0.003 + 0.00235), abs=0.0005)
+    assert split_velocity(ROOMBA500.spec, 0.0, 0.0) == (0.0, 0.0)
+
+
+def test_an_emulated_roomba_stands_when_told_less_than_it_drives():
+    wire, clock, device = wire_to(ROOMBA500)
+    wire.write(oi.command(oi.Op.START) + oi.command(oi.Op.SAFE) + oi.drive_direct(10, -10))
+    clock.sleep(0.1)
+    wire.read(0.0)
+    assert device.wheels_mm == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("stepped", "rate", "warned"),
+    [(True, 0.09, True), (True, 0.332, False), (False, 0.09, False), (False, 0.332, False)],
+)
+def test_a_base_whose_speeds_have_steps_is_named(caplog, stepped, rate, warned):
+    robot = roomba(Quirks(steps_speed=stepped))
+    with caplog.at_level(logging.WARNING):
+        robot.base.set_velocity(0.0, rate)
+        robot.clock.sleep(3.0)
+    said = [record.getMessage() for record in caplog.records]
+    assert [text for text in said if "knows only a few speeds" in text] == said
+    assert len(said) == warned
+    assert not warned or said[0].startswith("the base drives 39 and -39 mm/s where it was told 11")
+
+
+def test_a_create_2_that_stands_where_it_should_turn_slowly_is_named(caplog):
+    robot = roomba(Quirks(steps_speed=True), CREATE2)
+    with caplog.at_level(logging.WARNING):
+        robot.base.set_velocity(0.0, math.radians(5.0))
+        robot.clock.sleep(3.0)
+    (record,) = caplog.records
+    assert record.getMessage().startswith("the base drives 0 and 0 mm/s where it was told 10")
 
 
 @pytest.mark.parametrize(
