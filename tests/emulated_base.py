@@ -4,6 +4,7 @@ import time
 
 from kinematic import JumpingClock, KinematicBase
 
+from scan3d_twin.devices.create.codec import CREATE2
 from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.links.line_model import Line
 from scan3d_twin.devices.links.pty import PtyPort
@@ -13,9 +14,9 @@ from scan3d_twin.devices.links.serve import serve
 class Road:
     """An emulated base on a pseudo-terminal, in real time."""
 
-    def __init__(self):
+    def __init__(self, model=CREATE2):
         self.base = KinematicBase()
-        self.device = CreateEmulator(self.base)
+        self.device = CreateEmulator(self.base, model)
         self._clock = JumpingClock(self.base)
         self.port = PtyPort(Line(self.device))
         self.close = self.port.close

@@ -52,6 +52,7 @@ class BaseSpec:
         counts_per_turn: Encoder counts per wheel turn.
         max_wheel_speed: [m/s].
         sample_period: Time between two sensor packets [s].
+        min_wheel_speed: Speed of the faster wheel below which it may not turn at all [m/s].
     """
 
     name: str
@@ -61,6 +62,7 @@ class BaseSpec:
     counts_per_turn: float
     max_wheel_speed: float
     sample_period: float
+    min_wheel_speed: float = 0.0
 
 
 class DriveBase(Protocol):

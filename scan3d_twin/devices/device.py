@@ -228,7 +228,7 @@ class BaseDevice:
         describe: Returns a one-line description of the device behind an open driver.
         inspect: Yields further findings about the device behind an open driver.
         mjcf: The robot's body as an MJCF file with the names of ``assets/mjcf/create2.xml``; None
-            is that file, with the wheels of ``spec``.
+            is that file, with the body and the wheels of ``spec``.
         counts: Whether odometry comes from encoder counts; otherwise from the drive commands.
         options: Defaults of the configuration for this base, by section; for example its size
             (``motion``).

@@ -9,13 +9,15 @@ Importing this module is cheap (no numpy).
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules, resolve_name
+from types import ModuleType
 from typing import TYPE_CHECKING, TypeVar
 
-from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.plugins import PluginError, load_plugin
 
 if TYPE_CHECKING:
@@ -54,7 +56,7 @@ class Devices:
 
     def __post_init__(self) -> None:
         if self.base not in _own(BASES) and self.base not in base_names():
-            raise UnknownNameError("robot", self.base, base_names())
+            raise _unknown("robot", self.base, BASES)
         object.__setattr__(self, "link", _choose_link(self.lidar, self.link))
 
 
@@ -109,15 +111,28 @@ def _own(group: str) -> dict[str, str]:
     The package of each family states its devices in ``LIDARS`` and ``BASES``: by name, what they
     are called in its module ``device``.
     """
+    own = {}
+    for family in _families():
+        stated: dict[str, str] = getattr(family, _STATED_IN[group], {})
+        own.update({k: f"{family.__name__}.device:{name}" for k, name in stated.items()})
+    return own
+
+
+def _refused() -> dict[str, str]:
+    """Return why devices are not offered, by a pattern of their names.
+
+    A family states in ``REFUSED`` what its users may look for in vain.
+    """
+    stated: list[dict[str, str]] = [getattr(family, "REFUSED", {}) for family in _families()]
+    return {pattern: reason for each in stated for pattern, reason in each.items()}
+
+
+def _families() -> list[ModuleType]:
+    """Return the package of each family of devices."""
     from scan3d_twin import devices
 
-    own = {}
-    for found in iter_modules(devices.__path__):
-        if found.ispkg:
-            family = import_module(f"{devices.__name__}.{found.name}")
-            stated: dict[str, str] = getattr(family, _STATED_IN[group], {})
-            own.update({k: f"{family.__name__}.device:{name}" for k, name in stated.items()})
-    return own
+    found = iter_modules(devices.__path__)
+    return [import_module(f"{devices.__name__}.{each.name}") for each in found if each.ispkg]
 
 
 def _load(kind: str, name: str, group: str, cls: type[D]) -> D:
@@ -154,8 +169,16 @@ def _place(kind: str, name: str, group: str) -> str:
     """Return where another package holds its device ``name``."""
     others = _others(group)
     if name not in others:
-        raise UnknownNameError(kind, name, _names(group))
+        raise _unknown(kind, name, group)
     return others[name].value
+
+
+def _unknown(kind: str, name: str, group: str) -> ConfigError:
+    """Return the error for a ``name`` that no device has, with the reason if it is refused."""
+    for pattern, reason in _refused().items():
+        if re.fullmatch(pattern, name, re.IGNORECASE):
+            return ConfigError(f"no {kind} {name!r}: {reason}")
+    return UnknownNameError(kind, name, _names(group))
 
 
 def _others(group: str) -> dict[str, EntryPoint]:

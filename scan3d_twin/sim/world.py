@@ -70,10 +70,13 @@ class RobotErrors:
 
 
 def robot_spec(robot: str) -> Any:
-    """Return the robot's own ``MjSpec``, with the wheels of its data sheet."""
+    """Return the robot's own ``MjSpec``, with the body and the wheels of its data sheet."""
     device = base_device(robot)
     path = device.mjcf or find_resource_dir("assets") / "mjcf" / "create2.xml"
     spec = mujoco.MjSpec.from_file(str(path))
+    if device.mjcf is None:
+        chassis = spec.geom("chassis")
+        chassis.size = [device.spec.radius, *chassis.size[1:]]
     radius, half = device.spec.wheel_diameter / 2, device.spec.wheel_base / 2
     for side, sign in (("left", 1), ("right", -1)):
         tyre = spec.geom(f"{side}_tyre")

@@ -47,7 +47,7 @@ def lidar_name(request: pytest.FixtureRequest) -> str:
 def backends(config: pytest.Config, *, every_lidar: bool = False) -> dict[str, Opener]:
     """Return what to hold to the contract: by default our own bases, else what is asked for.
 
-    With ``every_lidar`` a lidar of each kind is among our own.
+    With ``every_lidar`` a lidar of each kind is among our own, else a Roomba.
     """
     robot, lidar = config.getoption("--robot"), config.getoption("--lidar") or DEFAULT_LIDAR
     sim, wired = openers(robot or DEFAULT_BASE, lidar)
@@ -55,7 +55,9 @@ def backends(config: pytest.Config, *, every_lidar: bool = False) -> dict[str, O
     if robot:
         return both
     both["wired_create1"] = openers("create1", lidar)[1]
-    if every_lidar and lidar != ROTATING:
+    if not every_lidar:
+        both["wired_roomba800"] = openers("roomba800", lidar)[1]
+    elif lidar != ROTATING:
         names = f"sim_{ROTATING}", f"wired_{ROTATING}"
         both.update(zip(names, openers(DEFAULT_BASE, ROTATING), strict=True))
     return both

@@ -153,7 +153,7 @@ def test_the_device_says_which_links_are_usb(monkeypatch):
 def test_what_nobody_knows_lists_what_is_known():
     with pytest.raises(UnknownNameError, match=r"no lidar 'sick'; known: .*urg04lx"):
         lidar_device("sick")
-    with pytest.raises(UnknownNameError, match="no robot 'roomba'; known: create1, create2"):
-        Devices(base="roomba")
+    with pytest.raises(UnknownNameError, match="no robot 'turtlebot'; known: create1, create2"):
+        Devices(base="turtlebot")
     with pytest.raises(UnknownNameError, match="no lidar link 'wifi'; known: 115200, "):
         Devices(link="wifi")

@@ -12,15 +12,18 @@ import pytest
 from emulated_base import Road
 from kinematic import turned
 
+from scan3d_twin.devices.create.codec import CREATE2
+from scan3d_twin.devices.create.roomba import ROOMBA500
+
 METRES_PER_COUNT = math.pi * 0.072 / 508.8
 
 
-def judge(name):
-    """Let the client ``name`` drive; return what it read, and where the base really is."""
+def judge(name, model=CREATE2):
+    """Let the client ``name`` drive a ``model``; return what it read, and where the base is."""
     if importlib.util.find_spec(name) is None:
         pytest.skip(f"{name} is not installed: uv sync --group judges")
     program = Path(__file__).with_name(f"drive_{name}.py")
-    with closing(Road()) as road:
+    with closing(Road(model)) as road:
         command = [sys.executable, str(program), road.port.path]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             road.serve(lambda: process.poll() is not None, timeout=30.0)
@@ -29,8 +32,9 @@ def judge(name):
             return json.loads(line), road.base
 
 
-def test_pycreate2_drives_and_reads():
-    (before, middle, after), base = judge("pycreate2")
+@pytest.mark.parametrize("model", [CREATE2, ROOMBA500], ids=lambda model: model.name)
+def test_pycreate2_drives_and_reads(model):
+    (before, middle, after), base = judge("pycreate2", model)
     assert [each["open_interface_mode"] for each in (before, middle, after)] == [2, 2, 2]
     assert before["voltage"] == 16000
     way = (middle["encoder_counts_left"] - before["encoder_counts_left"]) * METRES_PER_COUNT

@@ -27,7 +27,7 @@ def terminal():
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        ({"base": "roomba"}, "no robot 'roomba'"),
+        ({"base": "turtlebot"}, "no robot 'turtlebot'"),
         ({"lidar": "sick"}, "no lidar 'sick'"),
         ({"link": "wifi"}, "no lidar link 'wifi'"),
     ],

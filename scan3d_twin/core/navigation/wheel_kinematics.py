@@ -20,7 +20,8 @@ SPEED_STEP = 0.001
 def split_velocity(spec: BaseSpec, linear: float, angular: float) -> tuple[float, float]:
     """Return the (left, right) wheel speeds [m/s] that are sent for a command, in whole mm/s.
 
-    A command that is too fast is slowed down so that the curvature of the path is kept.
+    A command that is too fast is slowed down so that the curvature of the path is kept; one that is
+    too slow for the wheels to turn (``min_wheel_speed``) is sped up in the same way.
 
     Raises:
         ConfigError: The command is not finite.
@@ -29,7 +30,10 @@ def split_velocity(spec: BaseSpec, linear: float, angular: float) -> tuple[float
         raise ConfigError(f"velocity must be finite, got {linear:g} m/s and {angular:g} rad/s")
     left = linear - angular * spec.wheel_base / 2
     right = linear + angular * spec.wheel_base / 2
-    scale = min(1.0, spec.max_wheel_speed / max(abs(left), abs(right), SPEED_STEP))
+    fastest = max(abs(left), abs(right))
+    scale = min(1.0, spec.max_wheel_speed / max(fastest, SPEED_STEP))
+    if 0.0 < fastest < spec.min_wheel_speed:
+        scale = spec.min_wheel_speed / fastest
     return (
         round(left * scale / SPEED_STEP) * SPEED_STEP,
         round(right * scale / SPEED_STEP) * SPEED_STEP,

@@ -104,6 +104,8 @@ class Model:
         wheel_diameter_mm: Diameter of a wheel [mm].
         counts_per_turn: Encoder counts per wheel turn; 0 where packets 43 and 44 do not exist.
         songs: Number of songs it can store.
+        radius_mm: Radius of the round body [mm].
+        min_speed_mm: Speed of the faster wheel below which it may not turn at all [mm/s].
     """
 
     name: str
@@ -114,6 +116,13 @@ class Model:
     wheel_diameter_mm: float
     counts_per_turn: float
     songs: int
+    radius_mm: float = 165.0  # create_robot URDF; both generations
+    min_speed_mm: float = 0.0
+
+    @property
+    def has_counts(self) -> bool:
+        """Whether it has encoder counts, as the Create 2 and the Roomba since the 500 have."""
+        return self.counts_per_turn > 0
 
     @property
     def mm_per_count(self) -> float:

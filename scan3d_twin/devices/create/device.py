@@ -1,6 +1,6 @@
-"""Descriptions of the iRobot Create 1 and Create 2 for the device registry.
+"""Descriptions of the iRobot Create 1, Create 2 and Roomba 500 to 800 for the device registry.
 
-Both share one driver, which detects the model on the line; the user may state it.
+All share one driver, which tells a Create 1 from the others on the line; the user may state it.
 """
 
 from __future__ import annotations
@@ -11,11 +11,14 @@ from functools import partial
 
 from scan3d_twin.core.hal import DriveBase
 from scan3d_twin.devices.create import codec as oi
-from scan3d_twin.devices.create import model
+from scan3d_twin.devices.create import model, roomba
 from scan3d_twin.devices.create.driver import FAREWELL, STOP, CreateBase, open_create
 from scan3d_twin.devices.create.emulator import CreateEmulator
-from scan3d_twin.devices.create.link import HALF_DRIVE
+from scan3d_twin.devices.create.link import HALF_DRIVE, base_spec
 from scan3d_twin.devices.device import BaseDevice, Finding
+
+BODY_MARGIN = 0.005
+"""What the planner adds to the radius of the body [m]: 0.17 m for the 0.165 m of a Create."""
 
 
 def emulate_create1(base: DriveBase) -> CreateEmulator:
@@ -44,7 +47,7 @@ def inspect_create(base: CreateBase) -> Iterator[Finding]:
 
 CREATE2 = BaseDevice(
     name="create2",
-    summary="iRobot Create 2 and Roomba 500 and 600: encoder counts",
+    summary="iRobot Create 2: encoder counts",
     spec=model.CREATE2,
     open_driver=open_create,
     emulate=emulate_create2,
@@ -65,3 +68,27 @@ CREATE1 = replace(
     open_stated=partial(open_create, stated=oi.CREATE1),
     counts=False,
 )
+
+
+def describe_roomba(stated: oi.Model, summary: str) -> BaseDevice:
+    """Return the description of a Roomba: a Create 2 of other numbers."""
+    return replace(
+        CREATE2,
+        name=stated.name,
+        summary=summary,
+        spec=base_spec(stated, streams=True),
+        emulate=lambda base: CreateEmulator(base, stated),
+        open_driver=partial(open_create, stated=stated),
+        open_stated=None,
+        options={
+            "motion": {"robot_radius": stated.radius_mm / 1000 + BODY_MARGIN},
+            # The slowest turn that all of them drive: 5.4 deg/s
+            "sweep": {"yaw_rate": 2 * stated.min_speed_mm / stated.wheel_base_mm},
+        },
+    )
+
+
+ROOMBA500 = describe_roomba(roomba.ROOMBA500, "iRobot Roomba 500 series, as a Create 2")
+ROOMBA600 = describe_roomba(roomba.ROOMBA600, "iRobot Roomba 600 series, as a Create 2")
+ROOMBA700 = describe_roomba(roomba.ROOMBA700, "iRobot Roomba 700 series, as a larger Create 2")
+ROOMBA800 = describe_roomba(roomba.ROOMBA800, "iRobot Roomba 800 series, as a larger Create 2")

@@ -44,6 +44,7 @@ from scan3d_twin.devices.create.link import (
 from scan3d_twin.devices.create.order_watch import OrderWatch
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.create.reading_filter import ReadingFilter
+from scan3d_twin.devices.create.speed_watch import SpeedWatch
 from scan3d_twin.devices.links.guard import Guard, NoGuard
 from scan3d_twin.devices.links.transport import Transport, is_away
 
@@ -137,6 +138,7 @@ class CreateBase:
         self._sent = (0, 0)
         self._sent_at = self._asked_at = -math.inf
         self._orders = OrderWatch(clock.now())
+        self._speeds = SpeedWatch(contact.model)
         self._asks = 0
         self._halted_at = self._safe_at = -math.inf
         self._resumes = False
@@ -294,6 +296,8 @@ class CreateBase:
                 return
 
         # Store mode and hazards
+        if not doubtful:
+            self._speeds.take(self._sent, stamp, values)
         self._values = believed
         self.mode = Mode(believed[Packet.MODE] - self.contact.mode_offset)
         self._hazards = decode_hazards(believed)

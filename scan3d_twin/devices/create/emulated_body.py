@@ -37,6 +37,7 @@ class Quirks:
             Roomba, page 26.
         counts: Encoder counts (left, right) at power-on.
         silent: Whether it stays silent until its battery is taken out (create_robot issue 54).
+        steps_speed: Whether the wheels drive a few speeds only (``roomba.step_speed``).
     """
 
     header_summed: bool = True
@@ -47,6 +48,7 @@ class Quirks:
     deaf: float = 0.0
     counts: tuple[int, int] = (0, 0)
     silent: bool = False
+    steps_speed: bool = False
 
 
 class Wheels:
@@ -87,7 +89,7 @@ class Wheels:
 
     def counts(self) -> tuple[int, int]:
         """Return the encoder counts (left, right), 0..65535; 0 on a Create 1, which has none."""
-        if not self._model.counts_per_turn:
+        if not self._model.has_counts:
             return 0, 0
         per_mm, (left, right) = 1 / self._model.mm_per_count, self._quirks.counts
         return (
@@ -117,14 +119,17 @@ class Body:
         virtual_wall: Whether a virtual wall is seen, packet 13.
         inputs: Bits of packet 32, the cargo bay's digital inputs.
         analog: Packet 33, the cargo bay's analog input, 0..1023.
+        ir: Characters that the omnidirectional, left and right receiver see, packets 17, 52 and 53,
+            such as ``DockSignal``; None is no character.
     """
 
     def __init__(self, base: DriveBase, model: Model, quirks: Quirks) -> None:
         self.charger = self.buttons = self.inputs = self.analog = 0
         self.virtual_wall = False
+        self.ir: tuple[int | None, int | None, int | None] = (None, None, None)
         self.wheels = Wheels(model, quirks, base.odometry())
         self._base = base
-        self._no_ir = 0 if model.counts_per_turn else 255
+        self._no_ir = 0 if model.has_counts else 255
 
     def cliff(self) -> bool:
         """Return whether any of the four cliff sensors sees no floor."""
@@ -179,8 +184,11 @@ class Body:
 
     def _other_readings(self) -> dict[int, int]:
         left, right = self.wheels.counts()
+        omni, ir_left, ir_right = (self._no_ir if seen is None else seen for seen in self.ir)
         return {
-            Packet.IR_OMNI: self._no_ir,
+            Packet.IR_OMNI: omni,
+            Packet.IR_LEFT: ir_left,
+            Packet.IR_RIGHT: ir_right,
             Packet.BUTTONS: self.buttons,
             Packet.DIGITAL_INPUTS: self.inputs,
             Packet.ANALOG_INPUT: self.analog,

@@ -17,6 +17,7 @@ from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Command, CommandParser, Model, Op
 from scan3d_twin.devices.create.emulated_body import Body, Quirks
 from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets, packets_of, size_of
+from scan3d_twin.devices.create.roomba import step_speed
 from scan3d_twin.devices.create.script_events import has_happened
 
 SLEEP_AFTER = 300.0
@@ -156,7 +157,7 @@ class CreateEmulator:
 
         # Fall asleep when idle
         idle = self.mode <= Mode.PASSIVE and not self.body.charger
-        if idle and self._model is not oi.CREATE1 and now - self._heard > SLEEP_AFTER:
+        if idle and self._model.has_counts and now - self._heard > SLEEP_AFTER:
             self._change_mode(Mode.OFF)
             self.asleep = True
 
@@ -276,7 +277,7 @@ class CreateEmulator:
         self._baud = self._model.baud
         self._stream, self._script = [], b""
         self._deaf_until = self._now + BOOT
-        if self._model is oi.CREATE1:
+        if not self._model.has_counts:
             return
         lines = BANNER.encode().splitlines(keepends=True)
         self._later.append((self._now + 0.1, b"".join(lines[:3])))
@@ -308,6 +309,10 @@ class CreateEmulator:
         self._turn_wheels(right, left)
 
     def _turn_wheels(self, right_mm: int, left_mm: int) -> None:
+        if max(abs(right_mm), abs(left_mm)) < self._model.min_speed_mm:
+            right_mm = left_mm = 0
+        if self._quirks.steps_speed:
+            right_mm, left_mm = step_speed(right_mm), step_speed(left_mm)
         self.wheels_mm = (right_mm, left_mm)
         self._base.set_velocity(
             (right_mm + left_mm) / 2000, (right_mm - left_mm) / self._model.wheel_base_mm

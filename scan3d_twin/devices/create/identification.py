@@ -3,7 +3,8 @@
 No single answer decides, and no single missing one: a byte may be lost, and a line may be slow.
 
 * Only a Create 2 has encoder counts (packets 43 and 44). It is named after ``AGREEING`` frames that
-  contain them, each with its checksum.
+  contain them, each with its checksum. A Roomba 500 to 800 answers like a Create 2: only the user
+  can tell which it is.
 * A Create 1 leaves that question unanswered (a refusal): the base answers a question of the same
   length right before and right after it, so that neither the line nor the base is at fault. Only a
   Create 1 has the command Show Script: it is named after a refusal and two equal answers to that.
@@ -100,7 +101,7 @@ class Evidence:
 
     def supports(self, model: Model) -> bool:
         """Return whether this is enough for a base that is stated to be a ``model``."""
-        return self.counts > 0 if model is CREATE2 else self.refused > 0 and not self.counts
+        return self.counts > 0 if model.has_counts else self.refused > 0 and not self.counts
 
     def __str__(self) -> str:
         script = "answers" if self.shows_script else "does not answer"
@@ -168,12 +169,12 @@ def _decide(evidence: Evidence, stated: Model | None) -> Model:
             f"a base answers at {evidence.baud} baud, but not clearly which: {evidence}; check the "
             f"cable, or state it with --robot {CREATE1.name} or --robot {CREATE2.name}"
         )
-    if stated not in (shown, None):
+    if stated is not None and stated.has_counts != shown.has_counts:
         raise LinkError(
             f"the base on the port is no {stated.name}: {evidence}; leave out --robot (in a "
             "--config file too: robot), or name another port with --port"
         )
-    return shown
+    return shown if stated is None else stated
 
 
 class _Questioner:

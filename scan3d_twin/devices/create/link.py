@@ -9,7 +9,7 @@ from typing import Protocol
 
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.devices.create import codec as oi
-from scan3d_twin.devices.create.codec import CREATE1, CREATE2, Model, Op, StreamParser
+from scan3d_twin.devices.create.codec import Model, Op, StreamParser
 from scan3d_twin.devices.create.packets import Mode, Packet, decode_packets, size_of
 from scan3d_twin.devices.links.transport import Transport
 
@@ -43,7 +43,7 @@ COMMON = (
 )
 """Packets the driver reads on every base."""
 COUNTS = (Packet.LEFT_COUNTS, Packet.RIGHT_COUNTS)
-"""Encoder counts, on a Create 2 only."""
+"""Encoder counts, on a Create 2 or Roomba only."""
 MOVED = (Packet.DISTANCE, Packet.ANGLE)
 """Distance and rotation since the last read, used on a Create 1."""
 
@@ -188,7 +188,7 @@ class Poll:
 
 def watched_packets(contact: Contact) -> tuple[Packet, ...]:
     """Return the packets that the driver reads from this base at all times."""
-    return COMMON + COUNTS if contact.model is CREATE2 else COMMON
+    return COMMON + COUNTS if contact.model.has_counts else COMMON
 
 
 def packets_at_rest(contact: Contact) -> tuple[Packet, ...]:
@@ -197,7 +197,7 @@ def packets_at_rest(contact: Contact) -> tuple[Packet, ...]:
     Each read resets those and drops their fractions, so they are not read while the base drives.
     """
     return (
-        watched_packets(contact) if contact.model is CREATE2 else watched_packets(contact) + MOVED
+        watched_packets(contact) if contact.model.has_counts else watched_packets(contact) + MOVED
     )
 
 
@@ -236,10 +236,11 @@ def base_spec(model: Model, *, streams: bool) -> BaseSpec:
     whole_mm = math.pi * model.wheel_diameter_mm
     return BaseSpec(
         name=model.name,
-        radius=0.165,  # create_robot URDF; both generations
+        radius=model.radius_mm / 1000,
         wheel_base=model.wheel_base_mm / 1000,
         wheel_diameter=diameter,
-        counts_per_turn=whole_mm if model is CREATE1 else model.counts_per_turn,
+        counts_per_turn=model.counts_per_turn if model.has_counts else whole_mm,
         max_wheel_speed=oi.MAX_WHEEL_SPEED_MM / 1000,
         sample_period=oi.PERIOD if streams else POLL_PERIOD,
+        min_wheel_speed=model.min_speed_mm / 1000,
     )

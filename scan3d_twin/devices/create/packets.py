@@ -94,6 +94,18 @@ class ChargingSources(IntFlag):
     HOME_BASE = 2
 
 
+class DockSignal(IntFlag):
+    """Bits of packets 17, 52 and 53 while a dock is seen; fawkes roomba_500.h, Create 2 manual.
+
+    ``BASE`` alone is reserved. Docks of the Roomba Discovery have 240 in its place, and 8, 4 and 2.
+    """
+
+    FORCE_FIELD = 1
+    GREEN_BUOY = 4
+    RED_BUOY = 8
+    BASE = 160
+
+
 class Mode(IntEnum):
     """Values of packet 35."""
 
