@@ -17,7 +17,15 @@ from scan3d_twin.core.model.fused_cloud import thin_by_voxel
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
 from scan3d_twin.recording.colours import view_colours_rgb
-from scan3d_twin.viz.cloud import LIDAR_HEIGHT, choose_camera, is_off_target, points_off_target
+from scan3d_twin.viz.cloud import (
+    FIELD_OF_VIEW,
+    LIDAR_HEIGHT,
+    STILL_HEIGHT,
+    STILL_WIDTH,
+    choose_camera,
+    is_off_target,
+    points_off_target,
+)
 from scan3d_twin.viz.point_colours import Colouring, colour_points
 from scan3d_twin.viz.server import set_theme
 
@@ -290,12 +298,17 @@ class Stage:
         camera = choose_camera(np.concatenate([hint, *seen]), poses)
         a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.1 * camera.distance
         ray = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
-        eye = camera.middle + d * ray
         self._server.initial_camera.look_at = camera.middle
-        self._server.initial_camera.position = eye
+        self._server.initial_camera.position = camera.middle + d * ray
         for page in self._server.get_clients().values() if client is None else [client]:
             page.camera.look_at = camera.middle
-            page.camera.position = eye
+            page.camera.position = camera.middle + _back_off(page.camera) * d * ray
+
+
+def _back_off(camera: viser.CameraHandle) -> float:
+    """Return the factor of the distance from which a window higher than wide sees as much."""
+    across = math.tan(FIELD_OF_VIEW / 2) * STILL_WIDTH / STILL_HEIGHT
+    return max(1.0, across / (math.tan(camera.fov / 2) * camera.aspect))
 
 
 def thin_target(view: View) -> FloatArray:

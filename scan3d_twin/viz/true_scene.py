@@ -50,7 +50,8 @@ def true_triangles(run: RecordedRun) -> FloatArray:
     """Return the triangles (m, 3, 3) of the true target of ``run`` in ``world`` [m].
 
     Raises:
-        SceneError: The scene is gone, cannot be built, or has no target of triangles.
+        UnknownNameError: The scene is gone.
+        SceneError: It cannot be read or built, or has no target of triangles.
     """
     scene = load_run_scene(run.settings.run)
     T_world_map = lay_on_scene(run.session, scene).inverse()

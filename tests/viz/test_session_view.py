@@ -7,7 +7,7 @@ from pixels import SMALL, SOON, drawn, pixels
 
 from scan3d_twin.viz.server import LOOPBACK, open_server
 from scan3d_twin.viz.session_view import SessionView
-from scan3d_twin.viz.stage import Stage
+from scan3d_twin.viz.stage import Stage, _back_off
 from scan3d_twin.viz.view_errors import format_view_errors, list_view_errors
 
 
@@ -109,6 +109,18 @@ def test_predicted_errors_stand_beside_the_realised_ones(session):
     unknown = format_view_errors(list_view_errors(session, {}), 0.010)
     assert "realised" not in unknown
     assert format_view_errors((), 0.010) == ""
+
+
+def test_a_window_higher_than_wide_looks_from_farther_away():
+    class Window:
+        fov, aspect = np.radians(60.0), 0.46
+
+    wide, high = Window(), Window()
+    wide.aspect = 1.6
+    assert _back_off(wide) == 1.0
+    half = np.arctan(np.tan(high.fov / 2) * high.aspect)  # what it sees to either side
+    reach = _back_off(high) * np.tan(half)
+    assert reach == pytest.approx(np.tan(np.radians(17.5)) * 1200 / 720)
 
 
 def test_a_recording_plays_fits_and_is_saved_as_a_picture(moved, open_page):
