@@ -12,8 +12,9 @@ import numpy as np
 import viser
 
 from scan3d_twin.core.model.fused_cloud import measure_scanned_share
+from scan3d_twin.core.scanning.target_extraction import extract_points
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray
+from scan3d_twin.core.types import FloatArray, Scan3D
 from scan3d_twin.recording.load import RecordedRun, read_track
 from scan3d_twin.run.settings import REAL_SCENE
 from scan3d_twin.viz.banner import Banner, State
@@ -65,6 +66,7 @@ class SessionView:
         self._timeline = Timeline.of(session, track)
         self._lock = threading.RLock()
         self._known, self._following = -1, False
+        self._panoramas: dict[int, Scan3D] = {}
         self._stage = Stage(server)
         self._stage.show_views(session)
         self._stage.aim_camera(session)
@@ -141,13 +143,28 @@ class SessionView:
         lines = timeline.lines_read(count, self._session, time) if sweeping else 0
         if lines:
             stage.show_sweep(self._session, count, lines)
-        else:
+        elif not (sweeping and self._show_panorama(time, count)):
             stage.hide_sweep()
 
         # Show the views and what was planned after them
         if count != self._known:
             self._known = count
             self._show_views(count)
+
+    def _show_panorama(self, time: float, count: int) -> bool:
+        """Show what was read at ``time`` [s] of the panorama after ``count`` views, if any was."""
+        for k, (taken, panorama) in enumerate(self._session.panoramas):
+            stamps = panorama.image.stamps
+            if taken == count and stamps.min() <= time <= stamps.max():
+                view = self._session.views[max(0, taken - 1)]
+                T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
+                if k not in self._panoramas:
+                    self._panoramas[k] = extract_points(panorama.image, self._session.config)
+                lines = int(np.count_nonzero(stamps <= time))
+                placed = T_world_odom @ panorama.T_odom_scan
+                self._stage.show_panorama(placed, self._panoramas[k], lines)
+                return True
+        return False
 
     @property
     def _total(self) -> int:

@@ -15,7 +15,7 @@ import viser
 
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
+from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2, Scan3D
 from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.viz.cloud import (
     FIELD_OF_VIEW,
@@ -261,23 +261,32 @@ class Stage:
 
     def show_sweep(self, session: Session, index: int, lines: int) -> None:
         """Show the first ``lines`` lines of view ``index``, the last one as the scan line."""
-        # Take what was read
         view = session.views[index]
         read = int(np.searchsorted(view.target.lines, lines))
         target = view.target.points[:read][:: _stride(view)]
         around = view.sweep.points[(view.sweep.lines < lines) & is_off_target(view)]
         last = view.sweep.points[view.sweep.lines == lines - 1]
+        self._show_part(view.T_world_scan, target, self._colours(target, index), around)
+        self.show_line(view.T_world_scan.apply(last))
 
-        # Show it at the view's pose
+    def show_panorama(self, T_world_scan: Pose2, panorama: Scan3D, lines: int) -> None:
+        """Show the first ``lines`` lines of a ``panorama``, the last one as the scan line."""
+        around = panorama.points[panorama.lines < lines]
+        self._show_part(T_world_scan, np.zeros((0, 3)), PALE, around)
+        self.show_line(T_world_scan.apply(panorama.points[panorama.lines == lines - 1]))
+
+    def _show_part(
+        self, T_world_scan: Pose2, target: FloatArray, colours: Any, around: FloatArray
+    ) -> None:
+        """Show points of the ``target`` and ``around`` it, both in ``scan`` (n, 3) [m]."""
         with self._server.atomic():
             self._sweep = self._server.scene.add_frame("/sweep", show_axes=False)
-            self._sweep.position = (view.T_world_scan.x, view.T_world_scan.y, 0.0)
-            self._sweep.wxyz = _turn(view.T_world_scan)
-            self._cloud("/sweep/target", target, self._colours(target, index), POINT_SIZE)
+            self._sweep.position = (T_world_scan.x, T_world_scan.y, 0.0)
+            self._sweep.wxyz = _turn(T_world_scan)
+            self._cloud("/sweep/target", target, colours, POINT_SIZE)
             thin = thin_by_voxel(around, BACKGROUND_VOXEL)
             off_target = self._cloud("/sweep/background", thin, PALE, 0.6 * POINT_SIZE)
             off_target.visible = self._with_background
-        self.show_line(view.T_world_scan.apply(last))
 
     def hide_sweep(self) -> None:
         """Hide the sweep and its scan line."""

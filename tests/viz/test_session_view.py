@@ -85,6 +85,22 @@ def test_the_time_slider_goes_through_the_lines_of_a_sweep(moved):
         assert "front complete" in view._words.content
 
 
+def test_the_lines_of_a_panorama_are_shown_as_they_were_read(moved):
+    session, track = moved
+    observation = session.views[0].observation  # a sweep will do
+    stamps = 0.1 * np.arange(len(observation.image.stamps))
+    early = replace(observation, image=replace(observation.image, stamps=stamps))
+    with_panorama = replace(session, panoramas=((0, early),))
+    with open_server(LOOPBACK, 0, "boxes") as (server, _):
+        view = SessionView(server, "boxes", with_panorama, track=track)
+        counts = []
+        for time in (stamps[40], stamps[90], stamps[-1] + 1.0):
+            view._time.value = float(time)
+            counts.append(len(shown_points(server, "/sweep/background")))
+        assert 0 < counts[0] < counts[1]
+        assert counts[2] == 0
+
+
 def test_the_points_are_coloured_by_height(session):
     with open_server(LOOPBACK, 0, "boxes") as (server, _):
         stage = Stage(server)
