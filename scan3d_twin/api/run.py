@@ -93,7 +93,7 @@ def run_in_folder(
             outcome = _digitize_and_save(
                 settings, name, opening, recorder, observer, resume, watcher, begun
             )
-            watcher.finish(outcome.report["stop_reason"], observer.on_event)
+            watcher.finish(outcome.report["stop_reason"], observer.on_event, outcome.ended)
     finally:
         release_folder(folder)
     return outcome

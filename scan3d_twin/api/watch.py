@@ -33,11 +33,23 @@ class RunWatcher:
             return robot, observer
         return self.view.attach(robot), Observers(observer, self.view)
 
-    def finish(self, reason: str, report: Callable[[str], None]) -> None:
-        """Show on the page why the run ended, and serve it until nobody reads it."""
+    def finish(
+        self, reason: str, report: Callable[[str], None], ended: BaseException | None = None
+    ) -> None:
+        """Show on the page why the run ended, and serve it until nobody reads it.
+
+        Args:
+            reason: Why it ended.
+            report: Tells the user that the page stays.
+            ended: The error that ended the run; None if the planner did.
+        """
         if self.view is None:
             return
-        self.view.finish(reason)
+        if ended is None:
+            self.view.finish(reason)
+        else:
+            stopped = isinstance(ended, KeyboardInterrupt)
+            self.view.finish(reason, "stopped" if stopped else "failed")
         if self.view.has_readers():
             report("the live view stays until its page is closed, or Ctrl-C")
             self.view.wait_for_readers()

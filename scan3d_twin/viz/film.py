@@ -15,26 +15,23 @@ import mujoco
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.model.fused_cloud import build_model
 from scan3d_twin.core.png import Picture
-from scan3d_twin.core.registration import register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.colours import view_colour, view_colours_rgb
-from scan3d_twin.recording.load import RecordedRun, read_track, run_folder
-from scan3d_twin.recording.overview.listing import REPORT, read_report
+from scan3d_twin.recording.load import RecordedRun, read_track
 from scan3d_twin.run.report import count_views
 from scan3d_twin.run.resolve import load_run_scene
 from scan3d_twin.run.settings import REAL_SCENE
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.scenes.pictures import Eye, Painter, choose_eye, cut_away, hide
 from scan3d_twin.sim.scenes.scene import Scene, scene_from_spec
-from scan3d_twin.sim.scenes.surface_samples import sample_geom
 from scan3d_twin.sim.world import PREFIX, RobotErrors
 from scan3d_twin.sim.world import build_model as build_physics
 from scan3d_twin.viz.cloud import is_off_target
 from scan3d_twin.viz.track import place_track
+from scan3d_twin.viz.true_scene import lay_on_scene
+from scan3d_twin.viz.view_errors import read_view_errors
 
 WIDTH, HEIGHT, STRIP = 960, 540, 120
 """Size of the picture, and height of the strip with the errors below it [pixels]."""
@@ -44,8 +41,6 @@ POINT_TOLERANCE = 0.05
 """Distance behind a surface of the scene within which a point is drawn [m]: several errors."""
 BACKGROUND = (201, 209, 217)
 """Colour of points off the target."""
-SAMPLE_SPACING = 0.02
-"""Spacing of the samples of the scene on which the model is laid [m]."""
 _EMPTY = """
 <mujoco><worldbody>
   <geom name="floor" type="plane" size="20 20 .1" rgba=".62 .64 .66 1"/>
@@ -108,7 +103,7 @@ def prepare_film(run: RecordedRun) -> Film:
     mujoco.mj_forward(model, data)
 
     # Place the run in it
-    T_map_world = Pose2() if real else _lay_on_scene(session, scene)
+    T_map_world = Pose2() if real else lay_on_scene(session, scene)
     track = read_track(run.path)
     placed = place_track(track, session)
     placed = np.column_stack([T_map_world.apply(placed[:, :2]), placed[:, 2] + T_map_world.yaw])
@@ -236,27 +231,6 @@ def _empty_scene() -> Scene:
     return scene_from_spec("empty", mujoco.MjSpec.from_string(_EMPTY), "empty")
 
 
-def _lay_on_scene(session: Session, scene: Scene) -> Pose2:
-    """Return ``T_map_world``: the model laid on the target, beginning with the robot's start."""
-    data = mujoco.MjData(scene.model)
-    mujoco.mj_forward(scene.model, data)
-    samples = []
-    for name in scene.target_geoms:
-        geom = data.geom(name)
-        local, _ = sample_geom(scene.model, geom.id, SAMPLE_SPACING)
-        samples.append(local @ geom.xmat.reshape(3, 3).T + geom.xpos)
-    try:
-        result = register(
-            np.concatenate(samples),
-            build_model(session, SAMPLE_SPACING).points,
-            init_T_target_source=scene.spawn,
-        )
-    except RegistrationError:
-        return scene.spawn
-    found = Pose2.from_matrix(result.T_target_source)
-    return found if found.distance(scene.spawn) < 0.3 else scene.spawn
-
-
 def _points_by_time(
     session: Session, T_map_world: Pose2
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -280,14 +254,11 @@ def _points_by_time(
 
 def _errors(run: RecordedRun) -> FloatArray:
     """Return time [s], predicted and realised error [mm] of each view but the first (n, 3)."""
-    report, _ = read_report(run_folder(run.path) / REPORT)
-    realised = {row["view"]: row.get("error_mm") for row in report.get("registration", [])}
-    rows = []
-    for k, view in enumerate(run.session.views[1:], start=1):
-        predicted = 1e3 * run.session.plans[k - 1].predicted_rmse
-        error = realised.get(k)
-        stamp = float(view.observation.image.stamps.max())
-        rows.append((stamp, predicted, math.nan if error is None else error))
+    rows = [
+        (float(run.session.views[each.view].observation.image.stamps.max()), each.predicted,
+         each.realised)
+        for each in read_view_errors(run)
+    ]  # fmt: skip
     return np.array(rows).reshape(-1, 3)
 
 

@@ -117,10 +117,13 @@ class Guard:
                 yield found.value
 
     @contextmanager
-    def install(self) -> Iterator[None]:
+    def install(self, change: Callable[[Response], None]) -> Iterator[None]:
         """Let a server that starts within the context ask this guard first.
 
         viser offers no place for a check, so it is put between viser and ``websockets``.
+
+        Args:
+            change: Changes each answer to an admitted request.
 
         Raises:
             LinkError: The server did not take the guard: this version of viser is unknown.
@@ -133,7 +136,10 @@ class Guard:
                 if refused is not None:
                     return refused
                 response = process_request(connection, request)
-                return None if response is None else self.protect(request, response)
+                if response is None:
+                    return None
+                change(response)
+                return self.protect(request, response)
 
             self.installed = True
             return serve(*arguments, process_request=checked, **options)

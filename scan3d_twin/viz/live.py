@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,12 +18,18 @@ from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import LidarSpec, Pose2, ScanLine
+from scan3d_twin.viz.banner import Banner, State
+from scan3d_twin.viz.look_controls import add_look_controls
 from scan3d_twin.viz.markdown import as_text
 from scan3d_twin.viz.server import describe_reach, open_server
-from scan3d_twin.viz.stage import Stage, add_look_controls
+from scan3d_twin.viz.stage import Stage
+from scan3d_twin.viz.track import place_track
+from scan3d_twin.viz.view_errors import format_view_errors, list_view_errors
 
 REFRESH_PERIOD = 0.1
 """Time between two updates of the moving robot [s]: the lidar's line period."""
+PATH_STEP = 0.1
+"""Distance between two places of the way driven [m]."""
 PAUSE_PERIOD = 0.05
 """Time between two checks of the buttons while paused [s]."""
 SPEEDS = {"real time": 1.0, "2x": 2.0, "5x": 5.0, "10x": 10.0, "30x": 30.0, "unlimited": 0.0}
@@ -43,24 +50,28 @@ class LiveView:
         self._server = server
         self._stop, self._pause = threading.Event(), threading.Event()
         self._robot: Robot | None = None
+        self._session: Session | None = None
+        self._track: list[tuple[float, float, float, float]] = []
         self._T_world_odom = Pose2()
-        self._drawn = 0.0
+        self._drawn, self._followed, self._path_drawn = 0.0, -math.inf, 0
         self._pace = _Pace(SPEEDS[speed]) if speed else None
         self._build(server.gui, name, speed)
 
     def _build(self, gui: Any, name: str, speed: str | None) -> None:
         gui.set_panel_label(name)
+        self._banner = Banner(gui, "waiting")
         self._status = gui.add_markdown("waiting for the robot")
         self._share = gui.add_markdown("scanned: 0 %")
         self._bar = gui.add_progress_bar(0.0)
         self._build_buttons(gui)
         self._timeline = gui.add_slider("Views", 0, 1, step=1, initial_value=1, disabled=True)
         self._timeline.on_update(lambda _: self.stage.show_upto(int(self._timeline.value)))
-        add_look_controls(gui, self.stage)
+        add_look_controls(gui, self.stage, lambda: self._session)
         if speed is not None:
             chosen = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value=speed)
             chosen.on_update(lambda _: self._set_speed(chosen.value))
         self._plan = gui.add_markdown("")
+        self._errors = gui.add_markdown("")
 
     def _build_buttons(self, gui: Any) -> None:
         self._pause_button = gui.add_button(
@@ -79,9 +90,12 @@ class LiveView:
     def _set_pause(self, wanted: bool) -> None:
         (self._pause.set if wanted else self._pause.clear)()
         self._pause_button.visible, self._continue_button.visible = not wanted, wanted
+        if not self._stop.is_set():
+            self._banner.show("pausing" if wanted else "running")
 
     def _set_stop(self) -> None:
         self._stop.set()
+        self._banner.show("stopped")
         for button in (self._pause_button, self._continue_button, self._stop_button):
             button.disabled = True
 
@@ -91,6 +105,8 @@ class LiveView:
     def attach(self, robot: Robot) -> Robot:
         """Return ``robot`` wrapped so that the page follows it and can stop it."""
         self._robot = robot
+        if self._banner.state == "waiting":
+            self._banner.show("running")
         return with_clock_callbacks(replace(robot, lidar=_LineByLine(robot.lidar)), self.attend)
 
     def attend(self) -> None:
@@ -105,8 +121,27 @@ class LiveView:
             return
         if self._pace is not None:
             self._pace.wait(self._robot.clock.now())
+        self._follow(self._robot, self._robot.clock.now())
         if self._due():
             self.stage.show_robot(self._T_world_odom @ self._robot.base.odometry().T_odom_base)
+            if len(self._track) > self._path_drawn:
+                self._show_path()
+
+    def _follow(self, robot: Robot, now: float) -> None:
+        """Add where ``robot`` is ``now`` [s] to the way driven, if it has moved on."""
+        if now - self._followed < REFRESH_PERIOD:
+            return
+        self._followed = now
+        pose = robot.base.odometry().T_odom_base
+        if not self._track or math.dist(self._track[-1][1:3], (pose.x, pose.y)) >= PATH_STEP:
+            self._track.append((now, pose.x, pose.y, pose.yaw))
+
+    def _show_path(self) -> None:
+        """Show the way driven, laid through the views; before the first one by odometry."""
+        self._path_drawn = len(self._track)
+        track = np.array(self._track).reshape(-1, 4)
+        placed = track[:, 1:] if self._session is None else place_track(track, self._session)
+        self.stage.show_path(placed[:, :2])
 
     def _due(self) -> bool:
         now = time.monotonic()
@@ -144,9 +179,10 @@ class LiveView:
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
         # Show the views
-        view, count = session.views[-1], len(session.views)
+        view, count, self._session = session.views[-1], len(session.views), session
         self._T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
         self.stage.show_views(session)
+        self._show_path()
         if count == 1:
             self.stage.aim_camera(session)
 
@@ -163,19 +199,23 @@ class LiveView:
         self.stage.show_views(session)
         self.stage.show_plan(session)
         self._plan.content = format_plan(session)
+        errors = list_view_errors(session, {})
+        self._errors.content = format_view_errors(errors, session.config.planning.epsilon)
 
     def command(self) -> Command:
         """See ``Observer``: stop and pause between two views."""
         if self._stop.is_set():
             return "stop"
         if self._pause.is_set():
-            self._status.content = "**paused**"
+            self._status.content = "waits for *Continue*"
+            self._banner.show("paused")
             time.sleep(PAUSE_PERIOD)
             return "pause"
         return "go"
 
-    def finish(self, text: str) -> None:
-        """Show ``text`` as the end of the run, and hide the buttons."""
+    def finish(self, text: str, state: State = "finished") -> None:
+        """Show ``text`` as the end of the run that is in ``state``, and hide the buttons."""
+        self._banner.show("stopped" if self._stop.is_set() else state)
         self._status.content = f"**{as_text(text)}**"
         self.stage.hide_line()
         for button in (self._pause_button, self._continue_button, self._stop_button):

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import viser
 
 from scan3d_twin.core.errors import LinkError
+from scan3d_twin.viz.branding import Branding
 from scan3d_twin.viz.guard import ANYWHERE, Guard, is_loopback
 
 LOOPBACK = "127.0.0.1"
@@ -34,7 +35,7 @@ def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserS
     """
     chosen, guard = _free_port(host, port), Guard(host)
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a closed page is no error
-    with _silence_stdout(), guard.install():
+    with _silence_stdout(), guard.install(Branding(title).apply):
         server = viser.ViserServer(host=host, port=chosen, label=title, verbose=False)
     try:
         set_theme(server, dark=False)

@@ -7,16 +7,26 @@ nothing from other machines.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 import viser
 
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2
+from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2, Scan3D
 from scan3d_twin.recording.colours import view_colours_rgb
-from scan3d_twin.viz.cloud import LIDAR_HEIGHT, choose_camera, points_off_target
+from scan3d_twin.viz.cloud import (
+    FIELD_OF_VIEW,
+    LIDAR_HEIGHT,
+    STILL_HEIGHT,
+    STILL_WIDTH,
+    choose_camera,
+    is_off_target,
+    points_off_target,
+)
+from scan3d_twin.viz.point_colours import Colouring, colour_points
 from scan3d_twin.viz.server import set_theme
 
 MAX_VIEW_POINTS = 25_000
@@ -25,6 +35,11 @@ BACKGROUND_VOXEL = 0.05
 """Side of the voxels to which points off the target are thinned [m]."""
 POINT_SIZE = 0.011
 """Size of a point [m]: the distance between two readings at 1.2 m."""
+PATH, PATH_HEIGHT = (124, 94, 180), 0.01
+"""Colour of the way driven, and the height at which it is drawn [m]."""
+PRECISION: Final = "float32"
+"""Precision in which points reach the page: viser's default, float16, has steps of 2 mm from 2 m on
+and of 4 mm from 4 m on."""
 GREY, DARK, RED, CHOSEN = (150, 158, 168), (60, 66, 74), (235, 50, 50), (11, 98, 196)
 ORANGE, PALE, CELL, SECTION = (230, 120, 20), (190, 196, 204), (222, 226, 231), (196, 203, 211)
 
@@ -38,10 +53,16 @@ class Stage:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._views: list[Any] = []
+        self._targets: list[tuple[Any, FloatArray]] = []
         self._backgrounds: list[Any] = []
         self._plan: list[Any] = []
         self._line: Any = None
-        self._upto, self._with_background = 0, True
+        self._sweep: Any = None
+        self._path: Any = None
+        self._truth: Any = None
+        self._upto, self._with_background, self._with_path = 0, True, True
+        self._colouring: Colouring = "view"
+        self._heights = (math.inf, -math.inf)
         server.scene.set_up_direction("+z")
         server.scene.add_grid("/floor", 12.0, 12.0, cell_color=CELL, section_color=SECTION)
         self._robot = self._build_robot()
@@ -66,14 +87,14 @@ class Stage:
         if len(points) == 0:
             return
         if self._line is not None:
-            self._line.points = points.astype(np.float32)
+            self._line.points, self._line.visible = points.astype(np.float32), True
             return
         self._line = self._server.scene.add_point_cloud(
             "/line",
             points.astype(np.float32),
             RED,
             point_size=1.6 * POINT_SIZE,
-            precision="float32",
+            precision=PRECISION,
         )
 
     def hide_line(self) -> None:
@@ -100,9 +121,10 @@ class Stage:
             view_colours_rgb(np.array([index]))[0],
         )
         self._views.append(scene.add_frame(name, show_axes=False))
-        target = view.target.points
-        step = max(1, math.ceil(len(target) / MAX_VIEW_POINTS))
-        self._cloud(f"{name}/target", target[::step], colour, POINT_SIZE)
+        target = thin_target(view)
+        self._widen_heights(target)
+        colours = self._colours(target, index)
+        self._targets.append((self._cloud(f"{name}/target", target, colours, POINT_SIZE), target))
 
         # Add the thinned background
         around = thin_by_voxel(points_off_target(view), BACKGROUND_VOXEL)
@@ -122,6 +144,7 @@ class Stage:
             point_size=size,
             point_shape="circle",
             point_shading="flat",
+            precision=PRECISION,
         )
 
     def show_plan(self, session: Session) -> None:
@@ -185,32 +208,126 @@ class Stage:
             view.visible = index < self._upto
             self._backgrounds[index].visible = self._with_background and index < self._upto
 
+    def _widen_heights(self, points: FloatArray) -> None:
+        """Extend the colours of the heights to ``points``."""
+        if len(points):
+            low, high = float(points[:, 2].min()), float(points[:, 2].max())
+            self._heights = min(self._heights[0], low), max(self._heights[1], high)
+        if self._colouring == "height":
+            self._colour()
+
+    def set_colouring(self, colouring: Colouring) -> None:
+        """Colour the points of the target by ``colouring``."""
+        self._colouring = colouring
+        self._colour()
+
+    def _colour(self) -> None:
+        for index, (handle, points) in enumerate(self._targets):
+            handle.colors = self._colours(points, index)
+
+    def _colours(self, points: FloatArray, index: int) -> npt.NDArray[np.uint8]:
+        return colour_points(points, index, self._colouring, self._heights)
+
+    def show_path(self, places: FloatArray) -> None:
+        """Show the way driven through the ``places`` (n, 2) in ``world`` [m]."""
+        drawn = np.column_stack([places, np.full(len(places), PATH_HEIGHT)])
+        sides = np.stack([drawn[:-1], drawn[1:]], axis=1).astype(np.float32)
+        if len(sides) == 0:
+            if self._path is not None:
+                self._path.visible = False
+            return
+        self._path = self._server.scene.add_line_segments(
+            "/path", sides, PATH, thickness=0.012, visible=self._with_path
+        )
+
+    def set_path_shown(self, shown: bool) -> None:
+        """Show or hide the way driven."""
+        self._with_path = shown
+        if self._path is not None:
+            self._path.visible = shown
+
+    def show_truth(self, triangles: FloatArray) -> None:
+        """Show the true surface of ``triangles`` (m, 3, 3) in ``world`` [m]."""
+        corners = triangles.reshape(-1, 3).astype(np.float32)
+        faces = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+        self._truth = self._server.scene.add_mesh_simple(
+            "/truth", corners, faces, color=GREY, opacity=0.45, flat_shading=True, side="double"
+        )
+
+    def set_truth_shown(self, shown: bool) -> None:
+        """Show or hide the true surface."""
+        if self._truth is not None:
+            self._truth.visible = shown
+
+    def show_sweep(self, session: Session, index: int, lines: int) -> None:
+        """Show the first ``lines`` lines of view ``index``, the last one as the scan line."""
+        view = session.views[index]
+        read = int(np.searchsorted(view.target.lines, lines))
+        target = view.target.points[:read][:: _stride(view)]
+        around = view.sweep.points[(view.sweep.lines < lines) & is_off_target(view)]
+        last = view.sweep.points[view.sweep.lines == lines - 1]
+        self._show_part(view.T_world_scan, target, self._colours(target, index), around)
+        self.show_line(view.T_world_scan.apply(last))
+
+    def show_panorama(self, T_world_scan: Pose2, panorama: Scan3D, lines: int) -> None:
+        """Show the first ``lines`` lines of a ``panorama``, the last one as the scan line."""
+        around = panorama.points[panorama.lines < lines]
+        self._show_part(T_world_scan, np.zeros((0, 3)), PALE, around)
+        self.show_line(T_world_scan.apply(panorama.points[panorama.lines == lines - 1]))
+
+    def _show_part(
+        self, T_world_scan: Pose2, target: FloatArray, colours: Any, around: FloatArray
+    ) -> None:
+        """Show points of the ``target`` and ``around`` it, both in ``scan`` (n, 3) [m]."""
+        with self._server.atomic():
+            self._sweep = self._server.scene.add_frame("/sweep", show_axes=False)
+            self._sweep.position = (T_world_scan.x, T_world_scan.y, 0.0)
+            self._sweep.wxyz = _turn(T_world_scan)
+            self._cloud("/sweep/target", target, colours, POINT_SIZE)
+            thin = thin_by_voxel(around, BACKGROUND_VOXEL)
+            off_target = self._cloud("/sweep/background", thin, PALE, 0.6 * POINT_SIZE)
+            off_target.visible = self._with_background
+
+    def hide_sweep(self) -> None:
+        """Hide the sweep and its scan line."""
+        self.hide_line()
+        if self._sweep is not None:
+            self._sweep.remove()
+            self._sweep = None
+
     def set_dark(self, wanted: bool) -> None:
         """Show the page dark or light."""
         set_theme(self._server, dark=wanted)
 
-    def aim_camera(self, session: Session) -> None:
-        """Point the camera of all pages at the target from the robot's side."""
+    def aim_camera(self, session: Session, client: viser.ClientHandle | None = None) -> None:
+        """Point the camera of ``client``, or of all pages, at the target from the robot's side."""
         hint = np.column_stack([session.hint, np.zeros(len(session.hint))])
         seen = [view.T_world_scan.apply(view.target.points) for view in session.views]
         poses = [view.T_world_scan for view in session.views]
         camera = choose_camera(np.concatenate([hint, *seen]), poses)
         a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.1 * camera.distance
         ray = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
-        eye = camera.middle + d * ray
         self._server.initial_camera.look_at = camera.middle
-        self._server.initial_camera.position = eye
-        for client in self._server.get_clients().values():
-            client.camera.look_at = camera.middle
-            client.camera.position = eye
+        self._server.initial_camera.position = camera.middle + d * ray
+        for page in self._server.get_clients().values() if client is None else [client]:
+            page.camera.look_at = camera.middle
+            page.camera.position = camera.middle + _back_off(page.camera) * d * ray
 
 
-def add_look_controls(gui: Any, stage: Stage) -> None:
-    """Add to ``gui`` the controls of the appearance of ``stage``."""
-    background = gui.add_checkbox("Background", initial_value=True)
-    background.on_update(lambda _: stage.show_background(background.value))
-    dark = gui.add_checkbox("Dark", initial_value=False)
-    dark.on_update(lambda _: stage.set_dark(dark.value))
+def _back_off(camera: viser.CameraHandle) -> float:
+    """Return the factor of the distance from which a window higher than wide sees as much."""
+    across = math.tan(FIELD_OF_VIEW / 2) * STILL_WIDTH / STILL_HEIGHT
+    return max(1.0, across / (math.tan(camera.fov / 2) * camera.aspect))
+
+
+def thin_target(view: View) -> FloatArray:
+    """Return the points of the target of ``view`` that are shown (n, 3) in ``scan`` [m]."""
+    return view.target.points[:: _stride(view)]
+
+
+def _stride(view: View) -> int:
+    """Return every which point of the target of ``view`` is shown."""
+    return max(1, math.ceil(len(view.target.points) / MAX_VIEW_POINTS))
 
 
 def _sector(width: float) -> FloatArray:

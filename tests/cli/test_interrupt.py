@@ -38,7 +38,7 @@ def test_a_signal_during_a_sweep_saves_the_finished_views(tmp_path, number):
     names = {path.name for path in (tmp_path / "run").rglob("*") if path.is_file()}
     assert names == {
         "model.ply", "report.json", "report.html", "top_view.svg", "config.toml", "session.mcap",
-        "000.npz",
+        "scene.png", "000.npz",
     }  # fmt: skip
     recorded = load_session(tmp_path / "run")
     assert (recorded.finished, recorded.session.stop_reason) == (True, "interrupted")

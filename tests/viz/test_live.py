@@ -7,11 +7,13 @@ import pytest
 from paper import paper_config
 from pixels import SMALL, SOON, drawn
 
+from scan3d_twin.api.watch import RunWatcher
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import LinkError
 from scan3d_twin.core.observer import Observers, Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.viz.banner import COLOURS
 from scan3d_twin.viz.live import LiveView, format_plan, open_live_view
 from scan3d_twin.viz.server import LOOPBACK, open_server
 
@@ -99,6 +101,59 @@ def test_the_buttons_command_what_they_say(view):
     assert view.command() == "go"
     view._set_stop()
     assert view.command() == "stop"
+
+
+def test_the_banner_says_how_the_run_stands(view):
+    assert view._banner.state == "waiting"
+    with open_sim("three_boxes", 0) as (robot, _):
+        view.attach(robot)
+    assert view._banner.state == "running"
+    view._set_pause(True)
+    assert view._banner.state == "pausing"
+    view.command()
+    assert view._banner.state == "paused"
+    view._set_pause(False)
+    assert view._banner.state == "running"
+    view._set_stop()
+    view._set_pause(True)
+    assert view._banner.state == "stopped"
+    view.finish("interrupted")
+    assert view._banner.state == "stopped"
+
+
+@pytest.mark.parametrize(
+    ("ended", "state"),
+    [(None, "finished"), (KeyboardInterrupt(), "stopped"), (LinkError("unplugged"), "failed")],
+)
+def test_the_banner_says_how_the_run_ended(view, ended, state):
+    RunWatcher(view, bytes).finish("over", lambda _: None, ended)
+    assert view._banner.state == state
+    assert f">{state}</div>" in view._banner._html.content
+
+
+def test_text_on_the_banner_has_enough_contrast():
+    def luminance(colour):
+        parts = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return linear @ (0.2126, 0.7152, 0.0722)
+
+    for colour in COLOURS.values():
+        assert 1.05 / (luminance(colour) + 0.05) >= 4.5  # WCAG AA, white text
+
+
+def test_the_way_driven_is_drawn_as_it_is_driven(view):
+    drawn = []
+    view.stage.show_path = lambda places: drawn.append(places)
+    with open_sim("three_boxes", 0) as (robot, _):
+        session = run_loop(
+            view.attach(robot), make_planner("siicp"), paper_config(max_views=2), 0, view
+        )
+        end = session.views[-1].T_world_scan
+    way = drawn[-1]
+    steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    assert len(way) > 3
+    assert steps.max() < 0.2  # however seldom it is drawn: a place every 0.1 m
+    assert np.linalg.norm(way[-1] - (end.x, end.y)) < 0.15
 
 
 def test_watching_changes_nothing(view):

@@ -35,7 +35,7 @@ def view(
 
     recorded = load_session(run)
     with open_server(host, view_port, f"{recorded.name} - scan3d_twin") as (server, address):
-        SessionView(server, recorded.name, recorded.session)
+        SessionView.of_run(server, recorded)
         found = json_module.dumps({"address": address, "views": len(recorded.session.views)})
         print(found if json else f"{address} (until Ctrl-C)", flush=True)
         if warning := describe_reach(host):
