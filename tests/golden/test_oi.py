@@ -52,7 +52,7 @@ def test_what_only_the_other_generation_knows_is_skipped():
         # 7 is not in the manual of the Create 1, whose firmware resets (turtlebot_create).
         for opcode in set(others) - {7, 136}:
             assert CommandParser(model).feed(bytes([opcode])) == []
-    assert [op for op, _ in CommandParser(CREATE1).feed(bytes([7]))] == [7]
+    assert [each.op for each in CommandParser(CREATE1).feed(bytes([7]))] == [7]
 
 
 PACKETS = """
