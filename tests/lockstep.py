@@ -114,6 +114,10 @@ class FarLine:
         """See ``Transport.set_baud``."""
         self._clock.call(self._line, "set_baud", baud)
 
+    def set_dtr(self, on):
+        """See ``Transport.set_dtr``."""
+        self._clock.call(self._line, "set_dtr", on)
+
     def discard_input(self):
         """See ``Transport.discard_input``."""
         self._clock.arrived[self._line].clear()

@@ -86,7 +86,7 @@ def refuse_same_port(base: str, lidar: str) -> None:
     Raises:
         LinkError: Base and lidar are on the same port.
     """
-    if base == lidar or ("://" not in base and _is_same_file(base, lidar)):
+    if base == lidar if "://" in base else _is_same_file(base, lidar):
         names = base if base == lidar else f"{base}, which is {lidar},"
         raise LinkError(f"{names} cannot be the port of both base and lidar: name another for one")
 
@@ -95,7 +95,7 @@ def _is_same_file(a: str, b: str) -> bool:
     try:
         return Path(a).samefile(b)
     except OSError:
-        return Path(a).resolve() == Path(b).resolve()
+        return False
 
 
 def choose_lidar_port(base: str | None, lidar: str | None, ports: list[Port] | None = None) -> str:
@@ -111,8 +111,8 @@ def choose_lidar_port(base: str | None, lidar: str | None, ports: list[Port] | N
         LinkError: It is the base's, no port matches, or more than one does.
     """
     if lidar is not None:
-        if base is not None:
-            refuse_same_port(base, lidar)
+        if base is not None and Path(base).resolve() == Path(lidar).resolve():
+            raise LinkError(f"{lidar} cannot be the port of both base and lidar")
         return lidar
     ids = {k: v for name in lidar_names() for k, v in lidar_device(name).usb_ids.items()}
     free = [port for port in (usb_ports() if ports is None else ports) if port.path != base]

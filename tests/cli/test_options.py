@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+import trimesh
 from paper import paper_planning
 
 from scan3d_twin.cli.app import app
@@ -127,13 +128,16 @@ def test_the_list_says_how_a_file_names_the_options_of_the_command_line(twin):
     flags = ("scene", "mesh-scale", "mesh-up", "room", "world", "preset", "seed", "target")
     (listed,) = re.findall(r"\[m\]; (.*) are in section run", text)
     assert re.findall(r"--([a-z-]+)", listed) == [*flags]
+    trimesh.creation.box((0.3, 0.4, 0.5)).export("thing.stl")
+    thing = str(Path("thing.stl").absolute())
     Path("my.toml").write_text(
         'max_views = 3\nlidar_model = "urg04lx"\nplanning.epsilon = 0.005\n'
-        '[run]\nscene = "sine_box"\nmesh_scale = 2.0\nmesh_up = "y"\nroom = "6x4"\n'
+        '[run]\nmesh_scale = 2.0\nmesh_up = "y"\nroom = "6x4"\n'
         'world = "harsh"\npreset = "paper"\nseed = 3\ntarget = "1,2"\n'
+        f'scene = "{thing}"\n'
     )
     assert effective("--config", "my.toml") == effective(
-        *("--max-views", "3", "--lidar", "urg04lx", "--epsilon", "5", "--scene", "sine_box"),
+        *("--max-views", "3", "--lidar", "urg04lx", "--epsilon", "5", "--scene", "thing.stl"),
         *("--mesh-scale", "2", "--mesh-up", "y", "--room", "6x4"),
         *("--world", "harsh", "--preset", "paper", "--seed", "3"),
         *("--target", "1,2"),

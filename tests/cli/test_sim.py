@@ -122,7 +122,11 @@ def test_what_was_repaired_is_said_at_once_and_in_the_report(twin, tmp_path):
     box.export(tmp_path / "crate.stl")
     result = twin("sim", "--scene", "crate.stl", "--max-views", "1", "--json")
     note = "Mesh target: 12 of 12 faces are wound inwards and were turned."
-    assert result.err.startswith(note)
+    size, said, *_ = result.err.splitlines()
+    assert size.startswith(
+        "mesh crate.stl, 0.30 x 0.40 x 0.50 m high, in a room of 5 x 5 m; --mesh-up"
+    )
+    assert said == note
     assert json.loads(result.out)["warnings"][0] == note
 
 

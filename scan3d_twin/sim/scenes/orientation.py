@@ -16,8 +16,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 from scan3d_twin.sim.ray_casting import MujocoCaster, RayCaster
@@ -152,6 +150,9 @@ def find_patches(faces: IntArray, skipped: BoolArray) -> tuple[IntArray, BoolArr
         The patch of each face (m,), whether the face is wound against the first one of its
         patch (m,), and whether a patch is closed: oriented and without a border (n_patches,).
     """
+    from scipy.sparse import coo_array  # slow to import
+    from scipy.sparse.csgraph import connected_components
+
     # Sort the edges of all faces
     m = len(faces)
     owner = np.tile(np.arange(m), 3)

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError
 
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 from scan3d_twin.sim.mesh_up import MeshUp
@@ -67,6 +64,8 @@ def turn_up(
 
 def _does_stand(vertices: FloatArray, faces: IntArray, axis: int) -> bool:
     """Return whether the surface's centre is above the foot of a thing whose ``axis`` is up."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     triangles = vertices[faces]
     areas = _areas(triangles)
     centre = (areas[:, None] * triangles.mean(axis=1)).sum(axis=0) / areas.sum()
@@ -120,6 +119,9 @@ def drop_surroundings(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, 
 
 def _find_parts(triangles: FloatArray) -> list[Part]:
     """Return the parts of ``triangles`` (m, 3, 3) that share no vertices."""
+    from scipy.sparse import coo_array  # slow to import
+    from scipy.sparse.csgraph import connected_components
+
     corners = weld(triangles)
     m, n = len(corners), int(corners.max()) + 1
     graph = coo_array(

@@ -13,7 +13,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
@@ -54,6 +53,8 @@ def choose_spawn(model: Any, targets: tuple[str, ...], points: FloatArray, name:
     Raises:
         SceneError: There is no free floor in sight of the target.
     """
+    from scipy.ndimage import distance_transform_edt, label  # slow to import
+
     # Probe the floor around the target
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     x, y = (np.arange(low[k] - REACH, high[k] + REACH + CELL, CELL) for k in range(2))

@@ -150,13 +150,16 @@ def test_the_room_grows_with_the_mesh(save):
     assert behind + scene.spawn.x >= 0.35  # the robot's radius, twice
     assert left == pytest.approx(right)
     assert right - 2.0 == pytest.approx(behind - 1.0)
-    assert scene.description == f"mesh thing.stl in a room of {2 * left:g} x {2 * behind:g} m"
+    size = "2.00 x 4.00 x 0.50 m high"
+    assert (
+        scene.description == f"mesh thing.stl, {size}, in a room of {2 * left:g} x {2 * behind:g} m"
+    )
 
 
 def test_a_mesh_may_stand_on_an_open_floor(save):
     scene = load_scene(save(trimesh.creation.box((0.3, 0.4, 0.5))), room="none")
     assert np.isinf(wall_distances(scene)).all()
-    assert scene.description == "mesh thing.stl on an open floor"
+    assert scene.description == "mesh thing.stl, 0.30 x 0.40 x 0.50 m high, on an open floor"
 
 
 @pytest.mark.parametrize("room", ["", "5", "5x", "5x5x5", "0.5x5", "5x500", "nanx5", "big"])
