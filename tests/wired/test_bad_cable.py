@@ -79,13 +79,13 @@ def sweep_over(corrupt: float, seed: int) -> tuple[float, float, float, int]:
 
 
 def test_a_sweep_over_a_bad_cable_takes_little_longer_and_holds_no_wrong_value() -> None:
-    clean, lost, _, wrong = sweep_over(0.0, 1000)
+    clean, lost, _, wrong = sweep_over(0.0, 1001)
     assert (lost, wrong) == (0.0, 0)
-    took, lost, spread, wrong = sweep_over(1e-4, 1000)
+    took, lost, spread, wrong = sweep_over(1e-4, 1001)
     assert took < 1.1 * clean
     assert 0.01 < lost < 0.04
     assert (wrong, spread < 0.006) == (0, True)
-    took, lost, spread, wrong = sweep_over(1e-3, 1000)
+    took, lost, spread, wrong = sweep_over(1e-3, 1001)
     assert took < 1.5 * clean
     assert 0.15 < lost < 0.25
     assert (wrong, spread < 0.006) == (0, True)
