@@ -79,13 +79,25 @@ def sweep_over(corrupt: float, seed: int) -> tuple[float, float, float, int]:
 
 
 def test_a_sweep_over_a_bad_cable_takes_little_longer_and_holds_no_wrong_value() -> None:
-    clean, lost, _, wrong = sweep_over(0.0, 1001)
+    clean, lost, _, wrong = sweep_over(0.0, 1000)
     assert (lost, wrong) == (0.0, 0)
-    took, lost, spread, wrong = sweep_over(1e-4, 1001)
+    took, lost, spread, wrong = sweep_over(1e-4, 1000)
     assert took < 1.1 * clean
     assert 0.01 < lost < 0.04
     assert (wrong, spread < 0.006) == (0, True)
-    took, lost, spread, wrong = sweep_over(1e-3, 1001)
-    assert took < 1.5 * clean
+    for seed in (1001, 1002):
+        took, lost, spread, wrong = sweep_over(1e-3, seed)
+        assert took < 1.5 * clean
+        assert 0.15 < lost < 0.25
+        assert (wrong, spread < 0.006) == (0, True)
+
+
+def test_a_sweep_in_which_the_base_is_sent_to_another_baud_rate_is_finished(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """In this one a garbled byte sends the base to 300 bit/s while it turns."""
+    took, lost, spread, wrong = sweep_over(1e-3, 1000)
+    assert "the base has not answered" in caplog.text
+    assert took < 20.0
     assert 0.15 < lost < 0.25
     assert (wrong, spread < 0.006) == (0, True)

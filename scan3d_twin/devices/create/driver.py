@@ -37,6 +37,7 @@ from scan3d_twin.devices.create.link import (
     Stream,
     Values,
     base_spec,
+    call_back,
     open_source,
     packets_at_rest,
     watched_packets,
@@ -53,7 +54,8 @@ log = logging.getLogger(__name__)
 SILENCE = 0.3
 """Silence of a driving base after which a stop is sent [s]; 20 periods."""
 LOST_AFTER = 1.0
-"""Silence of a driving base after which the link counts as lost [s]. If the base answers earlier,
+"""Silence of a driving base after which the link counts as lost [s], ``FRAME_AT_LOWEST`` later where
+the base was called back. If the base answers earlier,
 only the computer or the cable was busy, and it drives on; assumption."""
 SILENCE_AT_REST = 3.0
 """Silence of a standing base after which the link counts as lost [s]; until then the driver keeps
@@ -69,6 +71,11 @@ MAX_HANG = 10.0
 to move; assumption."""
 ASK_AGAIN = 0.1
 """Time between two requests, and between two repetitions of a drive command [s]."""
+FRAME_AT_LOWEST = 1.5
+"""Time that a base called back from 300 bit/s may take to send the frame that it had begun [s]: 45
+bytes."""
+CALL_AFTER_ASKS = 4
+"""Unanswered requests before a standing base is called back from 300 bit/s."""
 ASKS_AT_ONE_SPEED = 10
 """Unanswered requests before other baud rates are tried: noise may have changed the base's."""
 LISTENING = 0.03
@@ -142,7 +149,7 @@ class CreateBase:
         self._asks = 0
         self._halted_at = self._safe_at = -math.inf
         self._resumes = False
-        self._waiting = False
+        self._waiting = self._is_calling_back = self._has_called = False
         self._rejected, self._reason = 0, ""
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
@@ -231,6 +238,7 @@ class CreateBase:
     def close(self) -> None:
         """Stop the wheels and leave the base in mode Passive; the port stays open."""
         with suppress(LinkError):
+            self._return_to_baud()
             self._transport.write(FAREWELL)
         self._sent = (0, 0)
         self._guard.beat(False)
@@ -305,7 +313,7 @@ class CreateBase:
             self._header_summed = self._source.header_summed
 
     def _keep(self, odometry: Odometry, now: float) -> None:
-        self._heard, self._asks, self._reason = now, 0, ""
+        self._heard, self._asks, self._reason, self._has_called = now, 0, "", False
         self._history.append(odometry)
         if len(self._history) > MIN_HISTORY + FORGET_BATCH:
             del self._history[:FORGET_BATCH]
@@ -371,7 +379,11 @@ class CreateBase:
         self._sent_at = self._clock.now()
         self._orders.send(self._sent, self._sent_at)
         self._beat()
-        self._transport.write(oi.drive_direct(right_mm, left_mm))
+        # While the base is called back it hears a stop at once, a drive command after the call.
+        if not self._moving:
+            self._return_to_baud()
+        if not self._is_calling_back:
+            self._transport.write(oi.drive_direct(right_mm, left_mm))
         if self._reckoning is not None:
             linear, turn = (right_mm + left_mm) / 2000, (right_mm - left_mm) / 1000
             self._reckoning.drive(self._sent_at, linear, turn / self.spec.wheel_base)
@@ -481,12 +493,17 @@ class CreateBase:
         if not self._moving and silent > self._patience and now > self._asked_at:
             self._ask_again(now)
         if self._moving and silent > SILENCE and now > self._asked_at:
-            self._halt(now, f"the base has not answered for {silent:.2f} s")
+            if now - self._halted_at <= LOST_AFTER and not self._has_called:
+                self._call_back(now)
+            else:
+                self._halt(now, f"the base has not answered for {silent:.2f} s")
 
         # Give up
-        if silent > (LOST_AFTER if self._moving else SILENCE_AT_REST):
+        patience = LOST_AFTER + FRAME_AT_LOWEST * self._has_called
+        if silent > (patience if self._moving else SILENCE_AT_REST):
             self._heard = now
             drove = self._moving
+            self._return_to_baud()
             self._drive(0, 0)
             words = f"the base has been silent for {silent:.1f} s; check its cable and battery"
             if self._reason:
@@ -500,6 +517,7 @@ class CreateBase:
         """Stop the wheels; drive on if the base answers in Safe mode within ``LOST_AFTER``."""
         if now - self._halted_at > LOST_AFTER:
             log.warning("halted for a moment: %s", why)
+        self._return_to_baud()
         self._transport.write(STOP)
         if self._reckoning is not None:
             self._reckoning.drive(now, 0.0, 0.0)
@@ -507,8 +525,25 @@ class CreateBase:
         self._sent_at = self._halted_at = now
         self._asked_at = now + ASK_AGAIN
 
+    def _call_back(self, now: float) -> None:
+        """Order the base back from the rate that a garbled byte may have sent it to."""
+        self._is_calling_back = self._has_called = True
+        self._asked_at = now + call_back(self._transport, self.contact.baud)
+
+    def _return_to_baud(self) -> None:
+        """Speak again as before the base was called back."""
+        if self._is_calling_back:
+            self._is_calling_back = False
+            self._transport.set_baud(self.contact.baud)
+
     def _ask_again(self, now: float) -> None:
         """Wake up a standing base that is silent: it may have missed or misread any command."""
+        # Call it back once, between two requests
+        if self._asks == CALL_AFTER_ASKS and not self._has_called:
+            self._call_back(now)
+            return
+        self._return_to_baud()
+
         # Choose padding and baud rate
         self._asks += 1
         pad = HALF_ANYTHING

@@ -20,6 +20,9 @@ from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets, pac
 from scan3d_twin.devices.create.roomba import step_speed
 from scan3d_twin.devices.create.script_events import has_happened
 
+MAX_BACKLOG = 0.1
+"""Time that what is to be sent may still take when another stream frame is begun [s]; assumption:
+a base that was sent to a low baud rate keeps no more than the frame it had begun."""
 SLEEP_AFTER = 300.0
 """Time without a command in Off or Passive after which a Create 2 falls asleep [s]."""
 BOOT = 3.0
@@ -87,6 +90,7 @@ class CreateEmulator:
         self._stamp = base.odometry().stamp
         self._now = self._heard = self._stamp
         self._out: deque[tuple[int, float, bytes]] = deque()
+        self._sent_by = 0.0
         self.began = 0.0
         self._later: deque[tuple[float, bytes]] = deque()
         self._deaf_until = 0.0
@@ -131,6 +135,7 @@ class CreateEmulator:
         """Put ``data`` on the line at ``now`` [s]."""
         if data:
             self._out.append((self._baud, now, data))
+            self._sent_by = max(self._sent_by, now) + len(data) * 10 / self._baud
 
     def wake(self) -> None:
         """Press the power button, or pulse the BRC line."""
@@ -170,8 +175,9 @@ class CreateEmulator:
             self._change_mode(Mode.PASSIVE)
         self._run_script()
 
-        # Send a stream frame
-        if self._streaming and self.mode is not Mode.OFF:
+        # Send a stream frame, if the line is not too slow for them
+        is_free = self._sent_by - self._now < MAX_BACKLOG
+        if self._streaming and self.mode is not Mode.OFF and is_free:
             summed = self._quirks.header_summed
             frame = oi.encode_frame(self._stream, self._values(self._stream), header_summed=summed)
             self._put(frame, self._now)

@@ -30,6 +30,7 @@ from scan3d_twin.devices.create.link import (
     MODE_SETTLE,
     Contact,
     Values,
+    call_back,
 )
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.links.transport import Transport
@@ -129,9 +130,12 @@ def find_base(transport: Transport, clock: Clock, stated: Model | None = None) -
     give_up = clock.now() + CONNECT_TIMEOUT
     questioner = _Questioner(transport, clock)
     # At a wrong baud rate the base may hear the start of a long command: complete it every 2nd time
-    for pad, baud in cycle(product((HALF_DRIVE, HALF_ANYTHING), BAUDS)):
+    tries = list(product((HALF_DRIVE, HALF_ANYTHING), BAUDS))
+    for number, (pad, baud) in enumerate(cycle(tries)):
         if clock.now() > give_up:
             break
+        if number and number % len(tries) == 0:
+            clock.sleep(call_back(transport, BAUDS[0]))
 
         # Find the baud rate and the mode
         transport.set_baud(baud)

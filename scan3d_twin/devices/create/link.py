@@ -26,6 +26,9 @@ HALF_DRIVE, HALF_ANYTHING = bytes(5), bytes(2 + 2 * 255)
 """Zeros that complete a command left unfinished by a killed client or a noisy line: a drive
 command, or any command up to the longest song. 0 is no opcode, so surplus zeros are ignored."""
 
+BAUD_SETTLE = 0.1
+"""Time after a change of the baud rate until the base listens at it [s]; manual, page 8."""
+
 COMMON = (
     Packet.BUMPS_DROPS,
     Packet.CLIFF_LEFT,
@@ -49,6 +52,23 @@ MOVED = (Packet.DISTANCE, Packet.ANGLE)
 
 Values = dict[int, int]
 """Raw readings by packet id."""
+
+
+def call_back(transport: Transport, baud: int) -> float:
+    """Order a base that listens at 300 bit/s back to ``baud``; the line is left at 300 bit/s.
+
+    Code 0 of the command for another rate is 300 bit/s, and most bytes on the line are zeros: a
+    base that takes a garbled byte for that command nearly always listens there. One that does not
+    reads zeros and line errors.
+
+    Returns:
+        Time from now until the base listens at ``baud`` [s].
+    """
+    lowest = oi.BAUD_CODES[0]
+    order = oi.command(Op.BAUD, oi.BAUD_CODES.index(baud))
+    transport.set_baud(lowest)
+    transport.write(order)
+    return len(order) * 10 / lowest + BAUD_SETTLE
 
 
 @dataclass(frozen=True, slots=True)

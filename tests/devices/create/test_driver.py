@@ -247,6 +247,37 @@ def test_the_guard_is_told_of_no_motion_before_there_is_one(rig):
     assert not any(rig.guard.beats)
 
 
+def hears_a_change_to_300_baud(rig):
+    """Let the base of ``rig`` take a garbled byte for the command for 300 bit/s."""
+    rig.device.receive(oi.command(Op.BAUD, 0), rig.clock.now())
+
+
+@pytest.mark.parametrize("model", [CREATE1, CREATE2])
+def test_a_driving_base_that_was_sent_to_300_baud_stops_and_drives_on(model, caplog):
+    rig = Rig(model).open()
+    rig.driver.set_velocity(0.1, 0.0)
+    rig.wait(0.5)
+    hears_a_change_to_300_baud(rig)
+    rig.wait(0.8)
+    assert rig.device.wheels_mm == (0, 0)
+    rig.wait(1.5)
+    assert "the base has not answered for 0.3" in caplog.text
+    assert rig.driver.odometry().stamp > rig.clock.now() - 0.2
+    assert rig.device.wheels_mm == (100, 100)
+
+
+def test_a_standing_base_is_found_again_at_300_baud(rig):
+    hears_a_change_to_300_baud(rig)
+    rig.wait(2.9)
+    assert rig.driver.odometry().stamp > rig.clock.now() - 0.2
+
+
+@pytest.mark.parametrize("model", [CREATE1, CREATE2])
+def test_it_connects_to_a_base_that_listens_at_300_baud(model):
+    rig = Rig(model, before=at(300)).open()
+    assert rig.driver.contact.model is model
+
+
 def test_a_silent_base_is_asked_now_and_then_only(rig):
     rig.line.faults = Faults(drop=1.0)
     rig.written.clear()
