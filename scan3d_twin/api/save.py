@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from scan3d_twin.core.model.evaluation import (
+    Comparison,
     Distances,
     Reference,
-    compare_model,
     evaluate_model,
     is_of_target,
     measure_mesh_accuracy,
@@ -60,9 +60,9 @@ def save_run(
     reference = (
         Reference.of(session, truth, settings.run.target) if truth is not None and known else None
     )
-    evaluation = None if reference is None else evaluate_model(session, model, reference)
+    compared = None if reference is None else Comparison.of(model, reference)
+    evaluation = None if reference is None else evaluate_model(session, model, reference, compared)
 
-    compared = None if reference is None else compare_model(model, reference)
     mesh = build_mesh(session, seen)
 
     # Build the report

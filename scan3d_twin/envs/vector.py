@@ -91,8 +91,20 @@ class BatchedVectorEnv(VectorEnv[Any, Any, Any]):
         """Return the results of ``method`` of all shares, which run in parallel."""
         for worker, given in zip(self._others, arguments[1:], strict=True):
             worker.send(method, given)
-        own = call_method(self._own, method, arguments[0])
-        return [own, *(worker.receive() for worker in self._others)]
+        # Receive all replies before an error is raised: a reply left behind would be taken for the
+        # next one.
+        results: list[Any] = []
+        errors: list[Exception] = []
+        calls: list[Callable[[], Any]] = [partial(call_method, self._own, method, arguments[0])]
+        calls += [worker.receive for worker in self._others]
+        for call in calls:
+            try:
+                results.append(call())
+            except Exception as error:  # noqa: BLE001 - raised below
+                errors.append(error)
+        if errors:
+            raise errors[0]
+        return results
 
     def _merge_infos(self, parts: list[Infos]) -> Infos:
         """Return the infos of the shares merged, in the layout of ``VectorEnv``."""

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from scan3d_twin.core.digitize import run_loop
-from scan3d_twin.core.hal import Clock, DriveBase, Robot
+from scan3d_twin.core.hal import DriveBase, Robot
 from scan3d_twin.core.model import truth
 from scan3d_twin.core.navigation.motion_control import measure_travel
 from scan3d_twin.core.observer import Observer, Observers, Unobserved
@@ -103,7 +103,7 @@ def close_loop(
     # Prepare planner, log and target
     planner = TimedPlanner(make_planner(settings.config.planner, truth), timer)
     log = _ProgressLog(robot, earlier, begun)
-    watch = ComputingWatch(robot.clock, observer)
+    watch = ComputingWatch(robot, observer)
     target = _find_target(settings.run.target, truth)
 
     # Digitise until it ends
@@ -151,9 +151,9 @@ class ComputingWatch(Unobserved):
     Only the robot's clock counts, on which computing takes no time in the twin.
     """
 
-    def __init__(self, clock: Clock, observer: Observer) -> None:
-        self._clock, self._observer = clock, observer
-        self._read_at = clock.now()
+    def __init__(self, robot: Robot, observer: Observer) -> None:
+        self._clock, self._base, self._observer = robot.clock, robot.base, observer
+        self._read_at = robot.clock.now()
 
     def on_line(self, line: ScanLine) -> None:
         """See ``Observer``: the devices are read."""
@@ -168,7 +168,8 @@ class ComputingWatch(Unobserved):
         self._name_gap(f"planning after view {len(session.views) - 1}")
 
     def _name_gap(self, what: str) -> None:
-        before, self._read_at = self._read_at, self._clock.now()
+        before = max(self._read_at, self._base.odometry().stamp)
+        self._read_at = self._clock.now()
         gap = self._read_at - before
         if gap >= MIN_NAMED_GAP:
             self._observer.on_event(f"{what} took {gap:.1f} s, in which no device was read")

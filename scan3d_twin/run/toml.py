@@ -45,7 +45,9 @@ def parse_toml(text: str, source: object) -> dict[str, Any]:
         FileError: It is too large or not TOML.
     """
     if len(text) > scaled(MAX_SIZE):
-        raise FileError(f"{source} holds more than {MAX_SIZE / 1e6:g} MB of TOML; {how_to_raise()}")
+        raise FileError(
+            f"{source} holds more than {scaled(MAX_SIZE) / 1e6:g} MB of TOML; {how_to_raise()}"
+        )
     if any(part.count(".") > MAX_DOTS for part in _SEPARATORS.split(text)):
         raise FileError(f"{source} is not valid TOML for options: a key of over {MAX_DOTS} dots")
     try:

@@ -61,6 +61,12 @@ def test_an_error_in_another_process_comes_here():
     envs.reset(seed=0)
     with pytest.raises(gymnasium.error.InvalidAction):
         envs.step(np.array([5, 99]))
+    # An error here leaves no reply of the other process behind
+    with pytest.raises(gymnasium.error.InvalidAction):
+        envs.step(np.array([99, 5]))
+    seen, info = envs.reset(seed=[3, 4])
+    assert envs.observation_space.contains(seen)
+    assert len(info["run_seed"]) == 2
     envs.close()
 
 

@@ -46,7 +46,7 @@ def test_what_is_not_registered_has_no_bound_and_looks_worst(session):
 def test_distances_to_the_truth_are_told_only_where_it_is_known(session):
     model = build_model(session)
     none = np.zeros((0, 3))
-    compared = Comparison(np.full(len(model), 0.004), none, none)
+    compared = Comparison(np.full(len(model), 0.004), np.zeros(0), none, none)
     names = [each.name for each in measure_points(model, session, None)]
     assert names == ["views that saw it", "expected error"]
     distance = measure_points(model, session, compared)[-1]

@@ -74,10 +74,10 @@ def find_visible(
 
 def find_feasible_places(surface: FloatArray, truth: Truth, config: Config) -> FloatArray:
     """Return the places of a grid (n, 2) [m] where the robot fits and which it can reach."""
-    # Lay a grid around the target
-    low = surface[:, :2].min(axis=0) - config.target.max_range
-    high = surface[:, :2].max(axis=0) + config.target.max_range
+    # Lay a grid around the target, and the spawn
     start = np.array([truth.spawn.x, truth.spawn.y])
+    low = np.minimum(surface[:, :2].min(axis=0) - config.target.max_range, start)
+    high = np.maximum(surface[:, :2].max(axis=0) + config.target.max_range, start + POSE_STEP)
     first = np.floor((low - start) / POSE_STEP).astype(np.int64)
     last = np.ceil((high - start) / POSE_STEP).astype(np.int64)
     i, j = np.meshgrid(np.arange(first[0], last[0]), np.arange(first[1], last[1]), indexing="ij")

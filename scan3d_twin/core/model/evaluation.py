@@ -229,8 +229,47 @@ def evaluate(session: Session, truth: Truth) -> Evaluation:
     return evaluate_model(session, build_model(session), Reference.of(session, truth))
 
 
-def evaluate_model(session: Session, model: Model, reference: Reference) -> Evaluation:
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A model beside the truth, point by point, in ``world``.
+
+    Attributes:
+        distances: Distance of each point of the model to the true surface (n,) [m].
+        to_model: Distance of each coverable sample of that surface to the model (k,) [m].
+        surface: All its samples (m, 3) [m].
+        missing: The coverable samples that are not covered (j, 3) [m].
+    """
+
+    distances: FloatArray
+    to_model: FloatArray
+    surface: FloatArray
+    missing: FloatArray
+
+    @staticmethod
+    def of(model: Model, reference: Reference) -> Comparison:
+        """Return ``model``, which has points, beside the truth."""
+        T_world_map, surface = reference.T_map_world.inverse(), reference.surface
+        points = reference.T_map_world.apply(model.points)
+        wanted = surface.points[reference.coverable]
+        to_model, _ = find_nearest(cKDTree(points), wanted)
+        return Comparison(
+            surface.distance(points),
+            to_model,
+            T_world_map.apply(surface.points),
+            T_world_map.apply(wanted[to_model > COVERAGE_DISTANCE]),
+        )
+
+
+def evaluate_model(
+    session: Session, model: Model, reference: Reference, compared: Comparison | None = None
+) -> Evaluation:
     """Return the measures of ``session`` and its ``model``, not fused, against ``reference``.
+
+    Args:
+        session: The run.
+        model: Its model.
+        reference: The truth.
+        compared: The model beside the truth, if that has been computed.
 
     Raises:
         ScanError: No view shows anything of the target.
@@ -241,17 +280,19 @@ def evaluate_model(session: Session, model: Model, reference: Reference) -> Eval
     # Choose the surface that counts
     surface, points = reference.surface, reference.T_map_world.apply(model.points)
     wanted = surface.points[reference.coverable]
+    compared = Comparison.of(model, reference) if compared is None else compared
 
     # Measure model, surface and poses
-    to_model, _ = find_nearest(cKDTree(points), wanted)
     covered = _measure_coverage_by_view(points, model.view, len(session.views), wanted)
     return Evaluation(
         coverage=covered[-1],
         coverage_by_view=covered,
-        accuracy=Distances.of(surface.distance(points)),
-        completeness=Distances.of(to_model),
+        accuracy=Distances.of(compared.distances),
+        completeness=Distances.of(compared.to_model),
         f_score={
-            d: _compute_f_score(surface.distance(thin_by_voxel(points, d / 2)), to_model, d)
+            d: _compute_f_score(
+                surface.distance(thin_by_voxel(points, d / 2)), compared.to_model, d
+            )
             for d in F_SCORE_DISTANCES
         },
         coverable_share=_share(reference.coverable),
@@ -260,34 +301,6 @@ def evaluate_model(session: Session, model: Model, reference: Reference) -> Eval
         ),
         targets=reference.targets,
         left_out=reference.left_out,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """A model beside the truth, point by point, in ``world``.
-
-    Attributes:
-        distances: Distance of each point of the model to the true surface (n,) [m].
-        surface: Samples of the true surface (m, 3) [m].
-        missing: Samples of it that could be covered and are not (k, 3) [m].
-    """
-
-    distances: FloatArray
-    surface: FloatArray
-    missing: FloatArray
-
-
-def compare_model(model: Model, reference: Reference) -> Comparison:
-    """Return ``model``, which has points, beside the truth."""
-    T_world_map, surface = reference.T_map_world.inverse(), reference.surface
-    points = reference.T_map_world.apply(model.points)
-    wanted = surface.points[reference.coverable]
-    to_model, _ = find_nearest(cKDTree(points), wanted, 2 * COVERAGE_DISTANCE)
-    return Comparison(
-        surface.distance(points),
-        T_world_map.apply(surface.points),
-        T_world_map.apply(wanted[to_model > COVERAGE_DISTANCE]),
     )
 
 

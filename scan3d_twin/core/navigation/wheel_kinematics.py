@@ -32,7 +32,7 @@ def split_velocity(spec: BaseSpec, linear: float, angular: float) -> tuple[float
     right = linear + angular * spec.wheel_base / 2
     fastest = max(abs(left), abs(right))
     scale = min(1.0, spec.max_wheel_speed / max(fastest, SPEED_STEP))
-    if 0.0 < fastest < spec.min_wheel_speed:
+    if SPEED_STEP / 2 < fastest < spec.min_wheel_speed:
         scale = spec.min_wheel_speed / fastest
     return (
         round(left * scale / SPEED_STEP) * SPEED_STEP,

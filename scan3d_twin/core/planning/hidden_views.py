@@ -65,20 +65,25 @@ def termination_plan(context: PlanningContext) -> Plan | None:
         if not wanted:
             return None
         if was_blocked(context):
+            ranked = _rank_hidden(context)
             return (
-                _plan_hidden_view(context)
+                _plan_hidden_view(context, ranked)
                 or _plan_approach(context)
-                or _plan_halfway(context)
+                or _plan_halfway(context, ranked)
                 or stop_plan(BLOCKED_REASON)
             )
-        if shows_nothing_new(context.session):
-            return _plan_hidden_view(context) or _plan_halfway(context) or stop_plan(STALE_REASON)
-        return None
+        return _plan_more(context, STALE_REASON) if shows_nothing_new(context.session) else None
 
     # Add views of hidden surface
     if not (wanted and context.is_ongoing and context.is_contour_done):
         return stop_plan(reason)
-    return _plan_hidden_view(context) or _plan_halfway(context) or stop_plan(reason)
+    return _plan_more(context, reason)
+
+
+def _plan_more(context: PlanningContext, reason: str) -> Plan:
+    """Return the plan for more of hidden surface, or else to stop for ``reason``."""
+    ranked = _rank_hidden(context)
+    return _plan_hidden_view(context, ranked) or _plan_halfway(context, ranked) or stop_plan(reason)
 
 
 def shows_nothing_new(session: Session) -> bool:
@@ -157,12 +162,12 @@ def _rank_hidden(context: PlanningContext) -> _Ranked | None:
     return _Ranked(candidates, areas, wanted, prediction)
 
 
-def _plan_hidden_view(context: PlanningContext) -> Plan | None:
+def _plan_hidden_view(context: PlanningContext, ranked: _Ranked | None) -> Plan | None:
     """Return the plan for the view of the most hidden surface; None if none is worth a view.
 
     Its predicted error meets the accuracy that the run keeps (``expect_accuracy``).
     """
-    if (ranked := _rank_hidden(context)) is None:
+    if ranked is None:
         return None
     here, accuracy = context.view.T_world_scan, expect_accuracy(context.session)
     for i in ranked.wanted:
@@ -173,13 +178,13 @@ def _plan_hidden_view(context: PlanningContext) -> Plan | None:
     return None
 
 
-def _plan_halfway(context: PlanningContext) -> Plan | None:
+def _plan_halfway(context: PlanningContext, ranked: _Ranked | None) -> Plan | None:
     """Return the plan for a view part of the way to one of hidden surface; None if there is none.
 
     Where the errors of all those exceed the accuracy that the run keeps, the next view is
     registered on the one that is taken on the way.
     """
-    if (ranked := _rank_hidden(context)) is None:
+    if ranked is None:
         return None
     here, accuracy = context.view.T_world_scan, expect_accuracy(context.session)
     for i in ranked.wanted:

@@ -43,7 +43,7 @@ MARGIN = 0.05
 """Distance from the object at which a ray has left it [m]: beyond the gap below a thing that does
 not quite reach the floor (assumption)."""
 EYE_HEIGHT = 0.30
-"""Height of the lidar [m]; as in ``core.model.evaluation``."""
+"""Height of the lidar [m]; as in ``core.model.coverable``."""
 MIN_BACK_SHARE = 0.05
 """Share of the rays leaving the front above which the back of a patch with a border is seen as
 well: less is a hole in a closed surface (assumption)."""

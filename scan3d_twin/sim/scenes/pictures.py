@@ -18,13 +18,12 @@ from scan3d_twin.devices.registry import DEFAULT_BASE
 from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.scenes.surface_samples import bounding_points
+from scan3d_twin.sim.scenes.visibility import drawn_rgba, find_seen_geoms
 from scan3d_twin.sim.world import PREFIX, RobotErrors, build_model
 
 WIDTH, HEIGHT = 960, 540
 FIELD_OF_VIEW = math.radians(45.0)
 """Vertical field of view [rad]."""
-HIDDEN_GROUP = 3
-"""First group of the geoms that pictures do not show."""
 CUT_AWAY_SHARE = 0.7
 """Geoms that hide a place within this share of the distance from the eye are cut away."""
 SUN = np.array([-0.25, 0.2, 0.95])
@@ -86,8 +85,8 @@ class Painter:
     """Draws a model from any eye, as it stands."""
 
     def __init__(self, model: Any) -> None:
-        """Draw ``model``, whose hidden geoms are made invisible."""
-        for geom in np.flatnonzero(model.geom_group >= HIDDEN_GROUP):
+        """Draw ``model``, of which what a lidar does not see is made invisible."""
+        for geom in np.flatnonzero(~find_seen_geoms(model)):
             hide(model, int(geom))
         self._colours = _colours(model)
         self._batch = batch.Batch(model, nsim=1, nthread=1)
@@ -152,11 +151,10 @@ def hide(model: Any, geom: int) -> None:
 
 def _colours(model: Any) -> FloatArray:
     """Return the colour of each geom (n, 3), 0..1; of a texture, its mean."""
-    colours = np.array(model.geom_rgba[:, :3], dtype=np.float64)
+    colours = np.array([drawn_rgba(model, geom)[:3] for geom in range(model.ngeom)])
     for geom in np.flatnonzero(model.geom_matid >= 0):
-        material = model.geom_matid[geom]
-        colours[geom] = model.mat_rgba[material, :3] * _texture_colour(model, material)
-    return colours
+        colours[geom] *= _texture_colour(model, model.geom_matid[geom])
+    return colours.reshape(-1, 3)
 
 
 def _texture_colour(model: Any, material: int) -> FloatArray:

@@ -143,7 +143,8 @@ def _place_robot(
     # Find the floor, or add one
     geoms = tuple(dict.fromkeys(name for parts in targets.values() for name in parts))
     model = compile_scene(spec.copy(), label)
-    around, site = corners(model, geoms), _site_place(model, "spawn")
+    around, frame = corners(model, geoms), _site_frame(model, "spawn")
+    site = None if frame is None else frame[:3, 3]
     starts = ring(around) if site is None else site[None]
     fallback = min(0.0, float(around[:, 2].min())) if site is None else float(site[2])
     if lay_floor(spec, starts, set(geoms), fallback, label):
@@ -269,24 +270,20 @@ def _positive(spec: Any, name: str, unit: str, label: str) -> float | None:
 
 def _site_pose(model: Any, name: str) -> Pose2 | None:
     """Return the planar pose of a site in ``map``; None when there is no such site."""
+    T = _site_frame(model, name)
+    return None if T is None else Pose2.from_matrix(T)
+
+
+def _site_frame(model: Any, name: str) -> FloatArray | None:
+    """Return the frame (4, 4) [m] of a site in that of the file; None if there is no such site."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     if site < 0:
         return None
     data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    mujoco.mj_kinematics(model, data)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
-    return Pose2.from_matrix(T)
-
-
-def _site_place(model: Any, name: str) -> FloatArray | None:
-    """Return the place (3,) [m] of a site in the file's frame; None when there is no such site."""
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
-    if site < 0:
-        return None
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return np.array(data.site_xpos[site])
+    return T
 
 
 def one_line(error: Exception) -> str:

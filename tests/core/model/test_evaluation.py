@@ -307,3 +307,20 @@ def test_a_model_of_much_else_is_no_success_however_well_it_is_registered() -> N
     assert not result.is_success(0.0)
     assert not replace(result, f_score={0.020: 0.29}).is_success(0.010)
     assert not replace(result, pairs=()).is_success(0.010)
+
+
+@pytest.mark.parametrize("x", [-5.5, 6.9])
+def test_a_start_far_from_the_target_counts_as_a_place(x: float) -> None:
+    """Beyond the range of the lidar from the target, on either side."""
+    truth = _OpenFloor((FIRST,), spawn=Pose2(x, 0.0, 0.0))
+    surface, normals = truth.surface(0.02)
+    config = paper_config(tour="full")
+    assert find_coverable_surface(surface, normals, truth, config).mean() > 0.95
+
+
+class _OpenFloor(BoxTruth):
+    """The box without a room."""
+
+    def first_hits(self, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """The box and the floor."""
+        return cast(np.asarray(origins), np.asarray(directions), (BOX,), room=False)

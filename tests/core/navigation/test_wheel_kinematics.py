@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -23,6 +24,12 @@ def test_a_command_keeps_its_curvature_and_no_wheel_is_too_fast(linear, angular)
     wanted = (linear - angular * 0.129, linear + angular * 0.129)
     scale = min(1.0, 0.5 / max(map(abs, wanted), default=1.0) if any(wanted) else 1.0)
     assert (left, right) == pytest.approx([scale * speed for speed in wanted], abs=0.00051)
+
+
+def test_the_rounding_of_a_stop_does_not_drive_a_base_with_a_least_speed():
+    slow = replace(SPEC, min_wheel_speed=0.02)
+    assert split_velocity(slow, 0.0, 1e-17) == (0.0, 0.0)
+    assert split_velocity(slow, 0.005, 0.0) == pytest.approx((0.02, 0.02))
 
 
 @given(SPEED, SPEED, st.floats(0.0, 2.0))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+from scan3d_twin.core.types import FloatArray, IntArray
 from scan3d_twin.sim.mesh_up import MeshUp
 from scan3d_twin.sim.scenes.orientation import weld
 
@@ -29,12 +29,12 @@ MAX_PARTS = 2000
 
 @dataclass(frozen=True)
 class Part:
-    """A loose part of a mesh: low and high corner (3,), area, number of faces, and its faces."""
+    """A loose part of a mesh: number, low and high corner (3,) [m], and area [m2]."""
 
+    number: int
     low: FloatArray
     high: FloatArray
     area: float
-    faces: BoolArray
 
 
 def turn_up(
@@ -87,17 +87,18 @@ def drop_surroundings(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, 
         vertices: With z up (n, 3).
         faces: Triangles of some area (m, 3).
     """
-    parts = _find_parts(vertices[faces])
+    parts, numbers = _find_parts(vertices[faces])
     if len(parts) < 2:
         return faces, []
-    notes, dropped = [], np.zeros(len(faces), bool)
+    notes = []
 
     # Drop specks far from the rest
     limit = SPECK_AREA * sum(part.area for part in parts)
     things = [part for part in parts if part.area >= limit]
-    specks = [part for part in parts if part.area < limit and _is_far(part, things)]
-    for part in specks:
-        dropped |= part.faces
+    low = np.min([thing.low for thing in things], axis=0)
+    high = np.max([thing.high for thing in things], axis=0)
+    specks = [part for part in parts if part.area < limit and _is_far(part, low, high)]
+    dropped = np.isin(numbers, [part.number for part in specks])
     if specks:
         notes.append(
             f"{len(specks)} loose speck(s) far from the rest of the mesh were left out "
@@ -105,10 +106,10 @@ def drop_surroundings(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, 
         )
 
     # Drop a plate below all the rest
-    rest = [part for part in parts if not any(part is speck for speck in specks)]
-    plate = _find_plate(rest)
+    left_out = {part.number for part in specks}
+    plate = _find_plate([part for part in parts if part.number not in left_out])
     if plate is not None:
-        dropped |= plate.faces
+        dropped |= numbers == plate.number
         width, depth = plate.high[0] - plate.low[0], plate.high[1] - plate.low[1]
         notes.append(
             f"A plate of {width:.3g} x {depth:.3g} m below the mesh is taken "
@@ -117,8 +118,11 @@ def drop_surroundings(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, 
     return faces[~dropped], notes
 
 
-def _find_parts(triangles: FloatArray) -> list[Part]:
-    """Return the parts of ``triangles`` (m, 3, 3) that share no vertices."""
+def _find_parts(triangles: FloatArray) -> tuple[list[Part], IntArray]:
+    """Return the parts of ``triangles`` (m, 3, 3) that share no vertices, and each one's (m,).
+
+    No parts where there are too many.
+    """
     from scipy.sparse import coo_array  # slow to import
     from scipy.sparse.csgraph import connected_components
 
@@ -131,25 +135,25 @@ def _find_parts(triangles: FloatArray) -> list[Part]:
     _, labels = np.unique(connected_components(graph, directed=False)[1][:m], return_inverse=True)
     areas = np.bincount(labels, _areas(triangles))
     if len(areas) > MAX_PARTS:
-        return []
+        return [], labels
     lows = np.full((len(areas), 3), np.inf)
     highs = -lows
     np.minimum.at(lows, labels, triangles.min(axis=1))
     np.maximum.at(highs, labels, triangles.max(axis=1))
-    return [Part(lows[k], highs[k], float(areas[k]), labels == k) for k in range(len(areas))]
+    parts = [Part(k, lows[k], highs[k], float(areas[k])) for k in range(len(areas))]
+    return parts, labels
 
 
-def _is_far(part: Part, things: list[Part]) -> bool:
-    """Return whether a ``part`` is far from the bounding box of all ``things``."""
-    low = np.min([thing.low for thing in things], axis=0)
-    high = np.max([thing.high for thing in things], axis=0)
+def _is_far(part: Part, low: FloatArray, high: FloatArray) -> bool:
+    """Return whether a ``part`` is far from the box of ``low`` and ``high`` corner (3,) [m]."""
     gap = np.linalg.norm(np.maximum(0.0, np.maximum(low - part.high, part.low - high)))
     return bool(gap > SPECK_GAP * (high - low).max())
 
 
 def _find_plate(parts: list[Part]) -> Part | None:
     """Return the part that lies below all others as their ground, if there is one."""
-    for part in parts:
+    lowest = min((part.low[2] for part in parts), default=0.0)
+    for part in (each for each in parts if each.low[2] == lowest):
         others = [other for other in parts if other is not part]
         if not others:
             return None

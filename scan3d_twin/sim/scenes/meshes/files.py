@@ -20,7 +20,7 @@ GLTF_SUFFIXES = (".glb", ".gltf")
 """Formats whose y axis is up by definition (glTF 2.0, section 3.4)."""
 OTHER_SUFFIXES = (
     *(".3dm", ".3ds", ".3mf", ".abc", ".amf", ".blend", ".brep", ".ctm", ".dae", ".dxf", ".fbx"),
-    *(".iges", ".igs", ".iv", ".jt", ".ma", ".max", ".mb", ".mjb", ".msh", ".off.gz", ".pcd"),
+    *(".iges", ".igs", ".iv", ".jt", ".ma", ".max", ".mb", ".mjb", ".msh", ".pcd"),
     *(".sdf", ".skp", ".sldprt", ".step", ".stp", ".urdf", ".usd", ".usda", ".usdc", ".usdz"),
     *(".vrml", ".vtk", ".vtp", ".wrl", ".x", ".x3d", ".x_t", ".xyz"),
 )
@@ -84,6 +84,8 @@ def read_obj(path: Path) -> tuple[FloatArray, IntArray]:
                 vertices.append([float(word) for word in words[1:4]])
             elif words[0] == "f":
                 corners = [int(word.split("/", 1)[0]) for word in words[1:]]
+                if 0 in corners:
+                    raise ValueError("indices begin with 1")
                 count = len(vertices)
                 polygons.append([k - 1 if k > 0 else count + k for k in corners])
             else:
@@ -152,7 +154,14 @@ def _check_gltf(path: Path) -> None:
     Raises:
         SceneError: Its geometry needs an extension, or a kind of primitive, that is not read.
     """
-    tree = _gltf_tree(path)
+    try:
+        _check_tree(path, _gltf_tree(path))
+    except (AttributeError, TypeError, KeyError, IndexError, RecursionError):
+        raise SceneError(f"{path} is damaged: it is no glTF") from None
+
+
+def _check_tree(path: Path, tree: dict[str, Any]) -> None:
+    """Refuse what is not read of the JSON part ``tree`` of a glTF file."""
     required = {str(name) for name in tree.get("extensionsRequired", ())}
     used = {str(name) for name in tree.get("extensionsUsed", ())}
     unread = [name for name in sorted(required) if not name.startswith(HARMLESS_EXTENSIONS)]

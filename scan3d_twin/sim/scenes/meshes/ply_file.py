@@ -61,7 +61,7 @@ def read_ply(path: Path) -> tuple[FloatArray, IntArray]:
             values = _read_binary(memoryview(data)[start:], elements, order)
         rows = values["vertex"]
         vertices = np.stack([np.asarray(rows[axis], dtype=np.float64) for axis in "xyz"], axis=1)
-    except (KeyError, ValueError, IndexError) as error:
+    except (KeyError, ValueError, IndexError, OverflowError) as error:
         raise SceneError(f"{path} is damaged: {_reason(error)}; export it again") from None
     polygons = _lists(values.get("face", {}), ("vertex_indices", "vertex_index"))
     strips = _lists(values.get("tristrips", {}), ("vertex_indices", "vertex_index"))
@@ -76,6 +76,13 @@ def read_ply(path: Path) -> tuple[FloatArray, IntArray]:
 
 def _reason(error: Exception) -> str:
     return f"it has no {error}" if isinstance(error, KeyError) else "it ends early or is no text"
+
+
+def _checked(count: int) -> int:
+    """Return ``count``, which must not be negative."""
+    if count < 0:
+        raise ValueError("a count is negative")
+    return count
 
 
 def _read_header(data: bytes, path: Path) -> tuple[str, list[Element], int]:
@@ -95,7 +102,7 @@ def _read_header(data: bytes, path: Path) -> tuple[str, list[Element], int]:
                 case ["format", kind, *_]:
                     order = ORDERS[kind]
                 case ["element", name, count]:
-                    elements.append(Element(name, int(count)))
+                    elements.append(Element(name, _checked(int(count))))
                 case ["property", "list", size, kind, name]:
                     elements[-1].properties.append((name, TYPES[kind], TYPES[size]))
                 case ["property", kind, name]:
@@ -121,7 +128,7 @@ def _read_text(data: bytes, elements: list[Element]) -> dict[str, dict[str, Colu
         rows: dict[str, list[Any]] = {name: [] for name, *_ in element.properties}
         for _ in range(element.count):
             for name, _, size in element.properties:
-                count = int(numbers[at]) if size else 1
+                count = _checked(int(numbers[at])) if size else 1
                 at += 1 if size else 0
                 value = numbers[at : at + count]
                 if len(value) != count:
@@ -161,7 +168,7 @@ def _read_rows(
         for name, kind_name, size in element.properties:
             count = 1
             if size:
-                count = int(np.frombuffer(data, order + size, 1, at)[0])
+                count = _checked(int(np.frombuffer(data, order + size, 1, at)[0]))
                 at += np.dtype(size).itemsize
             value = np.frombuffer(data, order + kind_name, count, at) if count else np.empty(0, int)
             at += value.nbytes if count else 0

@@ -81,39 +81,23 @@ def _are_convex(rings: FloatArray) -> BoolArray:
 
 
 def _cut_ears(vertices: FloatArray, ring: IntArray) -> IntArray:
-    """Return the triangles (size - 2, 3) of a simple polygon (G. Meisters 1975: two ears)."""
+    """Return the triangles (k, 3) of a simple polygon, wound as it is.
+
+    Corners on a straight line may be left out (Mapbox's ear clipping).
+    """
+    import mapbox_earcut  # only few meshes need it
+
     # Project it along its normal
     normal = _normals(vertices[ring][None])[0]
     axis = int(np.argmax(np.abs(normal)))
     kept = [(axis + 1) % 3, (axis + 2) % 3]
-    flat = vertices[ring][:, kept] * (1.0, np.sign(normal[axis]) or 1.0)
+    flat = np.ascontiguousarray(vertices[ring][:, kept] * (1.0, np.sign(normal[axis]) or 1.0))
 
-    # Cut one ear after the other
-    left, triangles = list(range(len(ring))), []
-    while len(left) > 3:
-        at = next((k for k in range(len(left)) if _is_ear(flat, left, k)), 0)
-        triangles.append([left[at - 1], left[at], left[(at + 1) % len(left)]])
-        del left[at]
-    triangles.append(left)
-    result: IntArray = ring[np.array(triangles)]
+    # Cut it, and turn the triangles as the polygon
+    end = np.array([len(ring)], np.uint32)
+    corners = mapbox_earcut.triangulate_float64(flat, end).reshape(-1, 3).astype(np.int64)
+    a, b, c = (flat[corners[:, i]] for i in range(3))
+    ab, ac = b - a, c - a
+    turned = (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]).sum() < 0
+    result: IntArray = ring[corners[:, ::-1] if turned else corners]
     return result
-
-
-def _is_ear(flat: FloatArray, left: list[int], k: int) -> bool:
-    """Return whether corner ``k`` of those ``left`` turns left with no other corner inside."""
-    a, b, c = (flat[left[(k + step) % len(left)]] for step in (-1, 0, 1))
-    if _cross(b - a, c - b) <= 0:
-        return False
-    ends = (a, b, c)
-    others = flat[[i for i in left if not any((flat[i] == end).all() for end in ends)]]
-    if len(others) == 0:
-        return True
-    inside = np.ones(len(others), bool)
-    for p, q in ((a, b), (b, c), (c, a)):
-        inside &= _cross(q - p, others - p) >= 0
-    return not inside.any()
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the cross product of vectors in the plane."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

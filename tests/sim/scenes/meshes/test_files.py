@@ -11,6 +11,7 @@ from scan3d_twin.core.errors import ConfigError, SceneError
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import MujocoCaster
 from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.meshes.cleanup import drop_surroundings
 from scan3d_twin.sim.scenes.meshes.files import OTHER_SUFFIXES, read_mesh
 from scan3d_twin.sim.scenes.meshes.polygons import triangulate
 from scan3d_twin.sim.truth import Truth
@@ -373,3 +374,39 @@ def test_all_objects_of_an_obj_file_in_mjcf_are_seen(tmp_path):
     ahead = np.tile([1.0, 0.0, 0.0], (3, 1))
     found = MujocoCaster(scene.model).cast(np.empty(0), origins, ahead).distances
     assert found == pytest.approx([0.9, 0.9, np.inf], abs=1e-6)
+
+
+PLY = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {x}\n" for x in "xyz")
+PLY_FACE = (
+    "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("list.gltf", '{"asset": {"version": "2.0"}, "meshes": [1]}'),
+        ("null.gltf", '{"asset": {"version": "2.0"}, "meshes": null}'),
+        ("deep.gltf", "[" * 3000 + "]" * 3000),
+        ("infinite.ply", PLY + PLY_FACE + "inf 0 1 2\n"),
+        ("negative.ply", PLY + PLY_FACE + "-3 0 1 2\n"),
+        ("count.ply", PLY.replace("vertex 3", "vertex -3") + PLY_FACE + "3 0 1 2\n"),
+        ("zero.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\nv 0 0 1\n"),
+    ],
+)
+def test_damaged_numbers_are_one_line(tmp_path, name, content):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(SceneError, match=name) as caught:
+        read_mesh(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mesh_of_two_thousand_parts_keeps_all_but_its_plate():
+    places = np.stack(np.meshgrid(np.arange(44.0), np.arange(44.0)), axis=-1).reshape(-1, 2) * 0.02
+    small = trimesh.creation.box((0.01, 0.01, 0.3))
+    parts = [small.copy().apply_translation((x, y, 0.2)) for x, y in places]
+    plate = trimesh.creation.box((2.0, 2.0, 0.004)).apply_translation((0.44, 0.44, 0.0))
+    whole = trimesh.util.concatenate([*parts, plate])
+    faces, notes = drop_surroundings(np.array(whole.vertices), np.array(whole.faces))
+    assert len(faces) == 12 * len(parts)
+    assert "taken to be the ground" in notes[0]
