@@ -181,6 +181,9 @@ class LidarDevice:
             all round and takes them by a clock of its own, whatever its speed: they lie elsewhere
             in each revolution. The ``elevations`` of its ``spec`` are then a grid for them
             (``make_full_circle``). None for a lidar that measures at fixed angles.
+        sends_text: Whether its driver sends ASCII only, or nothing: no byte of that is a command to
+            a base. Of another one the base is identified before the lidar's port is opened, since
+            the ports may be mixed up: STOP of an RPLIDAR presses Clean of a Create 2.
         probe: Recognises it among the lidars of all families, for ``--lidar auto``; one object for
             all devices of a family. None if it must be named.
         describe: Returns a one-line description of the device behind an open driver.
@@ -200,6 +203,7 @@ class LidarDevice:
     bauds: tuple[int, ...] = ()
     protocols: tuple[str, ...] = ()
     sample_rate: Callable[[str], float] | None = None
+    sends_text: bool = False
     probe: LidarProbe | None = None
     describe: Callable[[Any], str] | None = None
     options: ConfigTables = field(default_factory=dict)

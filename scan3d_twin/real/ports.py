@@ -73,7 +73,7 @@ def choose_ports(
         return base, lidar
     devices = Devices() if devices is None else devices
     free = usb_ports() if ports is None else ports
-    free = [port for port in free if port.path not in (base, lidar)]
+    free = [port for port in free if not any(_is_same(port.path, name) for name in (base, lidar))]
     return (
         base or _choose_only(free, base_device(devices.base).usb_ids, "base", "--port"),
         lidar or _choose_only(free, lidar_device(devices.lidar).usb_ids, "lidar", "--lidar-port"),
@@ -86,16 +86,21 @@ def refuse_same_port(base: str, lidar: str) -> None:
     Raises:
         LinkError: Base and lidar are on the same port.
     """
-    if base == lidar if "://" in base else _is_same_file(base, lidar):
-        names = base if base == lidar else f"{base}, which is {lidar},"
-        raise LinkError(f"{names} cannot be the port of both base and lidar: name another for one")
+    # That there is no such port is said when it is opened
+    if _is_same(base, lidar) and ("://" in base or Path(base).exists()):
+        raise _same_port_error(base, lidar)
 
 
-def _is_same_file(a: str, b: str) -> bool:
-    try:
-        return Path(a).samefile(b)
-    except OSError:
-        return False
+def _same_port_error(base: str, lidar: str) -> LinkError:
+    names = base if base == lidar else f"{base}, which is {lidar},"
+    return LinkError(f"{names} cannot be the port of both base and lidar: name another for one")
+
+
+def _is_same(a: str, b: str | None) -> bool:
+    """Return whether two names are those of one port, for example a link and what it leads to."""
+    if b is None or "://" in a or "://" in b:
+        return a == b
+    return Path(a).resolve() == Path(b).resolve()
 
 
 def choose_lidar_port(base: str | None, lidar: str | None, ports: list[Port] | None = None) -> str:
@@ -111,11 +116,12 @@ def choose_lidar_port(base: str | None, lidar: str | None, ports: list[Port] | N
         LinkError: It is the base's, no port matches, or more than one does.
     """
     if lidar is not None:
-        if base is not None and Path(base).resolve() == Path(lidar).resolve():
-            raise LinkError(f"{lidar} cannot be the port of both base and lidar")
+        if base is not None and _is_same(lidar, base):
+            raise _same_port_error(base, lidar)
         return lidar
     ids = {k: v for name in lidar_names() for k, v in lidar_device(name).usb_ids.items()}
-    free = [port for port in (usb_ports() if ports is None else ports) if port.path != base]
+    free = usb_ports() if ports is None else ports
+    free = [port for port in free if not _is_same(port.path, base)]
     if base is None:
         bases = {k: v for name in base_names() for k, v in base_device(name).usb_ids.items()}
         free = [port for port in free if not port.is_one_of(bases)]

@@ -114,6 +114,21 @@ def _forget_lines(lidar: LidarDriver) -> None:
             lidar.read_line(0.0)
 
 
+def identify_base(link: Transport, clock: Clock, base: str | None) -> None:
+    """See that the base is on a line, before anything is sent to what may be its line by mistake.
+
+    Args:
+        link: The line; stays open.
+        clock: A clock that services no drivers.
+        base: Name of the base; None finds it out.
+
+    Raises:
+        LinkError: There is no base on this line, or another one.
+    """
+    opener = base_device(base or DEFAULT_BASE).opener(is_stated=base is not None)
+    opener(link, clock, None).close()
+
+
 @contextmanager
 def open_real(
     base_port: str,
@@ -172,4 +187,6 @@ def open_real(
         base_link = stack.enter_context(
             closing(Reopening(open_base_link, clock, device.halt, guard.close))
         )
+        if not lidar_device(lidar).sends_text:
+            identify_base(base_link, clock, base)
         yield stack.enter_context(open_over(base_link, open_lidar_link, clock, devices, guard))

@@ -91,6 +91,16 @@ def test_the_doctor_names_cause_and_cure():
     assert result.stderr.count("\n") == 1
 
 
+def test_the_doctor_asks_no_rplidar_before_a_base_is_found():
+    """Its requests may be commands to a base, which may be on that port."""
+    given = ["--port", "/dev/nowhere", "--lidar-port", "/dev/null", "--lidar", "rplidar_c1"]
+    result = call("doctor", *given, "--json")
+    assert result.returncode == 3
+    findings = {each["what"]: each for each in json.loads(result.stdout)}
+    assert findings["lidar"]["found"] == "not asked"
+    assert "a base is first to be found" in findings["lidar"]["cure"]
+
+
 def test_the_doctor_says_that_one_port_is_given_for_both():
     result = call("doctor", "--port", "/dev/null", "--lidar-port", "/dev/../dev/null")
     assert result.returncode == 3
@@ -203,9 +213,27 @@ def test_a_scene_and_a_port_do_not_go_together():
 
 
 def test_auto_is_the_lidar_that_is_plugged_in(monkeypatch, capsys):
-    monkeypatch.setattr("scan3d_twin.real.probe.find_lidar", lambda open_line, clock: "ld19")
+    steps = []
+
+    class Port:
+        def __init__(self, name):
+            steps.append(f"open {name}")
+
+        def close(self):
+            steps.append("close")
+
+    def find_lidar(open_line, clock):
+        steps.append("ask the lidar")
+        return "ld19"
+
+    monkeypatch.setattr("scan3d_twin.devices.links.transport.SerialTransport", Port)
+    monkeypatch.setattr(
+        "scan3d_twin.real.robot.identify_base", lambda *_: steps.append("identify the base")
+    )
+    monkeypatch.setattr("scan3d_twin.real.probe.find_lidar", find_lidar)
     named = name_lidar(RealOptions(lidar="auto", port="/dev/pts/8", lidar_port="/dev/pts/9"))
     assert (named.lidar, named.lidar_port, named.port) == ("ld19", "/dev/pts/9", "/dev/pts/8")
     assert capsys.readouterr().err == "lidar on /dev/pts/9: ld19\n"
+    assert steps == ["open /dev/pts/8", "identify the base", "close", "ask the lidar"]
     stated = RealOptions(lidar="urg04lx")
     assert name_lidar(stated) is stated

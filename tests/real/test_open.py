@@ -5,11 +5,21 @@ import subprocess
 from contextlib import closing, contextmanager
 
 import pytest
+from kinematic import KinematicBase
+from virtual import VirtualClock
+from virtual_room import TurningLidar
 
 import scan3d_twin as s3d
 from scan3d_twin.core.errors import LinkError, UnknownNameError
+from scan3d_twin.devices.create.codec import Op
+from scan3d_twin.devices.create.emulator import CreateEmulator
+from scan3d_twin.devices.create.packets import Mode
+from scan3d_twin.devices.links.line_model import Wire
 from scan3d_twin.devices.links.transport import holders
-from scan3d_twin.devices.registry import Devices
+from scan3d_twin.devices.registry import Devices, lidar_names
+from scan3d_twin.devices.rplidar.codec import Command, encode_request
+from scan3d_twin.devices.rplidar.emulator import RplidarEmulator
+from scan3d_twin.devices.rplidar.model import C1
 from scan3d_twin.real import robot
 from scan3d_twin.real.robot import open_real
 
@@ -52,6 +62,38 @@ def test_the_named_devices_are_opened(monkeypatch):
                 pass
     assert opened == [Devices(), Devices("create1", "urg04lx", "115200")]
     assert [devices.is_base_stated for devices in opened] == [False, True]
+
+
+@pytest.mark.parametrize("lidar", lidar_names())
+def test_the_base_is_found_before_a_lidar_that_could_command_it_is_opened(monkeypatch, lidar):
+    def identify(link, clock, base):
+        raise LinkError("no base is here")
+
+    def open_over(*_):
+        raise LinkError("far enough")
+
+    monkeypatch.setattr(robot, "identify_base", identify)
+    monkeypatch.setattr(robot, "open_over", open_over)
+    words = "no base is here" if lidar.startswith("rplidar") else "far enough"
+    with (
+        terminal() as port,
+        terminal() as other,
+        pytest.raises(LinkError, match=words),
+        open_real(port, other, lidar=lidar),
+    ):
+        pass
+
+
+def test_what_an_rplidar_is_asked_presses_buttons_of_a_base_and_a_lidar_is_no_base():
+    clock = VirtualClock()
+    base = CreateEmulator(KinematicBase())
+    base.receive(bytes([Op.START, Op.SAFE]) + encode_request(Command.STOP), clock.now())
+    assert base.outputs.buttons == bytes([Command.STOP])
+    assert base.mode is Mode.PASSIVE
+    source = TurningLidar(clock, C1, C1.modes["dense"])
+    line = Wire(RplidarEmulator(source, C1), clock)
+    with pytest.raises(LinkError, match="no Create answers"):
+        robot.identify_base(line, clock, None)
 
 
 def test_one_port_for_both_devices_is_refused_by_either_name(tmp_path):

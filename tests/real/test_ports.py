@@ -1,6 +1,7 @@
 import pytest
 
 from scan3d_twin.core.errors import LinkError
+from scan3d_twin.devices.registry import Devices
 from scan3d_twin.real.ports import Port, choose_lidar_port, choose_ports, usb_ports
 
 BASE = Port("/dev/serial/by-id/usb-FTDI_FT231X", "0403:6015", "FT231X USB UART")
@@ -61,6 +62,23 @@ def test_nothing_found_says_what_to_do():
 def test_several_are_listed():
     with pytest.raises(LinkError, match=r"2 ports may be the base: .*FT231X.*ttyUSB3.* --port"):
         choose_ports(None, "x", ports=[BASE, OTHER])
+
+
+def test_the_other_ones_port_is_left_out_under_any_of_its_names(machine):
+    """Of two names of the base's port one is given, and the other is that found on USB."""
+    usb = machine / "sys/devices/usb1/1-1/1-1:1.0/ttyACM0"
+    (usb.parents[1] / "idVendor").write_text("10c4\n")
+    (usb.parents[1] / "idProduct").write_text("ea60\n")
+    ports = usb_ports(machine)
+    (adapter,) = (port for port in ports if port.usb_id == "10c4:ea60")
+    plain = str(machine / "dev/ttyACM0")
+    assert adapter.path != plain
+    with pytest.raises(LinkError, match="no lidar found"):
+        choose_lidar_port(plain, None, ports)
+    with pytest.raises(LinkError, match="no lidar found"):
+        choose_ports(plain, None, Devices(lidar="rplidar_c1"), ports)
+    base, _ = choose_ports(None, plain, Devices(lidar="rplidar_c1"), ports)
+    assert base == str(machine / "dev/ttyUSB0")
 
 
 ADAPTER = Port("/dev/ttyUSB5", "10c4:ea60", "CP2102 USB to UART Bridge Controller")

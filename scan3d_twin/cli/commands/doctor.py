@@ -47,6 +47,14 @@ LOW_BATTERY = 0.25
 """Below this the base should be charged before a run of some 20 minutes."""
 
 
+NOT_ASKED = Finding(
+    "lidar",
+    False,
+    "not asked",
+    "a base is first to be found on the other port: what this lidar is sent may make a base drive",
+)
+"""Said of a lidar whose requests may be commands to a base, as long as the base is not known."""
+
 Look = Callable[[str, "Clock"], Iterator[Finding]]
 """Yields what there is to say about the device on a port."""
 
@@ -104,17 +112,24 @@ def examine(options: PortOptions) -> Iterator[Finding]:
     devices, clock = Devices(base.name, lidar.name, lidar.links[0]), RealClock()
     open_base = base.opener(is_stated=options.robot is not None)
     looks: tuple[Look, ...] = (partial(_base, base, open_base), partial(_lidar, lidar))
+    base_port, is_base_known = "-", False
     for what, index, look in (("base", 0, looks[0]), ("lidar", 1, looks[1])):
         given = (options.port, options.lidar_port)[index]
         try:
-            # The other one's name does not matter here, so it is made up.
-            names = (given, "-") if index == 0 else ("-", given)
+            # The lidar's name does not matter to the base, so it is made up.
+            names = (given, options.lidar_port or "-") if index == 0 else (base_port, given)
             port = choose_ports(names[0], names[1], devices)[index]
         except LinkError as error:
             yield Finding(what, False, "not found", str(error))
             continue
         yield from _port(what, port)
-        yield from _answers(what, port, clock, look)
+        if what == "lidar" and not (is_base_known or lidar.sends_text):
+            yield NOT_ASKED
+            continue
+        for finding in _answers(what, port, clock, look):
+            is_base_known |= finding.what == what == "base" and finding.ok
+            yield finding
+        base_port = port
 
 
 def _libraries() -> Finding:

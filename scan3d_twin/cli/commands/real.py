@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_module
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -143,16 +143,23 @@ def name_lidar(options: RealOptions) -> RealOptions:
     """Return ``options`` with the name of the lidar that is plugged in, where it is to be found.
 
     Raises:
-        LinkError: There is no such port, or no lidar is recognised on it.
+        LinkError: There is no such port, the base is not on its own, or no lidar is recognised.
     """
     if options.lidar != AUTO:
         return options
     from scan3d_twin.devices.links.transport import SerialTransport
+    from scan3d_twin.devices.registry import DEFAULT_BASE, Devices
     from scan3d_twin.real.clock import RealClock
-    from scan3d_twin.real.ports import choose_lidar_port
+    from scan3d_twin.real.ports import choose_lidar_port, choose_ports
     from scan3d_twin.real.probe import find_lidar
+    from scan3d_twin.real.robot import identify_base
 
+    # A question to a lidar may be a command to a base: first see where that is
     port = choose_lidar_port(options.port, options.lidar_port)
+    devices = Devices(options.robot or DEFAULT_BASE)
+    base_port, _ = choose_ports(options.port, port, devices)
+    with closing(SerialTransport(base_port)) as link:
+        identify_base(link, RealClock(), options.robot)
     name = find_lidar(lambda: SerialTransport(port), RealClock())
     print(f"lidar on {port}: {name}", file=sys.stderr)
     return replace(options, lidar=name, lidar_port=port)

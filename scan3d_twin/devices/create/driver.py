@@ -54,9 +54,9 @@ log = logging.getLogger(__name__)
 SILENCE = 0.3
 """Silence of a driving base after which a stop is sent [s]; 20 periods."""
 LOST_AFTER = 1.0
-"""Silence of a driving base after which the link counts as lost [s]; ``FRAME_AT_LOWEST`` more where
-the base was called back. If it answers earlier, only the computer or the cable was busy, and it
-drives on; assumption."""
+"""Silence of a driving base after which the link counts as lost [s]. If the base answers earlier,
+only the computer or the cable was busy, and it drives on; assumption. Bytes that arrive from a base
+that was called back are a sign of life, for up to ``FRAME_AT_LOWEST`` more."""
 SILENCE_AT_REST = 3.0
 """Silence of a standing base after which the link counts as lost [s]; until then the driver keeps
 requesting the stream."""
@@ -150,6 +150,7 @@ class CreateBase:
         self._halted_at = self._safe_at = -math.inf
         self._resumes = False
         self._waiting = self._is_calling_back = self._has_called = False
+        self._stirred = -math.inf
         self._rejected, self._reason = 0, ""
         self._hazards, self._values = Hazards(), Values()
         self._history: list[Odometry] = []
@@ -269,11 +270,16 @@ class CreateBase:
                 self._source = self._ask_anew()
 
         # Count only the time spent listening as silence
-        self._heard = min(now, self._heard + max(0.0, away - LISTENING))
+        unheard = max(0.0, away - LISTENING)
+        self._heard = min(now, self._heard + unheard)
+        self._stirred = min(now, self._stirred + unheard)
         self._serviced = now
 
         # Read, timestamp and take in
-        readings = self._source.take(self._transport.read(0.0), now)
+        data = self._transport.read(0.0)
+        if data and self._has_called:
+            self._stirred = now
+        readings = self._source.take(data, now)
         self._gap |= self._filter.count_errors(self._source.errors, now)
         stamps = self._times.stamps(len(readings), now, gap=self._gap)
         for stamp, values in zip(stamps, readings, strict=True):
@@ -499,8 +505,7 @@ class CreateBase:
                 self._halt(now, f"the base has not answered for {silent:.2f} s")
 
         # Give up
-        patience = LOST_AFTER + FRAME_AT_LOWEST * self._has_called
-        if silent > (patience if self._moving else SILENCE_AT_REST):
+        if self._is_lost(now):
             self._heard = now
             drove = self._moving
             self._return_to_baud()
@@ -512,6 +517,17 @@ class CreateBase:
                     "its cable"
                 )
             raise HazardError(f"stopped: {words}") if drove else LinkError(words)
+
+    def _is_lost(self, now: float) -> bool:
+        """Return whether the base has been silent for too long.
+
+        A driving base that was called back may still send, at another rate, what it had begun.
+        """
+        silent = now - self._heard
+        if not self._moving:
+            return silent > SILENCE_AT_REST
+        dead = min(silent, now - self._stirred)
+        return dead > LOST_AFTER or silent > LOST_AFTER + FRAME_AT_LOWEST
 
     def _halt(self, now: float, why: str) -> None:
         """Stop the wheels; drive on if the base answers in Safe mode within ``LOST_AFTER``."""

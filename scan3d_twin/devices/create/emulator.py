@@ -23,6 +23,8 @@ from scan3d_twin.devices.create.script_events import has_happened
 MAX_BACKLOG = 0.1
 """Time that what is to be sent may still take when another stream frame is begun [s]; assumption:
 a base that was sent to a low baud rate keeps no more than the frame it had begun."""
+STARTING_BUTTONS = 0b111
+"""Bits of Clean, Spot and Dock in the command that presses buttons; manual of the Create 2."""
 SLEEP_AFTER = 300.0
 """Time without a command in Off or Passive after which a Create 2 falls asleep [s]."""
 BOOT = 3.0
@@ -58,6 +60,7 @@ class Outputs:
     digits: bytes | None = None
     songs: dict[int, bytes] = field(default_factory=dict)
     sent_ir: bytes | None = None
+    buttons: bytes | None = None
 
 
 class CreateEmulator:
@@ -201,12 +204,13 @@ class CreateEmulator:
 
     def _make_actions(self) -> dict[Op, Callable[[Command], None]]:
         passive = (Op.START, Op.POWER, Op.SPOT, Op.CLEAN, Op.DEMO, Op.DOCK)
-        nothing = (Op.PUSH_BUTTONS, Op.SCHEDULE, Op.SET_DAY_TIME, Op.SCHEDULING_LEDS)
+        nothing = (Op.SCHEDULE, Op.SET_DAY_TIME, Op.SCHEDULING_LEDS)
 
         return {
             # Modes and the serial line
             **{op: lambda _: self._change_mode(Mode.PASSIVE) for op in passive},
             **{op: lambda _: None for op in nothing},
+            Op.PUSH_BUTTONS: self._push_buttons,
             Op.RESET: self._reset,
             Op.BAUD: self._set_baud,
             Op.CONTROL: lambda _: self._change_mode(Mode.SAFE),
@@ -272,6 +276,12 @@ class CreateEmulator:
     def _stop(self, _: Command) -> None:
         self._streaming = False
         self._change_mode(Mode.OFF)
+
+    def _push_buttons(self, command: Command) -> None:
+        """Press buttons; Clean, Spot and Dock do what the commands of that name do."""
+        self.outputs.buttons = command.data
+        if command.data[0] & STARTING_BUTTONS:
+            self._change_mode(Mode.PASSIVE)
 
     def _reset(self, _: Command) -> None:
         """Restart the firmware: mode Off, default baud rate, and a banner on the line.

@@ -51,6 +51,7 @@ def _describe_device(
         usb_ids={"10c4:ea60": "Silicon Labs"},
         bauds=(model.baud,),
         sample_rate=lambda link: model.sample_rate,
+        sends_text=True,
         probe=PROBE,
         describe=describe_ld,
         options={

@@ -66,6 +66,7 @@ URG04LX = LidarDevice(
     usb_ids={"15d1": "Hokuyo"},
     bauds=BAUDS,
     protocols=(SCIP2, SCIP1),
+    sends_text=True,
     probe=PROBE,
     describe=describe_urg,
 )

@@ -450,6 +450,26 @@ def test_a_base_that_falls_silent_is_told_to_stop(rig):
     assert rig.base.speed == (0.0, 0.0)
 
 
+def test_a_base_that_sends_garbage_only_is_given_up_when_a_frame_at_300_baud_would_have_ended(rig):
+    """Bytes are a sign of life: it may be sending what it had begun before it was called back."""
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    read, ends = rig.wire.read, rig.clock.now() + 60.0
+    rig.wire.read = lambda timeout: b"\0" * len(read(timeout)) * (rig.clock.now() < ends)
+    with pytest.raises(HazardError, match=r"stopped: the base has been silent for 2\.5 s"):
+        rig.wait(4.0)
+
+    # Once the line is dead, too, it is not waited for any longer
+    rig.wire.read = read
+    rig.wait(1.0)
+    rig.driver.set_velocity(0.2, 0.0)
+    rig.wait(0.5)
+    rig.wire.read = lambda timeout: b"\0" * len(read(timeout)) * (rig.clock.now() < ends)
+    ends = rig.clock.now() + 0.7
+    with pytest.raises(HazardError, match=r"stopped: the base has been silent for 1\.7 s"):
+        rig.wait(4.0)
+
+
 @pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
 def test_a_base_that_is_silent_for_a_moment_stands_and_drives_on(model):
     rig = Rig(model, inert=True).open()
