@@ -54,9 +54,9 @@ log = logging.getLogger(__name__)
 SILENCE = 0.3
 """Silence of a driving base after which a stop is sent [s]; 20 periods."""
 LOST_AFTER = 1.0
-"""Silence of a driving base after which the link counts as lost [s], ``FRAME_AT_LOWEST`` later where
-the base was called back. If the base answers earlier,
-only the computer or the cable was busy, and it drives on; assumption."""
+"""Silence of a driving base after which the link counts as lost [s], ``FRAME_AT_LOWEST`` later
+where the base was called back. If the base answers earlier, only the computer or the cable was
+busy, and it drives on; assumption."""
 SILENCE_AT_REST = 3.0
 """Silence of a standing base after which the link counts as lost [s]; until then the driver keeps
 requesting the stream."""
