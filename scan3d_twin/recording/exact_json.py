@@ -186,6 +186,8 @@ class _Unpacker:
         """Return the array at ``place``; arrays do not overlap, so their sum is bounded."""
         if str(place) not in self._arrays:
             dtype, shape, stored, offset = place
+            if not all(type(n) is int and n >= 0 for n in (*shape, offset)):
+                raise ValueError(f"an array {place} of no whole size at no whole place")
             self._left -= math.prod(shape) * np.dtype(stored).itemsize
             if self._left < 0 or {np.dtype(dtype).kind, np.dtype(stored).kind} - set(_NUMBERS):
                 raise ValueError(f"an array {place} that does not fit into the data")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -21,10 +22,14 @@ MAX_MEMBERS = 1000
 """Most arrays of a file; ours hold a dozen."""
 _HEADER_SIZE = 4096
 """Room for the header of an array, which ``np.lib.format`` pads to 64 bytes."""
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Compressions of arrays: those of NumPy. LZMA takes as much memory as a file asks for."""
 _NUMBERS = "biuf"
 """Kinds of arrays that hold numbers: bool, integer and floating point."""
 _READ_ERRORS = (
     ValueError,
+    SyntaxError,
+    tokenize.TokenError,
     KeyError,
     EOFError,
     RuntimeError,
@@ -59,6 +64,8 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
     stated = sum(each.file_size for each in members)
     if len(members) > MAX_MEMBERS:
         raise FileError(f"{path} holds {len(members)} files: no sweep of twin scan, sim or real")
+    if any(each.compress_type not in _METHODS for each in members):
+        raise FileError(f"{path} is packed in a way that NumPy does not write: no sweep of ours")
     if stated > scaled(FREE_EXPANSION + EXPANSION * path.stat().st_size):
         raise FileError(
             f"{path} expands to {stated / 1e6:.0f} MB, far more than its size; {how_to_raise()}"

@@ -15,7 +15,6 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from unittest import mock
 from urllib.parse import parse_qs, urlsplit
@@ -104,17 +103,19 @@ class Guard:
         return True
 
     def _tokens(self, request: Request) -> Iterator[str]:
-        """Yield the tokens that ``request`` shows."""
+        """Yield the tokens that ``request`` shows.
+
+        Cookies come from all programs on this machine, so they are split as browsers join them:
+        ``http.cookies`` gives none at all where one of them holds a character it does not expect.
+        """
         for each in parse_qs(urlsplit(request.path).query).get("token", ()):
             yield each if each.isascii() else ""
-        name = _cookie_name(request.headers["Host"])
+        wanted = _cookie_name(request.headers["Host"])
         for header in request.headers.get_all("Cookie"):
-            try:
-                found = SimpleCookie(header).get(name)
-            except CookieError:
-                continue
-            if found is not None and found.value.isascii():
-                yield found.value
+            for each in header.split(";"):
+                name, _, value = each.strip().partition("=")
+                if name == wanted and value.isascii():
+                    yield value
 
     @contextmanager
     def install(self, change: Callable[[Response], None]) -> Iterator[None]:

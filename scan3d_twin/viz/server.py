@@ -31,19 +31,18 @@ def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserS
         title: Title of the page.
 
     Raises:
-        LinkError: The port is in use, or the host is not an address of this machine.
+        LinkError: The port is in use, or the host is not an address of this machine, or the
+            server did not take the guard.
     """
     chosen, guard = _free_port(host, port), Guard(host)
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a closed page is no error
-    with _silence_stdout(), guard.install(Branding(title).apply):
-        server = viser.ViserServer(host=host, port=chosen, label=title, verbose=False)
-    try:
+    with contextlib.ExitStack() as opened:
+        with _silence_stdout(), guard.install(Branding(title).apply):
+            server = viser.ViserServer(host=host, port=chosen, label=title, verbose=False)
+            opened.callback(_stop, server)  # also where it did not take the guard
         set_theme(server, dark=False)
         name = LOOPBACK if host in ANYWHERE else host
         yield server, f"http://{name}:{server.get_port()}/?token={guard.token}"
-    finally:
-        with _silence_stdout():
-            server.stop()
 
 
 def describe_reach(host: str) -> str:
@@ -72,6 +71,11 @@ def set_theme(server: viser.ViserServer, *, dark: bool) -> None:
 def _silence_stdout() -> contextlib.AbstractContextManager[object]:
     """Keep viser's messages out of the program's standard output."""
     return contextlib.redirect_stdout(io.StringIO())
+
+
+def _stop(server: viser.ViserServer) -> None:
+    with _silence_stdout():
+        server.stop()
 
 
 def _free_port(host: str, port: int) -> int:

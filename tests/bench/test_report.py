@@ -167,6 +167,18 @@ def test_the_same_records_give_the_same_bytes(report, records, tmp_path):
             assert path.read_bytes() == (tmp_path / path.relative_to(report)).read_bytes(), path
 
 
+@pytest.mark.parametrize("place", ["figures", "runs", "runs/{name}"])
+def test_nothing_is_written_through_a_linked_folder(records, tmp_path, place):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    link = tmp_path / "report" / place.format(name=name_run(records[0]))
+    link.parent.mkdir(parents=True)
+    link.symlink_to(mine)
+    with pytest.raises(FileError, match=f"{link} is a link to another place"):
+        write_report(records, "an example", tmp_path, tmp_path / "report")
+    assert not list(mine.iterdir())
+
+
 def test_the_page_asks_for_nothing_from_outside(report):
     text = (report / "report.html").read_text()
     assert not re.search(r"<script[^>]* src", text)

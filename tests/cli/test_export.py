@@ -1,4 +1,5 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,26 @@ def test_views_apart_and_fused_ones_go_where_they_are_sent(finished, twin):
     assert files == ["apart/view_000.xyz", "apart/view_001.xyz", "apart/poses.csv"]
     assert twin("export", folder, "--to", "xyz", "--voxel", "20", "--out", "few.xyz").code == 0
     assert 100 < len(np.loadtxt("few.xyz")) < report["points"] / 3
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [(("--to", "xyz", "--per-view"), "xyz_views"), (("--to", "uos"), "uos")],
+    ids=["views", "uos"],
+)
+def test_a_link_in_the_folder_of_a_run_leads_no_files_elsewhere(
+    finished, twin, fails, tmp_path, options, name
+):
+    folder, _ = finished
+    run, mine = tmp_path / "run", tmp_path / "mine"
+    run.mkdir()
+    mine.mkdir()
+    shutil.copy(folder / "session.mcap", run)
+    (run / name).symlink_to(mine)
+    assert "is a link to another place" in fails(3, "export", run, *options)
+    assert not list(mine.iterdir())
+    assert twin("export", run, *options, "--out", run / name).code == 0
+    assert list(mine.iterdir())
 
 
 def test_a_rosbag2_holds_all_that_was_recorded(finished, twin):

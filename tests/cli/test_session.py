@@ -83,7 +83,7 @@ def test_a_view_in_a_damaged_part_is_the_only_loss_and_is_told(run, twin):
     result = twin("session", "recover", run)
     assert result.code == 3
     assert "0 views before, 1 after, 1 message lost" in result.out
-    assert "1 of 2 views were in the damaged part and are lost" in result.err
+    assert "1 of 2 recorded views were in the damaged part and are lost" in result.err
     assert json.loads(twin("session", "info", run, "--json").out)["state"] == "finished"
     assert twin("session", "recover", run).code == 0
 

@@ -85,6 +85,14 @@ def test_what_does_not_fit_is_a_broken_file(packed):
         unpack(Pair, packed)
 
 
+@pytest.mark.parametrize("shape", ["[-1]", "[2,-1]", "[-1,-1]", "[1.0]", "[true]", '["1"]'])
+def test_a_shape_is_of_whole_numbers_from_zero_on(shape):
+    """A shape of -1 would return the whole blob, and more with each array."""
+    packed = f'{{"first":1,"second":["<f8",{shape},"<f8",0]}}', bytes(64)
+    with pytest.raises(FileError, match="no valid Pair in the file: an array"):
+        unpack(Pair, packed)
+
+
 def test_what_cannot_be_recorded_is_a_mistake():
     with pytest.raises(TypeError, match="cannot record a set"):
         pack({1})

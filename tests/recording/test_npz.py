@@ -1,3 +1,4 @@
+import struct
 import zipfile
 
 import numpy as np
@@ -76,6 +77,27 @@ def test_what_a_file_expands_to_is_limited(tmp_path, monkeypatch):
         shape = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
         archive.writestr("stamps.npy", header + shape.ljust(117).encode() + b"\n" + bytes(80))
     with pytest.raises(FileError, match="does not fit"):
+        read_arrays(path, ["stamps"])
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_compression_that_numpy_does_not_write_is_refused(tmp_path, method):
+    path = tmp_path / "view.npz"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("stamps.npy", bytes(200))
+    with pytest.raises(FileError, match="packed in a way that NumPy does not write"):
+        read_arrays(path, ["stamps"])
+
+
+@pytest.mark.parametrize("text", ["{'shape': (1,", "{'shape': 1", '"""', " {}\n  {}\n {}", "("])
+@pytest.mark.parametrize("version", [(1, 0), (2, 0)], ids=str)
+def test_a_header_that_is_not_whole_is_refused(tmp_path, text, version):
+    head = text.ljust(64).encode()
+    size = struct.pack("<H" if version == (1, 0) else "<I", len(head))
+    path = tmp_path / "view.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("stamps.npy", b"\x93NUMPY" + bytes(version) + size + head + bytes(8))
+    with pytest.raises(FileError, match=r"view\.npz is no sweep of twin scan, sim or real"):
         read_arrays(path, ["stamps"])
 
 

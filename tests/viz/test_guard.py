@@ -11,8 +11,10 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import urlsplit
 
 import pytest
+import viser
 from pixels import SMALL, SOON
 
+from scan3d_twin.core.errors import LinkError
 from scan3d_twin.viz.live import open_live_view
 from scan3d_twin.viz.markdown import as_text
 from scan3d_twin.viz.server import LOOPBACK, describe_reach, open_server
@@ -89,7 +91,31 @@ def test_without_the_token_there_is_neither_page_nor_socket(view):
         assert status(url, **handshake(place.port))[0] == 403
     cookie = f"twin_view_127_0_0_1_{place.port}=" + place.query.removeprefix("token=")
     assert status(bare, Cookie=cookie)[0] == 200
+    for others in ('a={"x":1}; ', "a=[1,2]; b; =; ", "\xfc=\xfc; ", f"{cookie[:-1]}; "):
+        assert status(bare, Cookie=others + cookie)[0] == 200
+        assert status(bare, Cookie=others + "x" + cookie)[0] == 403
+    assert status(bare, Cookie=f'{cookie}; a={{"x":1}}')[0] == 200
     assert status(bare, Cookie=cookie, Origin="http://127.0.0.1:1")[0] == 403
+
+
+def test_a_server_that_does_not_take_the_guard_is_stopped(monkeypatch):
+    started = []
+
+    class Unguarded:
+        def __init__(self, **_):
+            started.append(self)
+            self.stopped = False
+
+        def stop(self):
+            self.stopped = True
+
+    monkeypatch.setattr(viser, "ViserServer", Unguarded)
+    with (
+        pytest.raises(LinkError, match="this version of viser cannot be guarded"),
+        open_server(LOOPBACK, 0, "a"),
+    ):
+        pass
+    assert [each.stopped for each in started] == [True]
 
 
 def test_each_view_has_its_own_token():

@@ -50,9 +50,9 @@ def write_report(records: Sequence[Record], title: str, pictures: Path, out: Pat
     for record in records:
         home = out / RUNS_FOLDER / name_run(record)
         for name, text in run_files(record).items():
-            write_file(home / name, text)
+            write_inside(out, home / name, text)
         if (picture := picture_path(pictures, record)).is_file():
-            write_file(home / PICTURE_FILE, picture.read_bytes())
+            write_inside(out, home / PICTURE_FILE, picture.read_bytes())
 
     # Write the page
     text = render_bench_page(

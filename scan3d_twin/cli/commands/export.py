@@ -84,9 +84,12 @@ def _cloud(
 ) -> list[Path]:
     from scan3d_twin.recording.export.clouds import export_cloud, file_name, pieces
     from scan3d_twin.recording.load import load_session, run_folder
+    from scan3d_twin.run.folder import require_own_folders
 
-    session = load_session(run).session
-    path = out or run_folder(run) / file_name(name, kind, per_view=per_view)
+    session, folder = load_session(run).session, run_folder(run)
+    path = out or folder / file_name(name, kind, per_view=per_view)
+    if out is None and path.is_dir():  # not through a link in a run that came from someone else
+        require_own_folders(folder, path)
     parts = pieces(session, per_view=per_view, voxel=voxel, unit=unit)
     return export_cloud(parts, kind, path, per_view=per_view)
 

@@ -120,8 +120,8 @@ def _first_facts(begun: Beginning) -> dict[str, Any]:
 def recover(folder: Path, /, *, json: bool = False) -> None:
     """Repair the session file of a run that was killed, or a damaged one.
 
-    `twin` itself reads the file of a killed run as it is; other programs need it repaired. Of a
-    damaged file everything but the damaged parts is kept. The old file stays beside the new one.
+    `twin` itself reads the file of a killed run as it is; other programs need it repaired. The
+    new file holds everything but the damaged parts; the old one stays beside it.
 
     Args:
         folder: Folder of a run.
@@ -145,8 +145,8 @@ def recover(folder: Path, /, *, json: bool = False) -> None:
         say(_recovered(found), sys.stdout)
     if found.after < found.recorded:
         raise FileError(
-            f"{found.recorded - found.after} of {found.recorded} views were in the damaged part "
-            "and are lost"
+            f"{found.recorded - found.after} of {found.recorded} recorded views were in the "
+            "damaged part and are lost"
         )
 
 

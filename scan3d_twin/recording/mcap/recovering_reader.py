@@ -187,9 +187,9 @@ def read_summary(data: bytes) -> Summary:
     if not len(MAGIC) <= start < footer:
         raise ChunkError("no index")
 
-    # Collect its records
+    # Collect its records; chunks, which a false start may lead to, stay packed
     summary = Summary()
-    for each in StreamReader(BytesIO(data[start:]), skip_magic=True).records:
+    for each in StreamReader(BytesIO(data[start:]), skip_magic=True, emit_chunks=True).records:
         if isinstance(each, Schema):
             summary.schemas[each.id] = each
         elif isinstance(each, Channel):

@@ -57,8 +57,10 @@ def reopen(
         content: What to copy instead of the content that the index or a scan gives.
 
     Raises:
-        FileError: A run is writing to the file, it cannot be read, or the disk is full.
+        FileError: The file is not the one that its run goes on with, a run is writing to it, it
+            cannot be read, or the disk is full.
     """
+    _require_current(path)
     if is_written(path):
         raise FileError(f"a running program is writing to {path}; stop it first")
 
@@ -84,6 +86,22 @@ def reopen(
     if path.name == SESSION_FILE:
         path.unlink()
     return Reopened(file, path, backup)
+
+
+def _require_current(path: Path) -> None:
+    """Check that ``path`` is the file that takes the place of the others of its run.
+
+    Raises:
+        FileError: It is a backup, or an unfinished file continues it: either would be replaced.
+    """
+    if path.name not in (SESSION_FILE, SESSION_FILE + PART):
+        raise FileError(
+            f"{path} is a backup or a copy, not the {SESSION_FILE} of its run: to change the run, "
+            f"name its folder, {path.parent}; to use this file, move it to a folder of its own as "
+            f"{SESSION_FILE}"
+        )
+    if path.name == SESSION_FILE and (part := path.with_name(SESSION_FILE + PART)).exists():
+        raise FileError(f"{part} continues {path}: name their folder, {path.parent}")
 
 
 def read_to_last_mark(path: Path, *topics: str) -> Iterator[RawMessage | Metadata]:

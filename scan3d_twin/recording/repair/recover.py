@@ -39,7 +39,7 @@ class Recovery:
         backup: The old file; None if it was complete and nothing was done.
         before: Number of views that could be read before.
         after: Number of views that can be read now.
-        recorded: Number of views that the log tells of.
+        recorded: Number of views that the run recorded, as far as its log is left.
         lost_messages: Number of messages in damaged parts; None where nothing states it.
         lost_settings: Whether the options of the run were lost and are guessed.
     """
@@ -116,10 +116,11 @@ class _Reading:
     def __init__(self, found: Salvage, chunks: tuple[int, ...]) -> None:
         self._found, self._chunks = found, chunks
         log = SalvagedLog(self._records())
-        self.recorded, self.mark = log.expected, log.mark or Mark()
+        self.mark = log.mark or Mark()
         salvaged = log.session()
         complete, broken = self._replay()
         gaps = broken or found.lost_messages != 0  # else a kill cut off an unfinished change
+        self.recorded = log.expected if gaps else _views(complete)
         self.rewritten = gaps and _views(complete) < _views(salvaged)
         self.session: Session | None = salvaged if self.rewritten else complete
 

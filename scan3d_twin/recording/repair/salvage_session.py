@@ -34,7 +34,7 @@ class SalvagedLog:
 
     Attributes:
         mark: The latest mark that is left.
-        expected: Number of views that the log tells of.
+        expected: Number of views that the run recorded, as far as its log is left.
     """
 
     def __init__(self, records: Iterable[Record]) -> None:

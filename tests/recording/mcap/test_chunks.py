@@ -4,6 +4,7 @@ import struct
 import tracemalloc
 
 import pytest
+from mcap import stream_reader
 from mcap.opcode import Opcode
 from recorded import record
 
@@ -21,7 +22,7 @@ from scan3d_twin.recording.mcap.chunks import (
     records_of,
 )
 from scan3d_twin.recording.mcap.file import McapFile
-from scan3d_twin.recording.mcap.recovering_reader import read_contents
+from scan3d_twin.recording.mcap.recovering_reader import MAGIC, read_contents, read_summary
 from scan3d_twin.recording.mcap.salvage import salvage
 
 SIZE = 8_000_000
@@ -96,3 +97,18 @@ def test_a_session_of_a_real_run_is_far_from_the_limits(session, tmp_path, monke
     monkeypatch.setattr(chunks, "FREE_EXPANSION", 0)
     monkeypatch.setattr(chunks, "EXPANSION", 8)
     assert len(load_session(path).session.views) == len(session.views)
+
+
+def test_a_false_start_of_the_index_opens_no_chunk_outside_the_limits(padded, monkeypatch):
+    """The footer leads to a chunk: the library would decompress it, whatever its size."""
+    data = bytearray(padded.read_bytes())
+    (index,) = read_summary(bytes(data)).chunk_indexes
+    footer = len(data) - len(MAGIC) - 20
+    struct.pack_into("<Q", data, footer, index.chunk_start_offset)
+
+    opened = []
+    monkeypatch.setattr(
+        stream_reader, "breakup_chunk", lambda *each, **_: opened.append(each) or ()
+    )
+    assert len(read_summary(bytes(data)).chunk_indexes) == 1
+    assert opened == []

@@ -91,3 +91,28 @@ def test_what_a_robot_said_before_it_failed_can_be_made_whole(tmp_path):
     assert recover_session(tmp_path, lambda: 0.0).backup == tmp_path / "session.1.mcap.part"
     assert is_finished(tmp_path / "session.mcap")
     assert recover_session(tmp_path, lambda: 0.0).backup is None
+
+
+@pytest.mark.parametrize("name", ["session.1.mcap", "session.2.mcap.part", "copy.mcap"])
+def test_a_backup_is_not_put_in_the_place_of_the_session(three, tmp_path, name):
+    """Before, what replaced the session was made of the backup, and the session was gone."""
+    kept = record(tmp_path, three).path.read_bytes()
+    backup = tmp_path / name
+    backup.write_bytes(kept)
+    with pytest.raises(FileError, match=f"{name} is a backup or a copy.*name its folder"):
+        drop_view(backup, 1, lambda: 0.0)
+    backup.write_bytes(kept[:-100])
+    with pytest.raises(FileError, match=f"{name} is a backup or a copy.*name its folder"):
+        recover_session(backup, lambda: 0.0)
+    assert (tmp_path / "session.mcap").read_bytes() == kept
+    assert sorted(each.name for each in tmp_path.iterdir()) == sorted(["session.mcap", name])
+
+
+def test_a_session_that_an_unfinished_file_continues_is_not_put_in_its_place(three, tmp_path):
+    kept = record(tmp_path, three).path.read_bytes()
+    part = tmp_path / "session.mcap.part"
+    part.write_bytes(kept[:-100])
+    with pytest.raises(FileError, match=r"session\.mcap\.part continues .*name their folder"):
+        drop_view(tmp_path / "session.mcap", 1, lambda: 0.0)
+    assert part.read_bytes() == kept[:-100]
+    assert (tmp_path / "session.mcap").read_bytes() == kept

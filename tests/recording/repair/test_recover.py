@@ -12,9 +12,12 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
-from scan3d_twin.recording.load import load_session, read_lines
-from scan3d_twin.recording.mcap.recovering_reader import is_sound
+from scan3d_twin.recording.load import decode_record, load_session, read_lines
+from scan3d_twin.recording.mcap.file import McapFile
+from scan3d_twin.recording.mcap.recovering_reader import is_sound, read_contents
+from scan3d_twin.recording.mcap.rewrite import copy_record, is_mark
 from scan3d_twin.recording.repair.recover import UNKNOWN, recover_session
+from scan3d_twin.recording.session_log import mark_lengths
 
 SEED, FAULTS = 4, 4
 """Single faults of each kind; benchmarks/fuzz.py takes hundreds."""
@@ -103,6 +106,28 @@ def test_what_a_lost_chunk_held_is_counted(three, tmp_path):
     assert found.lost_messages > 0
     assert 0 < lines - sum(1 for _ in read_lines(path)) <= found.lost_messages
     assert found.backup.read_bytes() == flipped(data, place + 200)
+
+
+def test_a_kill_before_a_view_is_marked_loses_no_recorded_view(three, tmp_path):
+    """Its records are there without the mark that finishes it: nothing was damaged."""
+    data, *_ = three
+    contents = list(read_contents(write(tmp_path, data)))
+    marks = [k for k, each in enumerate(contents) if is_mark(each)]
+    second = next(k for k in marks if marked_views(contents[k]) == 2)
+    (tmp_path / "session.mcap").unlink()
+    file = McapFile(tmp_path / "session.mcap.part", lambda: 0.0)
+    for each in contents[:second]:
+        copy_record(each, file)
+    file.flush(0.0)
+    file.sink.close()
+
+    found = recover_session(tmp_path, lambda: 0.0)
+    assert (found.before, found.after, found.recorded, found.lost_messages) == (1, 1, 1, 0)
+
+
+def marked_views(each):
+    """Return the number of views that a mark counts."""
+    return mark_lengths(decode_record(each)[2][0])["views"]
 
 
 def test_lost_settings_are_said_to_be_lost(three, tmp_path):
