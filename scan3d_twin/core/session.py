@@ -68,6 +68,11 @@ class View:
     T_world_scan: Pose2
     registration: RegistrationResult | None
 
+    @property
+    def T_world_odom(self) -> Pose2:
+        """Where registration puts the odometry frame of the time of this view: it drifts."""
+        return self.T_world_scan @ self.observation.T_odom_scan.inverse()
+
     def compress(self) -> None:
         """Compress the large arrays, as earlier views are seldom read."""
         self.sweep.compress(self.image)
@@ -141,9 +146,22 @@ class Session:
             view.compress()
 
     def observations(self) -> tuple[Observation, ...]:
-        """Return all panoramas and sweeps in the order in which they were taken."""
+        """Return all panoramas and sweeps in the order in which they were taken.
+
+        Each has the pose that registration gives it in ``odom`` as it is at the latest view: by
+        odometry alone what was seen long ago would lie where it no longer is.
+        """
         result: list[Observation] = []
         for k in range(len(self.views) + 1):
-            result += [panorama for taken, panorama in self.panoramas if taken == k]
-            result += [view.observation for view in self.views[k : k + 1]]
+            seen = [panorama for taken, panorama in self.panoramas if taken == k]
+            anchor = max(0, k - 1)
+            result += [self._placed(panorama, anchor) for panorama in seen]
+            result += [self._placed(view.observation, k) for view in self.views[k : k + 1]]
         return tuple(result)
+
+    def _placed(self, observation: Observation, k: int) -> Observation:
+        """Return an observation made in ``odom`` of view k in that of the latest view."""
+        if k >= len(self.views) - 1:
+            return observation
+        latest = self.views[-1].T_world_odom
+        return observation.moved(latest.inverse() @ self.views[k].T_world_odom)

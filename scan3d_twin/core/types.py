@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -394,6 +394,15 @@ class Observation:
     T_odom_scan: Pose2
     touched: tuple[tuple[float, float], ...] = ()
     legs: tuple[tuple[float, float], ...] = ()
+
+    def moved(self, T_odom_old: Pose2) -> Observation:
+        """Return the same sweep in another ``odom``, in which the old one has the given pose."""
+        touched = T_odom_old.apply(np.array(self.touched).reshape(-1, 2)).tolist()
+        return replace(
+            self,
+            T_odom_scan=T_odom_old @ self.T_odom_scan,
+            touched=tuple((x, y) for x, y in touched),
+        )
 
 
 @compressible("points", "lines", "beams")

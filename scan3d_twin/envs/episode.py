@@ -59,7 +59,8 @@ class Episode:
     @property
     def costmap(self) -> Costmap:
         """Costmap from the latest view."""
-        return self.source.costmap_from(self.session.views[-1].observation.T_odom_scan)
+        here = self.session.views[-1].observation.T_odom_scan
+        return self.source.costmap_from(here, self.session)
 
     @property
     def sees_target(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import find_path
 from scan3d_twin.core.model.truth import Truth
-from scan3d_twin.core.navigation.costmap import Costmap, build_costmap, extend_costmap
+from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.navigation.motion_control import follow_path
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
@@ -39,7 +39,7 @@ class EpisodeScanSource(ABC):
     def __init__(self, config: Config) -> None:
         self.config = config
         self.driven = 0.0
-        self._costmap: Costmap | None = None
+        self._costmap: tuple[Session, Costmap] | None = None
 
     @property
     @abstractmethod
@@ -52,8 +52,8 @@ class EpisodeScanSource(ABC):
         """Time since the robot was opened [s]."""
 
     @abstractmethod
-    def _take_panorama(self) -> Observation:
-        """Take a panorama."""
+    def take_panorama(self, session: Session | None = None) -> Observation:
+        """See ``ScanSource``; there is no session before the first panorama."""
 
     @abstractmethod
     def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:
@@ -67,15 +67,11 @@ class EpisodeScanSource(ABC):
     def close(self) -> None:
         """Stop the robot."""
 
-    def take_panorama(self, session: Session | None = None) -> Observation:
-        """See ``ScanSource``."""
-        return self._update_costmap(self._take_panorama())
-
     def observe(self, viewpoint: Pose2, session: Session) -> Observation:
         """See ``ScanSource``."""
         # Drive and sweep
-        path = find_path(self.costmap_from(self.here), viewpoint)
         here = self.here
+        path = find_path(self.costmap_from(here, session), viewpoint)
         places = [np.array([here.x, here.y]), *path]
         self.driven += sum(float(np.linalg.norm(b - a)) for a, b in pairwise(places))
         seen, poses = self._go(path, viewpoint.yaw)
@@ -83,23 +79,19 @@ class EpisodeScanSource(ABC):
         # Keep how the wheels moved since the latest view
         before = session.views[-1].observation.T_odom_scan if session.views else poses[0]
         legs = measure_legs(before, poses, seen.T_odom_scan.yaw)
-        return self._update_costmap(replace(seen, legs=legs))
+        return replace(seen, legs=legs)
 
-    def costmap_from(self, start: Pose2) -> Costmap:
-        """Return the costmap with the robot at ``start`` in ``odom``."""
-        if self._costmap is None:
-            raise ValueError("there is no costmap yet: take a panorama first")
-        if (start.x, start.y) != tuple(self._costmap.start):
-            self._costmap = replace(self._costmap, start=np.array([start.x, start.y]))
-        return self._costmap
-
-    def _update_costmap(self, seen: Observation) -> Observation:
-        place = seen.T_odom_scan
-        if self._costmap is None:
-            self._costmap = build_costmap((seen,), self.config, place)
-        else:
-            self._costmap = extend_costmap(self._costmap, seen, self.config, place)
-        return seen
+    def costmap_from(self, start: Pose2, session: Session) -> Costmap:
+        """Return the costmap with the robot at ``start`` in ``odom``, by what ``session`` saw."""
+        if self._costmap is None or self._costmap[0] is not session:
+            costmap = build_costmap(
+                session.observations(), self.config, start, workspace=session.workspace
+            )
+            self._costmap = session, costmap
+        known = self._costmap[1]
+        if (start.x, start.y) == tuple(known.start):
+            return known
+        return replace(known, start=np.array([start.x, start.y]))
 
 
 class PhysicsScanSource(EpisodeScanSource):
@@ -134,7 +126,8 @@ class PhysicsScanSource(EpisodeScanSource):
         """See ``EpisodeScanSource``."""
         self._open.close()
 
-    def _take_panorama(self) -> Observation:
+    def take_panorama(self, session: Session | None = None) -> Observation:
+        """See ``EpisodeScanSource``."""
         return take_panorama(self._robot, self.config, _ignore_line)
 
     def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:
@@ -176,7 +169,8 @@ class KinematicScanSource(EpisodeScanSource):
     def close(self) -> None:
         """See ``EpisodeScanSource``: the robot stands still anyway."""
 
-    def _take_panorama(self) -> Observation:
+    def take_panorama(self, session: Session | None = None) -> Observation:
+        """See ``EpisodeScanSource``."""
         return self._robot.take_panorama()
 
     def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:

@@ -180,7 +180,7 @@ class LiveView:
         """See ``Observer``."""
         # Show the views
         view, count, self._session = session.views[-1], len(session.views), session
-        self._T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
+        self._T_world_odom = view.T_world_odom
         self.stage.show_views(session)
         self._show_path()
         if count == 1:

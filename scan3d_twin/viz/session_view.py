@@ -157,11 +157,10 @@ class SessionView:
             stamps = panorama.image.stamps
             if taken == count and stamps.min() <= time <= stamps.max():
                 view = self._session.views[max(0, taken - 1)]
-                T_world_odom = view.T_world_scan @ view.observation.T_odom_scan.inverse()
                 if k not in self._panoramas:
                     self._panoramas[k] = extract_points(panorama.image, self._session.config)
                 lines = int(np.count_nonzero(stamps <= time))
-                placed = T_world_odom @ panorama.T_odom_scan
+                placed = view.T_world_odom @ panorama.T_odom_scan
                 self._stage.show_panorama(placed, self._panoramas[k], lines)
                 return True
         return False

@@ -20,7 +20,7 @@ def place_track(track: FloatArray, session: Session) -> FloatArray:
     # Correction of the odometry at each view
     times, corrections = [], []
     for view in session.views:
-        correction = view.T_world_scan @ view.observation.T_odom_scan.inverse()
+        correction = view.T_world_odom
         times.append(float(view.observation.image.stamps.max()))
         corrections.append((correction.x, correction.y, correction.yaw))
     values = np.array(corrections)

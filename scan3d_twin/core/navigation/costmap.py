@@ -216,33 +216,6 @@ def build_costmap(
     return Costmap(origin, cells, radius, np.array([start.x, start.y]))
 
 
-def extend_costmap(
-    costmap: Costmap, observation: Observation, config: Config, start: Pose2
-) -> Costmap:
-    """Return ``costmap`` after one more ``observation``, equal to ``build_costmap`` of all.
-
-    Args:
-        costmap: The costmap of the earlier observations.
-        observation: The newest observation.
-        config: As for ``build_costmap``.
-        start: Where the robot stands in ``odom``.
-    """
-    # Grow the grid by what is in range
-    reach, place = config.target.max_range + RESOLUTION, observation.T_odom_scan
-    here = np.array([place.x, place.y]) - costmap.origin
-    shape = np.array(costmap.cells.shape)
-    before = np.maximum(0, -np.floor((here - reach) / RESOLUTION + 1e-9)).astype(np.int64)
-    after = np.maximum(0, np.ceil((here + reach) / RESOLUTION - 1e-9) - shape).astype(np.int64)
-    cells = np.pad(costmap.cells, np.stack([before, after], axis=1), constant_values=UNKNOWN)
-    origin = np.asarray(
-        (np.rint(costmap.origin / RESOLUTION) - before) * RESOLUTION, dtype=np.float64
-    )
-
-    # Mark what was seen
-    _mark_observation(cells, origin, observation, config)
-    return Costmap(origin, cells, costmap.inflation_radius, np.array([start.x, start.y]))
-
-
 def _mark_observation(
     cells: IntArray,
     origin: FloatArray,

@@ -149,8 +149,7 @@ def _iterate_images(session: Session) -> Iterator[tuple[Pose2, RangeImage]]:
             yield panorama.T_odom_scan, panorama.image
             continue
         view = session.views[min(taken, len(session.views)) - 1]
-        move = view.observation.T_odom_scan.inverse() @ panorama.T_odom_scan
-        yield view.T_world_scan @ move, panorama.image
+        yield view.T_world_odom @ panorama.T_odom_scan, panorama.image
 
 
 def is_passed(points: FloatArray, image: RangeImage, clearly: float | FloatArray) -> BoolArray:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +12,6 @@ from scan3d_twin.core.navigation.costmap import (
     RESOLUTION,
     Costmap,
     build_costmap,
-    extend_costmap,
 )
 from scan3d_twin.core.types import FloatArray, Observation, Pose2
 
@@ -104,17 +102,3 @@ def test_the_robot_can_leave_where_it_stands() -> None:
     tight = Pose2(0.6 - 0.18, 0.7, 0.0)  # closer than the clearance to a box
     costmap = build_costmap((look(THREE_BOXES),), CONFIG, tight)
     assert costmap.find_path(-0.9, 0.0) is not None
-
-
-def test_one_more_observation_gives_the_map_of_all() -> None:
-    off = Pose2(0.013, 0.007, 0.1)  # no face lies on the border of two cells
-    places = [SPAWN, Pose2(-0.9, 1.0, -0.4), Pose2(-0.3, -1.2, 0.7), Pose2(-1.6, 0.2, 3.0)]
-    taken = [look(THREE_BOXES), *(observe(pose, THREE_BOXES) for pose in places[1:])]
-    taken = [replace(seen, T_odom_scan=off @ seen.T_odom_scan) for seen in taken]
-    grown = build_costmap(taken[:1], CONFIG, SPAWN)
-    for k, pose in enumerate(places[1:], 2):
-        grown = extend_costmap(grown, taken[k - 1], CONFIG, pose)
-        whole = build_costmap(taken[:k], CONFIG, pose)
-        assert grown.origin == pytest.approx(whole.origin)
-        assert np.array_equal(grown.cells, whole.cells)
-        assert np.array_equal(grown.start, whole.start)
