@@ -215,13 +215,17 @@ def _find_groups(panorama: Observation, config: Config) -> list[_Group]:
             "start the robot nearer to the target"
         )
 
+    # Find what is foremost, but for single glints
+    solid = sweep.select(_measure_pieces(image, sweep) >= least)
+    foremost = _find_nearest_per_line(solid.points, solid.lines, image.n_lines)
+
     # Separate the walls
     top, limit = sweep.points[:, :2], config.target.max_range
     walls = {
         wall: on_wall
         for wall in find_walls(everything.points, limit)
         if (on_wall := wall.contains(top, WALL_REGISTRATION)).any()
-        and not _stands_free(image, sweep, on_wall, limit)
+        and not _stands_free(image, sweep, on_wall, foremost, limit)
     }
 
     # Group the rest in the top view
@@ -235,7 +239,7 @@ def _find_groups(panorama: Observation, config: Config) -> list[_Group]:
     # Describe groups and walls
     passage = 2 * (config.motion.robot_radius + config.motion.clearance)
     groups = [
-        _describe_group(image, sweep, member, limit, list(walls), passage)
+        _describe_group(image, sweep, member, foremost, limit, list(walls), passage)
         for member in members
         if np.count_nonzero(member) >= least
     ]
@@ -280,6 +284,7 @@ def _describe_group(
     image: RangeImage,
     sweep: Scan3D,
     member: BoolArray,
+    foremost: FloatArray,
     max_range: float,
     walls: list[Wall],
     passage: float,
@@ -289,19 +294,21 @@ def _describe_group(
     return _Group(
         points,
         _measure_salience(image, sweep.points[member]),
-        _stands_free(image, sweep, member, max_range),
+        _stands_free(image, sweep, member, foremost, max_range),
         float(np.max(np.ptp(points, axis=0))) <= MAX_COMPACT_SIZE,
         any(wall.contains(points, passage).any() for wall in walls),
     )
 
 
-def _stands_free(image: RangeImage, sweep: Scan3D, member: BoolArray, max_range: float) -> bool:
+def _stands_free(
+    image: RangeImage, sweep: Scan3D, member: BoolArray, foremost: FloatArray, max_range: float
+) -> bool:
     """Return whether the background beyond both ends of the ``member`` points (n,) is farther.
 
+    The distances to what is ``foremost`` in each line (n_lines,) [m] tell where that is.
     What is beyond ``max_range`` [m] is not seen: a wall that goes on there does not stand free.
     """
     # Find the ends among the lines
-    foremost = _find_nearest_per_line(sweep.points, sweep.lines, image.n_lines)
     own = _find_nearest_per_line(sweep.points[member], sweep.lines[member], image.n_lines)
     lines = np.flatnonzero(np.isfinite(own))
     gaps = np.diff(np.append(lines, lines[0] + image.n_lines))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from scan3d_twin.core.scanning.target_extraction import (
     find_target,
     is_in_window,
 )
-from scan3d_twin.core.types import Observation, Pose2
+from scan3d_twin.core.types import VALID, Observation, Pose2, read_only
 
 CONFIG = paper_config()
 SPAWN = Pose2(-0.9, 0.0, 0.0)
@@ -54,6 +55,18 @@ def test_the_look_around_finds_the_boxes_not_the_room() -> None:
     assert hint[:, 1].min() == pytest.approx(-1.15, abs=0.08)
     assert hint[:, 1].max() == pytest.approx(1.15, abs=0.08)
     assert hint[:, 0].max() < 2.2  # the wall behind is at 3.4
+
+
+@pytest.mark.parametrize("beam", [330, 384, 410])
+def test_a_glint_beside_the_boxes_makes_no_wall_of_them(beam: int) -> None:
+    seen = look()
+    image, whole = seen.image, find_target(seen, None, CONFIG)
+    bearing = math.atan2(whole[:, 1].max(), whole[np.argmax(whole[:, 1]), 0])
+    beside = np.flatnonzero(image.yaws[:, 384] > bearing)[-1]
+    ranges, codes = image.ranges.copy(), image.codes.copy()
+    ranges[beside, beam], codes[beside, beam] = 1.0, VALID
+    glint = replace(seen, image=replace(image, ranges=read_only(ranges), codes=read_only(codes)))
+    assert np.array_equal(find_target(glint, None, CONFIG), whole)
 
 
 def test_a_wall_is_found_when_there_is_nothing_else() -> None:
