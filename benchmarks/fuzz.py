@@ -3,6 +3,7 @@
     python benchmarks/fuzz.py 10000            # inputs over all kinds, seed 1
     python benchmarks/fuzz.py 500 toml npz     # of these kinds
     python benchmarks/fuzz.py 200 recover      # single faults of a session of three views
+    python benchmarks/fuzz.py 500 mcap --from 500    # the next ones, to go on where one ended
 
 Each input is a right file with random changes, written anew where the format has checksums, so
 that the change reaches the reader. It is read in a child; the child's processor time and memory are
@@ -118,13 +119,20 @@ def run(kind: Kind, base: Path, number: int, folder: Path) -> Outcome:
 
 def main() -> None:
     """Make and read the inputs, and print what became of them."""
+    # Read the arguments
     arguments = sys.argv[1:]
+    first = 0
+    if "--from" in arguments:
+        place = arguments.index("--from")
+        first = int(arguments[place + 1])
+        del arguments[place : place + 2]
     one = arguments[:1] == ["one"]
     count = 1 if one else int(arguments[0])
     names = arguments[1:2] if one else arguments[1:] or [n for n in KINDS if n != "recover"]
-    first = int(arguments[2]) if one else 0
+    first = int(arguments[2]) if one else first
     share = 1 if one else -(-count // len(names))
 
+    # Read the inputs, kind by kind
     with tempfile.TemporaryDirectory() as root:
         base, bad, began = make_base(Path(root) / "base"), 0, time.monotonic()
         for name in names:

@@ -19,7 +19,7 @@ from scan3d_twin.core.registration import register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.load import RecordedRun, load_session, run_folder
-from scan3d_twin.recording.overview.listing import REPORT, read_report
+from scan3d_twin.recording.overview.listing import REPORT, read_report_or_state
 from scan3d_twin.run.report import Report
 from scan3d_twin.run.settings import settings_toml
 
@@ -158,7 +158,7 @@ def _unrelated(name: str, run: RecordedRun, model: Model) -> ComparedRun:
     return ComparedRun(
         name,
         _options(run),
-        read_report(run_folder(run.path) / REPORT)[0],
+        read_report_or_state(run_folder(run.path) / REPORT)[0],
         run.session,
         model,
         Pose2(),
@@ -169,7 +169,7 @@ def _unrelated(name: str, run: RecordedRun, model: Model) -> ComparedRun:
 
 
 def _report(run: RecordedRun) -> Report:
-    return read_report(run_folder(run.path) / REPORT)[0]
+    return read_report_or_state(run_folder(run.path) / REPORT)[0]
 
 
 def _options(run: RecordedRun) -> dict[str, Any]:
