@@ -44,7 +44,7 @@ def film(
     if not 1 <= fps <= 60:
         raise ConfigError(f"--fps must be 1 to 60, got {fps}")
     path = run_folder(run) / "film.mp4" if out is None else out
-    film_kind(path)
+    film_kind(path, fps)
     from scan3d_twin.viz.film import draw_frames, prepare_film
 
     with make_progress() as progress:
