@@ -19,16 +19,13 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from scan3d_twin.limits import how_to_raise, scaled
+from scan3d_twin.limits import expansion_limit, how_to_raise, scaled
 
 MAX_CHUNK = 128 * 1024 * 1024
 """Largest decompressed chunk [bytes]: the recorder ends a chunk with the message that exceeds 256
 kB, and a sweep of two million readings is a message of this size."""
 MAX_RECORDS = 1_000_000
 """Most records of a chunk: one of 256 kB holds 8,500 of the shortest messages."""
-FREE_EXPANSION, EXPANSION = 64 * 1024 * 1024, 32
-"""What a file may expand to: this many bytes, and so many times its size. Sessions expand two- to
-fivefold."""
 
 _RECORD = struct.Struct("<BQ")
 """Opcode and length of a record's body."""
@@ -71,7 +68,7 @@ class Expansion:
     @classmethod
     def of_file(cls, size: int) -> Expansion:
         """Return what a file of ``size`` bytes may expand to."""
-        return cls(scaled(FREE_EXPANSION + EXPANSION * size))
+        return cls(expansion_limit(size))
 
     def spend(self, size: int) -> None:
         """Count ``size`` more bytes.

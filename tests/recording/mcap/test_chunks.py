@@ -8,6 +8,7 @@ from mcap import stream_reader
 from mcap.opcode import Opcode
 from recorded import record
 
+from scan3d_twin import limits
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.limits import VARIABLE
 from scan3d_twin.recording.load import load_session
@@ -41,7 +42,7 @@ def padded(tmp_path):
 def test_what_a_file_expands_to_is_limited_before_it_is_decompressed(padded, monkeypatch):
     assert padded.stat().st_size < SIZE / 1000
     assert len(list(read_contents(padded))) == 1
-    monkeypatch.setattr(chunks, "FREE_EXPANSION", SIZE // 2)
+    monkeypatch.setattr(limits, "FREE_EXPANSION", SIZE // 2)
     tracemalloc.start()
     for read in (
         lambda: list(read_contents(padded)),
@@ -94,8 +95,8 @@ def test_zeros_are_no_records():
 
 def test_a_session_of_a_real_run_is_far_from_the_limits(session, tmp_path, monkeypatch):
     path = record(tmp_path, session).path
-    monkeypatch.setattr(chunks, "FREE_EXPANSION", 0)
-    monkeypatch.setattr(chunks, "EXPANSION", 8)
+    monkeypatch.setattr(limits, "FREE_EXPANSION", 0)
+    monkeypatch.setattr(limits, "EXPANSION", 8)
     assert len(load_session(path).session.views) == len(session.views)
 
 
