@@ -5,11 +5,12 @@ from dataclasses import replace
 import av
 import numpy as np
 import pytest
+from full_disk import full_disk
 from PIL import Image
 from recorded import record
 
 import scan3d_twin as s3d
-from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.recording.load import load_session
 from scan3d_twin.recording.mcap.file import McapFile
 from scan3d_twin.recording.mcap.recovering_reader import read_contents
@@ -82,6 +83,13 @@ def test_it_is_written_as_mp4_and_as_gif(frames, tmp_path):
     write_film(tmp_path / "a.gif", frames, 5)
     assert durations(tmp_path / "a.gif") == [200] * len(frames)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "a.mp4", "b.mp4"]
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.gif"])
+def test_nothing_is_left_of_a_film_that_does_not_fit(frames, tmp_path, name):
+    with full_disk(4096), pytest.raises(FileError, match=r"^cannot write \S+: .{5,80}$"):
+        write_film(tmp_path / name, frames, 5)
+    assert list(tmp_path.iterdir()) == []
 
 
 def durations(path):
