@@ -1,6 +1,7 @@
 """``twin runs``, ``twin compare`` and ``twin film``."""
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -55,6 +56,20 @@ def test_the_report_of_someone_else_is_no_matter_of_trust(two, twin):
         said = twin("runs", two[0])
         assert (said.code, "(its report cannot be read)" in said.out) == (0, True)
     assert twin("compare", *two, "--out", "both.html").code == 0
+
+
+def test_the_name_of_a_folder_steers_no_terminal_and_ends_no_command(two, twin, tmp_path):
+    """Names are bytes: of another encoding, or with an escape sequence."""
+    odd = tmp_path / os.fsdecode(b"r\xff\x1b[31mn")
+    two[0].rename(odd)
+    for words in (("runs", odd), ("compare", odd, two[1], "--out", odd / "c.html"),
+                  ("export", odd, "--to", "xyz"), ("mesh", odd)):  # fmt: skip
+        told = twin(*words)
+        assert (told.code, told.err) == (0, "")
+        assert "r\ufffd\ufffd[31mn" in told.out
+        assert "\x1b" not in told.out
+    assert json.loads(twin("session", "info", odd, "--json").out)["path"].startswith(str(odd))
+    assert "r\ufffd\x1b[31mn" in (odd / "c.html").read_text(encoding="utf-8")
 
 
 def test_no_runs_and_no_folder_are_told(twin, fails, tmp_path):

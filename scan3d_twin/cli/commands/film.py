@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
+
+from scan3d_twin.cli.output import say
 
 if TYPE_CHECKING:
     from scan3d_twin.core.png import Picture
@@ -54,7 +57,7 @@ def film(
         step = steps(progress, "frame", count)
         frames = draw_frames(prepared, count)
         write_film(path, _telling(frames, step), fps)
-    print(path)
+    say(str(path), sys.stdout)
 
 
 def _telling(frames: Iterable[Picture], step: Callable[[int], None]) -> Iterator[Picture]:

@@ -39,7 +39,7 @@ def info(folder: Path, /, *, json: bool = False) -> None:
     except NoViewError:
         found = _first_facts(read_beginning(folder))
     if json:
-        print(json_module.dumps(found, indent=2, ensure_ascii=False))
+        print(json_module.dumps(found, indent=2))
         return
     lines = [
         f"{found['path']}: {found['state']}, {found['size_mb']} MB",

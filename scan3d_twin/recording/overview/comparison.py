@@ -20,6 +20,7 @@ from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.load import RecordedRun, load_session, run_folder
 from scan3d_twin.recording.overview.listing import REPORT, read_report_or_state
+from scan3d_twin.run.folder import readable
 from scan3d_twin.run.report import Report
 from scan3d_twin.run.settings import settings_toml
 
@@ -120,10 +121,10 @@ def _millimetres(distances: Distances) -> dict[str, float]:
 def _tell_apart(folders: Sequence[Path]) -> list[str]:
     """Return the shortest ends of the paths that differ; whole paths if two are the same."""
     for depth in range(1, max(len(folder.parts) for folder in folders)):
-        names = ["/".join(folder.parts[-depth:]) for folder in folders]
+        names = [readable("/".join(folder.parts[-depth:])) for folder in folders]
         if len(set(names)) == len(names):
             return names
-    return [str(folder) for folder in folders]
+    return [readable(folder) for folder in folders]
 
 
 def _lay_on(target: Model, source: Model) -> Pose2 | None:
