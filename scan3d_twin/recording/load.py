@@ -94,7 +94,7 @@ def read_beginning(place: Path) -> Beginning:
     """Return what is known of a run without a finished view.
 
     Raises:
-        FileError: There is no session file, or it is damaged.
+        FileError: There is no session file, it is damaged, or nothing is in it.
     """
     path = find_session_file(place)
     texts, last = {}, 0
@@ -103,6 +103,8 @@ def read_beginning(place: Path) -> Beginning:
             texts[each.name] = each.metadata
         else:
             last = max(last, each.nanoseconds)
+    if not texts and not last:
+        raise FileError(f"{path} holds nothing of a run: no session of twin, or all is damaged")
     described = texts.get("settings")
     return Beginning(
         path=path,

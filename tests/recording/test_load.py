@@ -9,7 +9,13 @@ from recorded import record
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.types import Odometry, Pose2
-from scan3d_twin.recording.load import NoViewError, load_session, read_last_odometry, read_track
+from scan3d_twin.recording.load import (
+    NoViewError,
+    load_session,
+    read_beginning,
+    read_last_odometry,
+    read_track,
+)
 from scan3d_twin.recording.mcap.cdr import encode_odometry
 from scan3d_twin.recording.mcap.file import McapFile
 from scan3d_twin.recording.mcap.recovering_reader import read_contents
@@ -48,3 +54,12 @@ def test_a_session_that_counts_no_view_is_none(session, tmp_path):
     path = record(tmp_path, empty).path
     with pytest.raises(NoViewError, match="holds no finished view"):
         load_session(path)
+
+
+def test_a_file_with_nothing_in_it_is_no_run(session, tmp_path):
+    file = McapFile(tmp_path / "session.mcap", lambda: 0.0)
+    file.finish()
+    with pytest.raises(FileError, match="holds nothing of a run"):
+        read_beginning(tmp_path)
+    path = record(tmp_path / "run", replace(session, views=(), plans=())).path
+    assert read_beginning(path).name == "boxes"
