@@ -3,6 +3,7 @@
     python benchmarks/fuzz.py 10000            # inputs over all kinds, seed 1
     python benchmarks/fuzz.py 500 toml npz     # of these kinds
     python benchmarks/fuzz.py 200 recover      # single faults of a session of three views
+    python benchmarks/fuzz.py 10000 --log FILE # outcomes go there; again, it goes on after them
 
 Each input is a right file with random changes, written anew where the format has checksums, so
 that the change reaches the reader. It is read in a child; the child's processor time and memory are
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import resource
 import signal
@@ -21,8 +23,8 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from random import Random
 
@@ -36,6 +38,8 @@ MAX_TIME, MAX_MEMORY = 5.0, 1e9
 KILL_TIME = 120.0
 """Time after which a child is killed [s]: its processor time is bounded by ``MAX_TIME`` + 1."""
 SEED = 1
+FINE = ("read", "refused")
+"""What may become of an input."""
 
 
 @dataclass(frozen=True)
@@ -116,30 +120,67 @@ def run(kind: Kind, base: Path, number: int, folder: Path) -> Outcome:
     return read_in_child(kind.read, path)
 
 
+class Log:
+    """The outcomes so far, in a file of one line an input, so that a long run may be stopped."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.known: dict[tuple[str, int], Outcome] = {}
+        lines = path.read_text(encoding="utf-8").splitlines() if path and path.exists() else []
+        for line in lines:
+            name, number, outcome = json.loads(line)
+            self.known[name, number] = Outcome(*outcome)
+
+    def add(self, name: str, number: int, found: Outcome) -> None:
+        """Write the outcome of input ``number`` of the kind ``name``."""
+        self.known[name, number] = found
+        if self.path:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([name, number, astuple(found)]) + "\n")
+
+
+def count_outcomes(name: str, numbers: Iterable[int], base: Path, log: Log) -> int:
+    """Read inputs of the kind ``name`` that are not in ``log``; return how many failed in all."""
+    tally, slowest = Counter[str](), 0.0
+    for number in numbers:
+        # Read it
+        if (name, number) not in log.known:
+            with tempfile.TemporaryDirectory(dir=base.parent) as folder:
+                log.add(name, number, run(KINDS[name], base, number, Path(folder)))
+
+        # Count it
+        found = log.known[name, number]
+        tally[found.what] += 1
+        slowest = max(slowest, found.time)
+        if found.what not in FINE:
+            print(f"{name} {number}: {found.what} {found.detail}", flush=True)
+    parts = ", ".join(f"{what} {tally[what]}" for what in sorted(tally))
+    print(f"{name}: {tally.total()} inputs: {parts}; slowest {slowest:.1f} s", flush=True)
+    return sum(tally[what] for what in tally if what not in FINE)
+
+
 def main() -> None:
     """Make and read the inputs, and print what became of them."""
-    arguments = sys.argv[1:]
-    one = arguments[:1] == ["one"]
-    count = 1 if one else int(arguments[0])
-    names = arguments[1:2] if one else arguments[1:] or [n for n in KINDS if n != "recover"]
-    first = int(arguments[2]) if one else 0
-    share = 1 if one else -(-count // len(names))
+    # Read the arguments
+    arguments, log = sys.argv[1:], Log(None)
+    if "--log" in arguments:
+        place = arguments.index("--log")
+        log = Log(Path(arguments[place + 1]))
+        del arguments[place : place + 2]
+    if arguments[0] == "one":
+        names, numbers = arguments[1:2], range(int(arguments[2]), int(arguments[2]) + 1)
+    else:
+        names = arguments[1:] or [name for name in KINDS if name != "recover"]
+        numbers = range(-(-int(arguments[0]) // len(names)))
 
+    # Read the inputs, kind by kind
     with tempfile.TemporaryDirectory() as root:
-        base, bad, began = make_base(Path(root) / "base"), 0, time.monotonic()
-        for name in names:
-            tally, slowest = Counter[str](), 0.0
-            for number in range(first, first + share):
-                with tempfile.TemporaryDirectory(dir=root) as folder:
-                    found = run(KINDS[name], base, number, Path(folder))
-                tally[found.what] += 1
-                slowest = max(slowest, found.time)
-                if one or found.what not in ("read", "refused"):
-                    print(f"{name} {number}: {found.what} {found.detail}", flush=True)
-                    bad += found.what not in ("read", "refused")
-            parts = ", ".join(f"{what} {tally[what]}" for what in sorted(tally))
-            print(f"{name}: {share} inputs: {parts}; slowest {slowest:.1f} s", flush=True)
-        print(f"{bad} of {share * len(names)} inputs failed; {time.monotonic() - began:.0f} s")
+        base, began = make_base(Path(root) / "base"), time.monotonic()
+        bad = sum(count_outcomes(name, numbers, base, log) for name in names)
+    if arguments[0] == "one":
+        print(log.known[names[0], numbers[0]])
+    took = time.monotonic() - began
+    print(f"{bad} of {len(numbers) * len(names)} inputs failed; {took:.0f} s")
     sys.exit(1 if bad else 0)
 
 

@@ -56,6 +56,7 @@ def make_base(folder: Path) -> Path:
     from scan3d_twin.core.session import Session
     from scan3d_twin.core.types import Plan, Pose2
     from scan3d_twin.recording.views import view_bytes
+    from scan3d_twin.run.report import Effort, Journey, build_report, report_json
     from scan3d_twin.run.settings import Settings, settings_toml
 
     # A session of three views, and a view
@@ -81,6 +82,13 @@ def make_base(folder: Path) -> Path:
     rows = [_record(seed) for seed in range(4)]
     (folder / "journal.jsonl").write_text("\n".join(map(_to_json, rows)) + "\n")
     write_parquet(rows, folder / "results.parquet")
+
+    # A report
+    settings = Settings(config=session.config)
+    report = build_report(
+        "boxes", settings, session, Journey(3.0, 2.0, 90.0), Effort(9.0, 1.0, 1e8), 9
+    )
+    (folder / "report.json").write_text(report_json(report), encoding="utf-8")
 
     # A scene and meshes
     import trimesh
@@ -324,7 +332,10 @@ def _changed_record(each: Any, draw: Random) -> Any:
         if draw.random() < 0.3:
             return replace(each, name=draw.choice(("std_msgs/msg/String", "nav_msgs/msg/Path")))
         return replace(each, data=change_bytes(each.data, draw))
-    message = ros.typestore().deserialize_cdr(each.data, each.name)
+    try:
+        message = ros.typestore().deserialize_cdr(each.data, each.name)
+    except Exception:  # noqa: BLE001 - rosbags compiles its decoders: changed a second time
+        return replace(each, data=change_bytes(each.data, draw))
     text, blob = message.json, message.data.tobytes()
     if draw.random() < 0.8:
         text = change_text(text, draw)
@@ -383,21 +394,27 @@ FULL_SIZE_AT_LEAST = 6_000_000
 
 
 def read_session(path: Path) -> None:
-    """Show a session, write its model and its page, and repair it."""
+    """Read all that a session holds, write its model and a bag; repair what cannot be read."""
     from scan3d_twin.core.errors import FileError
     from scan3d_twin.core.model.fused_cloud import build_model
+    from scan3d_twin.recording.export.rosbag2 import ROSBAG2
     from scan3d_twin.recording.load import (
         load_session,
         read_commands,
+        read_journey,
         read_last_odometry,
         read_lines,
+        read_track,
     )
     from scan3d_twin.recording.repair.recover import recover_session
+    from scan3d_twin.viz.timeline import Timeline
 
     try:
-        session = load_session(path).session
+        recorded = load_session(path)
         list(read_lines(path)), list(read_commands(path)), read_last_odometry(path)
-        build_model(session)
+        read_journey(recorded), Timeline.of(recorded.session, read_track(path))
+        build_model(recorded.session)
+        ROSBAG2.write(path, path.with_name("bag"))
     except FileError:
         recover_session(path, lambda: 0.0)
         raise
@@ -433,6 +450,16 @@ def read_records(path: Path) -> None:
     write_report(read_results(place), "fuzz", path.parent, path.parent / "report")
 
 
+def read_report(path: Path) -> None:
+    """List a run by its report, and show its errors and its results."""
+    from scan3d_twin.cli.commands.runs import runs
+    from scan3d_twin.run.report_reader import read_report
+
+    print(sorted(read_report(path).items()))
+    runs(path.parent)
+    runs(path.parent, json=True)
+
+
 def read_scene(path: Path) -> None:
     """Load a scene and open the twin in it."""
     from scan3d_twin.sim.robot import open_sim
@@ -442,21 +469,37 @@ def read_scene(path: Path) -> None:
         pass
 
 
-def make_json(base: Path, draw: Random, folder: Path) -> Path:
+def make_journal(base: Path, draw: Random, folder: Path) -> Path:
     """Change one record of a journal as JSON."""
     rows = (base / "journal.jsonl").read_text().splitlines()
     k = draw.randrange(len(rows))
-    row = json.loads(rows[k])
-    place = draw.choice((row, draw.choice(row["steps"])))
-    if draw.random() < 0.6:
-        name = draw.choice(sorted(place))
-        odd = (None, 0, -1, 1.5, True, "text", [], {}, 10**30, [[]], -1e300, 2**62, "")
-        place[name] = draw.choice(odd)
-        rows[k] = json.dumps(row)
-    else:
-        rows[k] = change_text(rows[k], draw)
+    rows[k] = change_json(rows[k], "steps", draw)
     (folder / "journal.jsonl").write_text("\n".join(rows) + "\n")
     return folder / "journal.jsonl"
+
+
+def make_report(base: Path, draw: Random, folder: Path) -> Path:
+    """Change a report as JSON."""
+    text = (base / "report.json").read_text()
+    (folder / "report.json").write_text(change_json(text, "registration", draw))
+    return folder / "report.json"
+
+
+ODD_VALUES = (
+    None, 0, -1, 1.5, 2.0, True, "text", [], {}, 10**30, 10**400, [[]], -1e300, 1e300, 2**62, "",
+    "\ud800", "\x1b[2J", [None], {"": None},
+)  # fmt: skip
+"""Values that stand where another is wanted; one is no text that UTF-8 can hold."""
+
+
+def change_json(text: str, rows: str, draw: Random) -> str:
+    """Return the object ``text`` with a value changed: its own, or one of its list ``rows``."""
+    content = json.loads(text)
+    place = draw.choice((content, draw.choice(content[rows])))
+    if draw.random() < 0.4:
+        return change_text(text, draw)
+    place[draw.choice(sorted(place))] = draw.choice(ODD_VALUES)
+    return json.dumps(content)
 
 
 KINDS = {
@@ -466,7 +509,8 @@ KINDS = {
         Kind("toml", _text("config.toml", "config.toml"), read_options),
         Kind("spec", _text("spec.toml", "spec.toml"), read_spec),
         Kind("npz", make_npz, read_view),
-        Kind("journal", make_json, read_records),
+        Kind("journal", make_journal, read_records),
+        Kind("report", make_report, read_report),
         Kind("parquet", _binary("results.parquet"), read_records),
         Kind("scene", _text("scene.xml", "scene.xml"), read_scene),
         Kind("stl", _binary("mesh.stl"), read_scene),

@@ -10,7 +10,9 @@ import math
 import os
 
 VARIABLE = "TWIN_FILE_LIMITS"
-MEGABYTE = 1_000_000
+FREE_EXPANSION, EXPANSION = 64 * 1024 * 1024, 32
+"""What a compressed file may expand to: this many bytes, and so many times its size. Sessions and
+sweeps expand two- to fivefold."""
 
 
 def limit_factor() -> float:
@@ -30,3 +32,8 @@ def scaled(limit: int) -> int:
 def how_to_raise() -> str:
     """Return the end of a message about a limit: how a trusted file gets through."""
     return f"if you trust it, set {VARIABLE}={4 * limit_factor():g}"
+
+
+def expansion_limit(size: int) -> int:
+    """Return what a compressed file of ``size`` bytes may expand to [bytes]."""
+    return scaled(FREE_EXPANSION + EXPANSION * size)

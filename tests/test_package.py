@@ -2,6 +2,7 @@
 
 import importlib
 import pkgutil
+import re
 import subprocess
 import sys
 import tomllib
@@ -65,3 +66,16 @@ def test_the_version_is_stated_once_and_for_all():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["version"] == scan3d_twin.__version__
     assert f"version: {scan3d_twin.__version__}" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_messages_name_packages_that_can_be_installed():
+    """This package is on no index, so that its own extras can be named in a clone only."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"].values()
+    known = {re.match(r"[\w-]+", each)[0] for extra in extras for each in extra}
+    found = set()
+    for path in sorted(Path(scan3d_twin.__file__).parent.rglob("*.py")):
+        for words in re.findall(r"pip install ([^\"]+)\"", path.read_text(encoding="utf-8")):
+            found |= {re.match(r"[\w-]+", each.strip("'"))[0] for each in words.split()}
+    assert "rerun-sdk" in found
+    assert found <= known

@@ -7,7 +7,6 @@ The last line of a task counts.
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 from scan3d_twin.bench.record import Record, from_row, to_json
 from scan3d_twin.core.errors import FileError
+from scan3d_twin.run.strict_json import parse_json
 
 JOURNAL_PATTERN = "journal*.jsonl"
 
@@ -50,9 +50,9 @@ def _rows(path: Path) -> list[Record]:
 
 def _row(path: Path, number: int, line: bytes) -> Record:
     try:
-        row: dict[str, Any] = json.loads(line)
+        row: dict[str, Any] = parse_json(line)
         return from_row(row)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FileError(
             f"{path}, line {number} is no record ({error}); remove that line to continue"
         ) from error

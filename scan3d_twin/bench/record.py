@@ -210,7 +210,10 @@ def _select_known(cls: type, row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _fits(hint: Any, value: Any) -> bool:
-    """Return whether ``value`` is one of type ``hint``; None stands for any number not finite."""
+    """Return whether ``value`` is one of type ``hint``.
+
+    None stands for what is not finite in optional fields; the others are always measured.
+    """
     if get_origin(hint) in (Union, types.UnionType):
         return value is None or any(_fits(each, value) for each in get_args(hint))
     if get_origin(hint) is Literal:
@@ -221,7 +224,7 @@ def _fits(hint: Any, value: Any) -> bool:
         return bool(-MAX_NUMBER <= value <= MAX_NUMBER)
     if hint is int and type(value) is int:
         return bool(-MAX_COUNT <= value <= MAX_COUNT)
-    return value is None if hint is float else bool(type(value) is hint)
+    return bool(type(value) is hint)
 
 
 def replace_nonfinite(value: Any) -> Any:

@@ -10,12 +10,10 @@ from typing import Any
 from scan3d_twin.bench.journal import JOURNAL_PATTERN, read_journals
 from scan3d_twin.bench.record import Record, from_row, sql_columns, to_json
 from scan3d_twin.core.errors import ConfigError, FileError
-from scan3d_twin.limits import how_to_raise, scaled
+from scan3d_twin.limits import expansion_limit, how_to_raise
 from scan3d_twin.run.folder import fresh_part
 
 RESULTS_FILE = "results.parquet"
-FREE_EXPANSION, EXPANSION = 64 * 1024 * 1024, 32
-"""What a Parquet file may expand to: this many bytes, and so many times its size."""
 ROWS_AT_ONCE, VALUE_SIZE = 64, 32
 """Rows that are taken at once, and the memory of a value that is no text [bytes]."""
 
@@ -82,7 +80,7 @@ def _read_parquet(path: Path) -> list[Record]:
         with duckdb.connect() as database:
             cursor = database.execute("SELECT * FROM read_parquet(?)", [str(path)])
             names = [column[0] for column in cursor.description]
-            rows = _fetch(cursor, scaled(FREE_EXPANSION + EXPANSION * path.stat().st_size))
+            rows = _fetch(cursor, expansion_limit(path.stat().st_size))
             return [from_row(dict(zip(names, row, strict=True))) for row in rows]
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error

@@ -8,8 +8,9 @@ import re
 import sys
 from typing import IO
 
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-"""Control characters other than tab and line feed: with them a text would steer the terminal."""
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
+"""Control characters other than tab and line feed, with which a text would steer the terminal, and
+surrogates, which stand for bytes of a file's name that are not UTF-8."""
 
 
 def printable(text: str) -> str:

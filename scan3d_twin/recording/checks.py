@@ -12,7 +12,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import LidarSpec, Pose2, RangeImage, Scan3D
+from scan3d_twin.core.types import FloatArray, LidarSpec, Pose2, RangeImage, Scan3D
 
 MAX_LENGTH = 1e4
 """Largest distance or coordinate that is believed [m]: a hundred times the reach of any lidar."""
@@ -44,6 +44,15 @@ def check_session(session: Session) -> None:
                 _check_pose("a plan", place)
     if any(not k >= 0 for k in session.misfits):
         raise FileError("misfits that are no views")
+
+
+def check_track(track: FloatArray) -> None:
+    """Check stamps and poses of the odometry (n, 4), see ``read_track``.
+
+    Raises:
+        FileError: One is no number that a robot has.
+    """
+    _require("odometry", track, (None, 4))
 
 
 def _check_view(view: View) -> None:

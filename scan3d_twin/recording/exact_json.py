@@ -17,6 +17,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import FileError, TwinError
 from scan3d_twin.core.options import former_names
+from scan3d_twin.run.strict_json import parse_json
 
 Packed = tuple[str, bytes]
 """A JSON text, and the bytes of the arrays it refers to."""
@@ -96,7 +97,7 @@ def unpack(hint: Any, packed: Packed) -> Any:
     """
     text, blob = packed
     try:
-        return _Unpacker(blob).value(hint, json.loads(text))
+        return _Unpacker(blob).value(hint, parse_json(text))
     except _DECODE_ERRORS as error:
         name = getattr(hint, "__name__", hint)
         raise FileError(f"no valid {name} in the file: {error}") from None
@@ -110,7 +111,7 @@ def unpack_fields(cls: type, packed: Packed) -> dict[str, Any]:
     """
     text, blob = packed
     try:
-        return _Unpacker(blob).fields(cls, json.loads(text))
+        return _Unpacker(blob).fields(cls, parse_json(text))
     except _DECODE_ERRORS as error:
         raise FileError(f"no valid {cls.__name__} in the file: {error}") from None
 

@@ -13,7 +13,7 @@ from mcap.records import Metadata
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2, ScanLine
-from scan3d_twin.recording.checks import check_session
+from scan3d_twin.recording.checks import check_session, check_track
 from scan3d_twin.recording.mcap.decode import decode_message
 from scan3d_twin.recording.mcap.recovering_reader import (
     RawMessage,
@@ -94,7 +94,7 @@ def read_beginning(place: Path) -> Beginning:
     """Return what is known of a run without a finished view.
 
     Raises:
-        FileError: There is no session file, or it is damaged.
+        FileError: There is no session file, it is damaged, or nothing is in it.
     """
     path = find_session_file(place)
     texts, last = {}, 0
@@ -103,6 +103,8 @@ def read_beginning(place: Path) -> Beginning:
             texts[each.name] = each.metadata
         else:
             last = max(last, each.nanoseconds)
+    if not texts and not last:
+        raise FileError(f"{path} holds nothing of a run: no session of twin, or all is damaged")
     described = texts.get("settings")
     return Beginning(
         path=path,
@@ -154,7 +156,7 @@ def load_session(place: Path) -> RecordedRun:
                 state.apply(decode_record(each))
             except FileError as error:
                 raise FileError(f"{path}: {error}") from None
-    if state.session is None or state.mark is None or "settings" not in texts:
+    if not (state.session and state.session.views and state.mark and "settings" in texts):
         raise NoViewError(f"{path} holds no finished view: there is nothing to load or resume")
 
     # Check it
@@ -206,7 +208,7 @@ def read_last_odometry(path: Path) -> tuple[float, Pose2]:
     """Return stamp [s] and pose ``T_odom_base`` of the last sample, also after the last mark.
 
     Raises:
-        FileError: The file holds no odometry.
+        FileError: The file holds no odometry, or damaged one.
     """
     last = None
     for each in read_contents(path, ODOMETRY):
@@ -214,22 +216,36 @@ def read_last_odometry(path: Path) -> tuple[float, Pose2]:
             last = each
     if last is None:
         raise FileError(f"{path} holds no odometry")
-    pose = decode_message(last).pose.pose
-    yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
-    return last.nanoseconds / 1e9, Pose2(pose.position.x, pose.position.y, yaw)
+    ((stamp, x, y, yaw),) = _checked_track([_odometry_of(last)], path).tolist()
+    return stamp, Pose2(x, y, yaw)
 
 
 def read_track(path: Path) -> FloatArray:
-    """Return all odometry: stamp [s], x, y [m] and yaw [rad] (n, 4) in ``odom``."""
-    track = []
-    for each in read_contents(path, ODOMETRY):
-        if isinstance(each, RawMessage):
-            pose = decode_message(each).pose.pose
-            yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
-            track.append((each.nanoseconds / 1e9, pose.position.x, pose.position.y, yaw))
-    result = np.array(track).reshape(-1, 4)
+    """Return all odometry: stamp [s], x, y [m] and yaw [rad] (n, 4) in ``odom``.
+
+    Raises:
+        FileError: It is damaged.
+    """
+    messages = (each for each in read_contents(path, ODOMETRY) if isinstance(each, RawMessage))
+    result = _checked_track([_odometry_of(each) for each in messages], path)
     result[:, 3] = np.unwrap(result[:, 3])
     return result
+
+
+def _odometry_of(each: RawMessage) -> tuple[float, float, float, float]:
+    """Return stamp [s], x, y [m] and yaw [rad] of a message of the odometry."""
+    pose = decode_message(each).pose.pose
+    yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
+    return each.nanoseconds / 1e9, pose.position.x, pose.position.y, yaw
+
+
+def _checked_track(rows: list[tuple[float, float, float, float]], path: Path) -> FloatArray:
+    track = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    try:
+        check_track(track)
+    except FileError as error:
+        raise FileError(f"{path}: {error}") from None
+    return track
 
 
 def read_journey(run: RecordedRun) -> Journey:

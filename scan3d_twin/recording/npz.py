@@ -13,11 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.limits import how_to_raise, scaled
+from scan3d_twin.limits import expansion_limit, how_to_raise
 
-FREE_EXPANSION, EXPANSION = 64 * 1024 * 1024, 32
-"""What a file may expand to: this many bytes, and so many times its size. Sweeps expand two- to
-fivefold."""
 MAX_MEMBERS = 1000
 """Most arrays of a file; ours hold a dozen."""
 _HEADER_SIZE = 4096
@@ -66,7 +63,7 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
         raise FileError(f"{path} holds {len(members)} files: no sweep of twin scan, sim or real")
     if any(each.compress_type not in _METHODS for each in members):
         raise FileError(f"{path} is packed in a way that NumPy does not write: no sweep of ours")
-    if stated > scaled(FREE_EXPANSION + EXPANSION * path.stat().st_size):
+    if stated > expansion_limit(path.stat().st_size):
         raise FileError(
             f"{path} expands to {stated / 1e6:.0f} MB, far more than its size; {how_to_raise()}"
         )

@@ -17,6 +17,7 @@ from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.exact_json import Packed, pack, pack_fields, unpack, unpack_fields
+from scan3d_twin.run.strict_json import parse_json
 
 Record = tuple[str, int, Packed]
 """Kind, index within its kind, and the packed value."""
@@ -143,10 +144,10 @@ def mark_lengths(text: str) -> dict[str, int]:
         FileError: It is no mark.
     """
     try:
-        lengths = json.loads(text)["lengths"]
+        lengths = parse_json(text)["lengths"]
         if all(type(each) is int for each in lengths.values()):
             return dict(lengths)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         pass
     raise FileError("no valid mark in the file")
 

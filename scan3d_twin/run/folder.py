@@ -45,6 +45,11 @@ def default_folder(scene: str) -> Path:
     return find_free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")
 
 
+def readable(path: Path | str) -> str:
+    """Return ``path`` as text for pages and tables: what is not UTF-8 in it becomes U+FFFD."""
+    return os.fsencode(path).decode("utf-8", "replace")
+
+
 def release_folder(path: Path) -> None:
     """Remove the folder ``path`` if nothing was written to it."""
     try:

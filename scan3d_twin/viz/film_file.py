@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable, Iterable
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,20 @@ from scan3d_twin.run.folder import fresh_part
 
 MAX_GIF_COLOURS = 128
 """Colours of a GIF: half the most there can be, as few show and the file is half as long."""
+GIF_TICK = 10
+"""Unit of the durations of a GIF [ms] (GIF89a, section 23)."""
+MAX_GIF_RATE = 50
+"""Most pictures a second of a GIF: browsers show those of one tick for ten."""
 CONSTANT_RATE_FACTOR = "23"
 """Quality of the H.264 encoder, its default: 0 loses nothing, 51 is the worst."""
 
 
-def film_kind(path: Path) -> str:
+def film_kind(path: Path, fps: int) -> str:
     """Return ``mp4`` or ``gif``, what the name ``path`` ends with.
 
     Raises:
-        ConfigError: It is another ending, or what writes it is not installed.
+        ConfigError: It is another ending, what writes it is not installed, or it cannot show
+            ``fps`` pictures a second.
     """
     kind = path.suffix.lower().removeprefix(".")
     needed = {"mp4": "av", "gif": "PIL"}.get(kind)
@@ -30,6 +36,8 @@ def film_kind(path: Path) -> str:
         raise ConfigError(f"a film ends in .mp4 or .gif, got {path.name}")
     if any(importlib.util.find_spec(name) is None for name in (needed, "PIL")):
         raise ConfigError("films need PyAV and Pillow: pip install av pillow")
+    if kind == "gif" and fps > MAX_GIF_RATE:
+        raise ConfigError(f"a GIF shows {MAX_GIF_RATE} pictures a second at most, got --fps {fps}")
     return kind
 
 
@@ -44,7 +52,7 @@ def write_film(path: Path, frames: Iterable[Picture], fps: int) -> None:
         "mp4": _write_mp4,
         "gif": _write_gif,
     }
-    kind = film_kind(path)
+    kind = film_kind(path, fps)
     try:
         with fresh_part(path) as part:
             write[kind](part, frames, fps)
@@ -74,14 +82,16 @@ def _write_mp4(path: Path, frames: Iterable[Picture], fps: int) -> None:
 
 
 def _write_gif(path: Path, frames: Iterable[Picture], fps: int) -> None:
+    """Write a GIF; its whole ticks are shared out, so that each picture begins at its time."""
     from PIL import Image
 
     pictures = [Image.fromarray(each).quantize(MAX_GIF_COLOURS) for each in frames]
+    ticks = [round(1000 * k / (GIF_TICK * fps)) for k in range(len(pictures) + 1)]
     pictures[0].save(
         path,
         format="GIF",
         save_all=True,
         append_images=pictures[1:],
-        duration=round(1000 / fps),
+        duration=[GIF_TICK * (end - start) for start, end in pairwise(ticks)],
         loop=0,
     )

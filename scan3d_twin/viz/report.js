@@ -171,13 +171,15 @@
   new ResizeObserver(draw).observe(canvas);
 
   // Give files back
-  const svg = () => [atob(document.querySelector("#top-view").src.split(",")[1])];
+  const topView = document.querySelector("#top-view");
+  const svg = () => [Uint8Array.from(atob(topView.src.split(",")[1]), (letter) => letter.charCodeAt(0))];
   const files = {
     ply: ["model.ply", "application/octet-stream", () => makePly(meta, bytes)],
     glb: ["mesh.glb", "model/gltf-binary", () => makeGlb(meta, bytes, faces)],
     json: ["report.json", "application/json", () => [read("report")]],
-    svg: ["top_view.svg", "image/svg+xml", () => [Uint8Array.from(svg()[0], (letter) => letter.charCodeAt(0))]],
+    svg: ["top_view.svg", "image/svg+xml", svg],
   };
+  if (!topView) document.querySelector("button[data-file=svg]").remove();
   for (const button of document.querySelectorAll("button[data-file]")) {
     const [name, kind, make] = files[button.dataset.file];
     button.addEventListener("click", () => saveFile(name, kind, make()));

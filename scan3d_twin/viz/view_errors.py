@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.load import RecordedRun, run_folder
-from scan3d_twin.recording.overview.listing import REPORT, read_report
+from scan3d_twin.recording.overview.listing import REPORT, read_report_or_state
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class ViewError:
 
 def read_view_errors(run: RecordedRun) -> tuple[ViewError, ...]:
     """Return the errors of the views of ``run`` but the first, the realised ones of its report."""
-    report, _ = read_report(run_folder(run.path) / REPORT)
+    report, _ = read_report_or_state(run_folder(run.path) / REPORT)
     known = {row["view"]: row.get("error_mm") for row in report.get("registration", [])}
     realised = {k: math.nan if error is None else float(error) for k, error in known.items()}
     return list_view_errors(run.session, realised)

@@ -1,11 +1,13 @@
 import json
 import os
+import types
 from dataclasses import replace
+from typing import Union, get_origin, get_type_hints
 
 import pytest
 
 from scan3d_twin.bench.journal import Journal, journal_path, read_journals
-from scan3d_twin.bench.record import from_row, to_json, without_timings
+from scan3d_twin.bench.record import Record, Step, from_row, to_json, without_timings
 from scan3d_twin.core.errors import FileError
 
 
@@ -21,6 +23,20 @@ def test_what_is_no_number_is_null_and_what_is_unknown_is_ignored(make):
     assert row["accuracy"] is None
     assert row["max_error"] is None
     assert from_row({**row, "later": 1}).accuracy is None
+
+
+def test_what_is_always_measured_is_never_null(make):
+    row = json.loads(to_json(make()))
+    for cls, place in ((Record, row), (Step, row["steps"][0])):
+        for name, hint in get_type_hints(cls).items():
+            value, place[name] = place[name], None
+            if hint in (bool, float, int, str):
+                with pytest.raises(TypeError, match=name):
+                    from_row(row)
+            elif get_origin(hint) in (Union, types.UnionType):
+                from_row(row)
+            place[name] = value
+    assert from_row(row) == make()
 
 
 def test_timings_do_not_count(make):

@@ -53,7 +53,8 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(base, tmp_path, name):
 def test_the_right_files_are_read(base, tmp_path, name):
     source = {
         "mcap": "one/session.mcap", "toml": "config.toml", "spec": "spec.toml", "npz": "view.npz",
-        "journal": "journal.jsonl", "parquet": "results.parquet", "scene": "scene.xml",
+        "journal": "journal.jsonl", "report": "report.json", "parquet": "results.parquet",
+        "scene": "scene.xml",
     }.get(name, f"mesh.{name}")  # fmt: skip
     path = tmp_path / Path(source).name
     path.write_bytes((base / source).read_bytes())

@@ -1,6 +1,7 @@
 """``twin runs``, ``twin compare`` and ``twin film``."""
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -43,6 +44,34 @@ def test_runs_that_are_not_whole_are_listed_as_what_they_are(two, twin):
     assert f"{two[1]} (not finished: twin session recover" in told
 
 
+def test_the_report_of_someone_else_is_no_matter_of_trust(two, twin):
+    """Numbers written otherwise are read; what is no text or number of a report is not."""
+    path = two[0] / "report.json"
+    told = json.loads(path.read_text())
+    path.write_text(json.dumps(told | {"views": 2.0, "sim_time_s": 30}))
+    row = next(line for line in twin("runs", two[0]).out.splitlines() if str(two[0]) in line)
+    assert (row.split()[0], row.split()[-1]) == ("2", str(two[0]))
+    for odd in ({"views": 1.5}, {"stop_reason": "\ud800"}, {"path_m": 10**400}, {"warnings": [2]}):
+        path.write_text(json.dumps(told | odd))
+        said = twin("runs", two[0])
+        assert (said.code, "(its report cannot be read)" in said.out) == (0, True)
+    assert twin("compare", *two, "--out", "both.html").code == 0
+
+
+def test_the_name_of_a_folder_steers_no_terminal_and_ends_no_command(two, twin, tmp_path):
+    """Names are bytes: of another encoding, or with an escape sequence."""
+    odd = tmp_path / os.fsdecode(b"r\xff\x1b[31mn")
+    two[0].rename(odd)
+    for words in (("runs", odd), ("compare", odd, two[1], "--out", odd / "c.html"),
+                  ("export", odd, "--to", "xyz"), ("mesh", odd)):  # fmt: skip
+        told = twin(*words)
+        assert (told.code, told.err) == (0, "")
+        assert "r\ufffd\ufffd[31mn" in told.out
+        assert "\x1b" not in told.out
+    assert json.loads(twin("session", "info", odd, "--json").out)["path"].startswith(str(odd))
+    assert "r\ufffd\x1b[31mn" in (odd / "c.html").read_text(encoding="utf-8")
+
+
 def test_no_runs_and_no_folder_are_told(twin, fails, tmp_path):
     (tmp_path / "empty").mkdir()
     assert twin("runs", "empty").out == "no runs in empty\n"
@@ -73,4 +102,5 @@ def test_a_film_is_made_of_a_run(two, twin, fails):
     assert (told.code, told.out) == (0, "short.gif\n")
     assert Path("short.gif").read_bytes().startswith(b"GIF89a")
     assert "--fps must be 1 to 60" in fails(2, "film", two[0], "--fps", "0")
+    assert "a GIF shows 50" in fails(2, "film", two[0], "--fps", "60", "--out", "film.gif")
     assert "ends in .mp4 or .gif" in fails(2, "film", two[0], "--out", "film.avi")

@@ -4,10 +4,10 @@ import zipfile
 import numpy as np
 import pytest
 
+from scan3d_twin import limits
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.types import RangeImage
 from scan3d_twin.limits import VARIABLE
-from scan3d_twin.recording import npz
 from scan3d_twin.recording.image import npz_bytes
 from scan3d_twin.recording.npz import read_arrays
 from scan3d_twin.recording.scans import read_image
@@ -68,10 +68,10 @@ def test_what_a_file_expands_to_is_limited(tmp_path, monkeypatch):
     path = tmp_path / "view.npz"
     path.write_bytes(npz_bytes(stamps=np.zeros(1_000_000)))
     assert len(read_arrays(path, ["stamps"])["stamps"]) == 1_000_000
-    monkeypatch.setattr(npz, "FREE_EXPANSION", 4_000_000)
+    monkeypatch.setattr(limits, "FREE_EXPANSION", 4_000_000)
     with pytest.raises(FileError, match=f"expands to 8 MB, far more than its size.*{VARIABLE}=4"):
         read_arrays(path, ["stamps"])
-    monkeypatch.setattr(npz, "FREE_EXPANSION", 80_000_000)
+    monkeypatch.setattr(limits, "FREE_EXPANSION", 80_000_000)
     with zipfile.ZipFile(path, "w") as archive:
         header = b"\x93NUMPY\x01\x00v\x00"
         shape = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -77,6 +78,10 @@ def test_a_model_turns_in_a_frame_without_asking_others(session, open_page, tmp_
     inside = watched.page.frames[1]
     inside.wait_for_selector("#model.drawn")
     assert inside.locator("#controls input[data-view]").count() == 3
+    assert inside.locator("button[data-file]").all_inner_texts() == ["PLY", "JSON"]
+    with watched.page.expect_download() as download:
+        inside.get_by_role("button", name="JSON").click()
+    assert json.loads(Path(download.value.path()).read_text())["points"] == len(model)
     assert json.loads(inside.locator("#report").inner_text())["points"] == len(model)
     assert (watched.errors, watched.asked) == ([], [])
 

@@ -224,12 +224,12 @@ def _print_figures(records: list[Record], folder: Path, *, as_json: bool) -> Non
     rows = summarise(records)
     if as_json:
         document = {"folder": str(folder), "runs": len(records), "figures": rows_as_dicts(rows)}
-        print(json_module.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+        print(json_module.dumps(document, indent=2, allow_nan=False))
         return
     say("\n".join(fold_table(format_table(rows), get_terminal_size().columns)), sys.stdout)
     print("\n[low, high]: 95 % intervals")
-    print(f"{folder}: {RESULTS_FILE} journal top_views/")
-    print(f"twin bench report {folder}: a page with figures")
+    say(f"{folder}: {RESULTS_FILE} journal top_views/", sys.stdout)
+    say(f"twin bench report {folder}: a page with figures", sys.stdout)
     codes = {record.code for record in records if record.code}
     if len(codes) > 1:
         print(f"do not quote these figures: the runs used {len(codes)} versions of the sources")
@@ -256,10 +256,11 @@ def report(
     from scan3d_twin.bench.reporting.files import write_report
     from scan3d_twin.bench.reporting.measures import rows_as_dicts, summarise
     from scan3d_twin.bench.store import read_results
+    from scan3d_twin.run.folder import readable
 
     records = read_results(path)
     folder = path if path.is_dir() else path.parent
-    title = f"{folder.resolve().name}: planners on the same seeds"
+    title = f"{readable(folder.resolve().name)}: planners on the same seeds"
     written = write_report(records, title, folder, out or folder / "report")
     if json:
         document = {
@@ -268,10 +269,6 @@ def report(
             "comparisons": [asdict(each) for each in compare_variants(records)],
             "regrets": [asdict(each) for each in compare_with_oracle(records)],
         }
-        print(
-            json_module.dumps(
-                replace_nonfinite(document), indent=2, ensure_ascii=False, allow_nan=False
-            )
-        )
+        print(json_module.dumps(replace_nonfinite(document), indent=2, allow_nan=False))
     else:
-        print(written)
+        say(str(written), sys.stdout)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 from pathlib import Path
+
+from scan3d_twin.cli.output import say
 
 
 def compare(*runs: Path, out: Path = Path("compare.html"), json: bool = False) -> None:
@@ -41,5 +44,4 @@ def compare(*runs: Path, out: Path = Path("compare.html"), json: bool = False) -
         ]
         for each in summarise(compared)["runs"]
     ]
-    print("\n".join(format_table(header, rows)))
-    print(out)
+    say("\n".join([*format_table(header, rows), str(out)]), sys.stdout)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from scan3d_twin.cli.output import say
 from scan3d_twin.recording.export import list_formats
 
 if TYPE_CHECKING:
@@ -69,7 +71,7 @@ def export(
         told = {"format": to, "unit": unit, "files": [str(path) for path in files]}
         print(json_module.dumps(told, indent=2))
     else:
-        print("\n".join(str(path) for path in files))
+        say("\n".join(str(path) for path in files), sys.stdout)
 
 
 def _cloud(

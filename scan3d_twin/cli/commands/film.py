@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
+
+from scan3d_twin.cli.output import say
 
 if TYPE_CHECKING:
     from scan3d_twin.core.png import Picture
@@ -44,7 +47,7 @@ def film(
     if not 1 <= fps <= 60:
         raise ConfigError(f"--fps must be 1 to 60, got {fps}")
     path = run_folder(run) / "film.mp4" if out is None else out
-    film_kind(path)
+    film_kind(path, fps)
     from scan3d_twin.viz.film import draw_frames, prepare_film
 
     with make_progress() as progress:
@@ -54,7 +57,7 @@ def film(
         step = steps(progress, "frame", count)
         frames = draw_frames(prepared, count)
         write_film(path, _telling(frames, step), fps)
-    print(path)
+    say(str(path), sys.stdout)
 
 
 def _telling(frames: Iterable[Picture], step: Callable[[int], None]) -> Iterator[Picture]:

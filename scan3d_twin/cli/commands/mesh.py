@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+
+from scan3d_twin.cli.output import say
 
 if TYPE_CHECKING:
     from scan3d_twin.core.model.mesh import Mesh
@@ -64,9 +67,8 @@ def mesh(
     if json:
         print(json_module.dumps(found, indent=2))
     else:
-        print(
-            f"{path}: {found['triangles']} triangles, {found['area_m2']:.2f} m2, lengths in {unit}"
-        )
+        facts = f"{found['triangles']} triangles, {found['area_m2']:.2f} m2, lengths in {unit}"
+        say(f"{path}: {facts}", sys.stdout)
 
 
 def _surface(session: Session, method: str) -> Mesh:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from scan3d_twin.cli.output import say
 
 if TYPE_CHECKING:
     from scan3d_twin.recording.overview.listing import ListedRun
@@ -36,10 +39,10 @@ def runs(folder: Path = Path("runs"), /, *, json: bool = False) -> None:
         print(json_module.dumps([_plain(run) for run in found], indent=2))
         return
     if not found:
-        print(f"no runs in {folder}")
+        say(f"no runs in {folder}", sys.stdout)
         return
     rows = [[*(_cell(run, key, form) for _, key, form in _COLUMNS), _words(run)] for run in found]
-    print("\n".join(format_table([title for title, _, _ in _COLUMNS], rows)))
+    say("\n".join(format_table([title for title, _, _ in _COLUMNS], rows)), sys.stdout)
 
 
 def _cell(run: ListedRun, key: str, form: str) -> str:

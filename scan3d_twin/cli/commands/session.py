@@ -39,7 +39,7 @@ def info(folder: Path, /, *, json: bool = False) -> None:
     except NoViewError:
         found = _first_facts(read_beginning(folder))
     if json:
-        print(json_module.dumps(found, indent=2, ensure_ascii=False))
+        print(json_module.dumps(found, indent=2))
         return
     lines = [
         f"{found['path']}: {found['state']}, {found['size_mb']} MB",
@@ -231,10 +231,11 @@ def _save_again(recorded: RecordedRun) -> Report:
 
 def _effort(folder: Path) -> Any:
     """Return what the computer spent on the run, by its last report."""
+    from scan3d_twin.recording.overview.listing import REPORT, read_report_or_state
     from scan3d_twin.run.report import Effort
 
-    try:
-        report = json_module.loads((folder / "report.json").read_text(encoding="utf-8"))
-        return Effort(report["wall_time_s"], report["plan_time_s"], 1e6 * report["peak_memory_mb"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return Effort(0.0, 0.0, 0.0)
+    report, _ = read_report_or_state(folder / REPORT)
+    wall, plan, memory = (
+        report.get(key, 0.0) for key in ("wall_time_s", "plan_time_s", "peak_memory_mb")
+    )
+    return Effort(wall, plan, 1e6 * memory)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from scan3d_twin.core.errors import ConfigError, ScanError
+from scan3d_twin.core.errors import ConfigError, FileError, ScanError
 from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_cloud
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.export.format import CloudFormat
 from scan3d_twin.recording.export.piece import Piece, poses_csv
 from scan3d_twin.recording.export.unit import Unit
-from scan3d_twin.run.folder import write_file
+from scan3d_twin.run.folder import release_folder, write_file
 
 
 def pieces(session: Session, *, per_view: bool, voxel: float, unit: Unit = "m") -> list[Piece]:
@@ -65,8 +65,18 @@ def export_cloud(
 
     Raises:
         ConfigError: Its library is missing; the message says what to install.
-        FileError: A file cannot be written.
+        FileError: A file cannot be written; an empty folder is not left.
     """
+    try:
+        return _write_files(parts, kind, path, per_view=per_view)
+    except FileError:
+        release_folder(path)
+        raise
+
+
+def _write_files(
+    parts: Sequence[Piece], kind: CloudFormat, path: Path, *, per_view: bool
+) -> list[Path]:
     if kind.write is not None:
         return kind.write(parts, path)
     assert kind.encode is not None

@@ -49,7 +49,9 @@ def write(parts: Sequence[Piece], path: Path) -> list[Path]:
             finally:
                 file.close()
     except (OSError, libe57.E57Exception) as error:
-        raise FileError(f"cannot write {path}: {error}") from error
+        # The first line alone: libE57 goes on with places in its own sources
+        reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
+        raise FileError(f"cannot write {path}: {reason}") from error
     return [path]
 
 

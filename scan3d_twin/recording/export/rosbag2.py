@@ -53,7 +53,9 @@ def write(session_file: Path, path: Path) -> int:
         count = _copy(session_file, part)
         _rename_inside(part, path.name)
         part.replace(path)
-    except (OSError, WriterError) as error:
+    except OSError as error:
+        raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+    except WriterError as error:
         raise FileError(f"cannot write {path}: {error}") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)

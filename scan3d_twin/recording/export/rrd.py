@@ -56,7 +56,7 @@ def write(session_file: Path, path: Path) -> None:
     try:
         import rerun
     except ImportError as error:
-        raise ConfigError("rrd files need rerun: pip install 'scan3d-twin[rerun]'") from error
+        raise ConfigError("rrd files need rerun: pip install rerun-sdk") from error
 
     # Write a part file, then rename
     recorded = load_session(session_file)

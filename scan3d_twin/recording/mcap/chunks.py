@@ -19,16 +19,17 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from scan3d_twin.limits import how_to_raise, scaled
+from scan3d_twin.limits import expansion_limit, how_to_raise, scaled
 
 MAX_CHUNK = 128 * 1024 * 1024
 """Largest decompressed chunk [bytes]: the recorder ends a chunk with the message that exceeds 256
 kB, and a sweep of two million readings is a message of this size."""
 MAX_RECORDS = 1_000_000
 """Most records of a chunk: one of 256 kB holds 8,500 of the shortest messages."""
-FREE_EXPANSION, EXPANSION = 64 * 1024 * 1024, 32
-"""What a file may expand to: this many bytes, and so many times its size. Sessions expand two- to
-fivefold."""
+CHUNK_COST, RECORD_COST = 16 * 1024, 256
+"""Bytes that a chunk and a record count besides their content, because reading them takes time: so
+a small file ends at 4,000 empty chunks or 250,000 empty records, each of a fraction of a second. A
+message takes 16 bytes of index in the file alone, which allow it 512."""
 
 _RECORD = struct.Struct("<BQ")
 """Opcode and length of a record's body."""
@@ -71,7 +72,7 @@ class Expansion:
     @classmethod
     def of_file(cls, size: int) -> Expansion:
         """Return what a file of ``size`` bytes may expand to."""
-        return cls(scaled(FREE_EXPANSION + EXPANSION * size))
+        return cls(expansion_limit(size))
 
     def spend(self, size: int) -> None:
         """Count ``size`` more bytes.
@@ -143,6 +144,7 @@ def expand(chunk: PackedChunk, expansion: Expansion) -> bytes:
         LimitError: It is too large.
     """
     expansion.spend(chunk.size)
+    expansion.spend(CHUNK_COST)
     content = _decompress(chunk)
     if len(content) != chunk.size:
         raise ChunkError(f"a chunk of {len(content)} instead of {chunk.size} bytes")
@@ -171,20 +173,24 @@ def _decompress(chunk: PackedChunk) -> bytes:
     raise ChunkError(f"a chunk with unknown compression {chunk.compression!r}")
 
 
-def records_of(content: bytes) -> list[Schema | Channel | StoredMessage]:
+def records_of(content: bytes, expansion: Expansion) -> list[Schema | Channel | StoredMessage]:
     """Return the schemas, channels and messages in the ``content`` of a chunk.
+
+    Each record counts for the ``expansion`` of its file.
 
     Raises:
         ChunkError: It is damaged.
         LimitError: It holds too many records.
     """
     try:
-        return list(_parse_records(content))
+        return list(_parse_records(content, expansion))
     except (struct.error, UnicodeDecodeError, McapError) as error:
         raise ChunkError(f"a chunk with a damaged record: {error}") from None
 
 
-def _parse_records(content: bytes) -> Iterator[Schema | Channel | StoredMessage]:
+def _parse_records(
+    content: bytes, expansion: Expansion
+) -> Iterator[Schema | Channel | StoredMessage]:
     place, count = 0, 0
     while place < len(content):
         # Find the record
@@ -193,6 +199,7 @@ def _parse_records(content: bytes) -> Iterator[Schema | Channel | StoredMessage]
             raise ChunkError("a chunk that ends within a record")
         if count > scaled(MAX_RECORDS):
             raise LimitError(f"holds too many records in a chunk; {how_to_raise()}")
+        expansion.spend(RECORD_COST)
         place = record.end
 
         # Parse it

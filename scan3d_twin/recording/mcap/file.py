@@ -50,6 +50,10 @@ class RecordingError(FileError):
             "again"
         )
 
+    def before_change(self, path: Path) -> FileError:
+        """Return the error of a change to the session file ``path``, which it has not reached."""
+        return FileError(f"{self._cause}; {path} is as it was: free disk space and try again")
+
 
 class Sink:
     """A file for appending: each write reaches the operating system or leaves the file as it was.

@@ -309,7 +309,8 @@ def chunk_records(
     record = record_at(data, place)
     if record is None or record.opcode != Opcode.CHUNK:
         raise ChunkError(f"no chunk at byte {place}")
-    return records_of(expand(parse_chunk(data[record.body : record.end]), expansion))
+    content = expand(parse_chunk(data[record.body : record.end]), expansion)
+    return records_of(content, expansion)
 
 
 def read_metadata(data: bytes, place: int) -> Metadata:

@@ -7,12 +7,13 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from mcap.records import Metadata
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.mcap.decode import decode_message
-from scan3d_twin.recording.mcap.file import McapFile
+from scan3d_twin.recording.mcap.file import McapFile, RecordingError
 from scan3d_twin.recording.mcap.recovering_reader import RawMessage, is_written, read_contents
 from scan3d_twin.recording.names import PART, RECORDS, SESSION_FILE
 from scan3d_twin.recording.session_log import MARK
@@ -76,9 +77,11 @@ def reopen(
         file.flush(0.0)
         file.sink.sync()
         backup = back_up(path)
-    except BaseException:
+    except BaseException as error:
         file.sink.close()
         copy.unlink(missing_ok=True)
+        if isinstance(error, RecordingError):
+            raise error.before_change(path) from None
         raise
 
     # Replace the old file
@@ -150,10 +153,20 @@ def back_up(path: Path) -> Path:
             os.link(path, backup)
         except OSError:  # a file system without links, such as that of a memory stick
             with path.open("rb") as old, backup.open("xb") as new:
-                shutil.copyfileobj(old, new)
+                _copy_whole(old, new, backup)
     except OSError as error:
         raise FileError(f"cannot write {backup}: {error.strerror or error}") from error
     return backup
+
+
+def _copy_whole(old: IO[bytes], new: IO[bytes], path: Path) -> None:
+    """Copy ``old`` to ``new``, the file at ``path``, which is removed if it does not fit."""
+    try:
+        shutil.copyfileobj(old, new)
+        new.flush()
+    except OSError:
+        path.unlink()
+        raise
 
 
 def find_latest_backup(folder: Path) -> Path:

@@ -19,7 +19,8 @@ from scan3d_twin.core.registration import register
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.load import RecordedRun, load_session, run_folder
-from scan3d_twin.recording.overview.listing import REPORT, read_report
+from scan3d_twin.recording.overview.listing import REPORT, read_report_or_state
+from scan3d_twin.run.folder import readable
 from scan3d_twin.run.report import Report
 from scan3d_twin.run.settings import settings_toml
 
@@ -120,10 +121,10 @@ def _millimetres(distances: Distances) -> dict[str, float]:
 def _tell_apart(folders: Sequence[Path]) -> list[str]:
     """Return the shortest ends of the paths that differ; whole paths if two are the same."""
     for depth in range(1, max(len(folder.parts) for folder in folders)):
-        names = ["/".join(folder.parts[-depth:]) for folder in folders]
+        names = [readable("/".join(folder.parts[-depth:])) for folder in folders]
         if len(set(names)) == len(names):
             return names
-    return [str(folder) for folder in folders]
+    return [readable(folder) for folder in folders]
 
 
 def _lay_on(target: Model, source: Model) -> Pose2 | None:
@@ -158,7 +159,7 @@ def _unrelated(name: str, run: RecordedRun, model: Model) -> ComparedRun:
     return ComparedRun(
         name,
         _options(run),
-        read_report(run_folder(run.path) / REPORT)[0],
+        read_report_or_state(run_folder(run.path) / REPORT)[0],
         run.session,
         model,
         Pose2(),
@@ -169,7 +170,7 @@ def _unrelated(name: str, run: RecordedRun, model: Model) -> ComparedRun:
 
 
 def _report(run: RecordedRun) -> Report:
-    return read_report(run_folder(run.path) / REPORT)[0]
+    return read_report_or_state(run_folder(run.path) / REPORT)[0]
 
 
 def _options(run: RecordedRun) -> dict[str, Any]:

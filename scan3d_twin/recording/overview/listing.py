@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.names import PART, SESSION_FILE
+from scan3d_twin.run.report import Report
+from scan3d_twin.run.report_reader import read_report
 
 REPORT = "report.json"
 """File of the report in a run's folder."""
 NO_REPORT = "no report"
 """State of a run without one."""
-_NUMBERS = ("views", "seed", "coverage_20mm", "max_registration_error_mm", "path_m", "sim_time_s")
-"""Fields of a report that are numbers, or not known."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class ListedRun:
 
     folder: Path
     written: float
-    report: dict[str, Any]
+    report: Report
     state: str
 
 
@@ -61,7 +59,7 @@ _PARTIAL = SESSION_FILE + PART
 def _describe(folder: Path) -> ListedRun:
     files = [folder / name for name in (REPORT, SESSION_FILE, _PARTIAL)]
     written = max(path.stat().st_mtime for path in files if path.is_file())
-    report, state = read_report(folder / REPORT)
+    report, state = read_report_or_state(folder / REPORT)
     if (folder / _PARTIAL).is_file():
         state = "not finished: twin session recover, or it still runs"
     elif not report and state == NO_REPORT:
@@ -69,37 +67,11 @@ def _describe(folder: Path) -> ListedRun:
     return ListedRun(folder, written, report, state)
 
 
-def read_report(path: Path) -> tuple[dict[str, Any], str]:
+def read_report_or_state(path: Path) -> tuple[Report, str]:
     """Return the report in ``path``, and the state of its run; no report if it is not as ours."""
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        return read_report(path), "finished"
     except FileNotFoundError:
         return {}, NO_REPORT
-    except (OSError, ValueError, RecursionError):
+    except FileError:
         return {}, "its report cannot be read"
-    return (report, "finished") if _is_report(report) else ({}, "its report cannot be read")
-
-
-def _is_report(report: Any) -> bool:
-    """Return whether ``report`` has the types that are read here, where it has the fields."""
-    if not isinstance(report, dict):
-        return False
-    numbers = all(_is_number(report.get(key)) for key in _NUMBERS)
-    steps = report.get("registration", [])
-    rows = isinstance(steps, list) and all(
-        isinstance(row, dict)
-        and isinstance(row.get("view"), int)
-        and _is_number(row.get("error_mm"))
-        for row in steps
-    )
-    shares, accuracy = report.get("coverage_by_view"), report.get("accuracy_mm")
-    listed = shares is None or (isinstance(shares, list) and all(map(_is_number, shares)))
-    known = accuracy is None or (
-        isinstance(accuracy, dict) and all(map(_is_number, accuracy.values()))
-    )
-    return numbers and rows and listed and known
-
-
-def _is_number(value: Any) -> bool:
-    """Return whether ``value`` is a number or not known."""
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))

@@ -182,7 +182,7 @@ def test_a_missing_library_is_named_with_its_cure(name, library, fused, tmp_path
 
 def test_rerun_is_named_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(ConfigError, match=r"pip install 'scan3d-twin\[rerun\]'"):
+    with pytest.raises(ConfigError, match=r"pip install rerun-sdk"):
         find_format("rrd").write(tmp_path / "session.mcap", tmp_path / "session.rrd")
 
 

@@ -1,13 +1,16 @@
 """Small files that expand to much: refused before the memory is taken, read if they are trusted."""
 
 import struct
+import time
 import tracemalloc
 
 import pytest
+import zstandard
 from mcap import stream_reader
 from mcap.opcode import Opcode
 from recorded import record
 
+from scan3d_twin import limits
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.limits import VARIABLE
 from scan3d_twin.recording.load import load_session
@@ -41,7 +44,7 @@ def padded(tmp_path):
 def test_what_a_file_expands_to_is_limited_before_it_is_decompressed(padded, monkeypatch):
     assert padded.stat().st_size < SIZE / 1000
     assert len(list(read_contents(padded))) == 1
-    monkeypatch.setattr(chunks, "FREE_EXPANSION", SIZE // 2)
+    monkeypatch.setattr(limits, "FREE_EXPANSION", SIZE // 2)
     tracemalloc.start()
     for read in (
         lambda: list(read_contents(padded)),
@@ -58,8 +61,6 @@ def test_what_a_file_expands_to_is_limited_before_it_is_decompressed(padded, mon
 
 
 def test_a_chunk_is_no_larger_than_it_says():
-    import zstandard
-
     packed = zstandard.compress(bytes(SIZE))
     with pytest.raises(ChunkError, match="states two sizes"):
         expand(PackedChunk((0, 0), 100, 0, "zstd", packed), Expansion(SIZE * 2))
@@ -72,10 +73,29 @@ def test_a_chunk_is_no_larger_than_it_says():
 
 def test_the_number_of_records_is_limited(monkeypatch):
     empty = struct.pack("<BQ", 0x80, 0)  # an opcode for other programs, of no length
-    assert records_of(empty * 100) == []
+    assert records_of(empty * 100, Expansion(SIZE)) == []
+    with pytest.raises(LimitError, match="expands to far more"):
+        records_of(empty * 100, Expansion(99 * chunks.RECORD_COST))
     monkeypatch.setattr(chunks, "MAX_RECORDS", 99)
     with pytest.raises(LimitError, match="too many records"):
-        records_of(empty * 100)
+        records_of(empty * 100, Expansion(SIZE))
+
+
+@pytest.mark.parametrize(
+    ("content", "count"), [(struct.pack("<BQ", 0x80, 0) * 10_000, 60), (b"", 9000)]
+)
+def test_many_empty_things_take_no_time(tmp_path, content, count):
+    """A file of a few kilobytes with millions of records, and one of thousands of chunks."""
+    packed = zstandard.compress(content)
+    name = struct.pack("<I", 4) + b"zstd"
+    head = struct.pack("<QQQI", 0, 0, len(content), 0) + name + struct.pack("<Q", len(packed))
+    chunk = struct.pack("<BQ", Opcode.CHUNK, len(head) + len(packed)) + head + packed
+    (tmp_path / "session.mcap").write_bytes(MAGIC + chunk * count)
+    for read in (lambda path: list(read_contents(path)), salvage):
+        began = time.process_time()
+        with pytest.raises(FileError, match="expands to far more than its size"):
+            read(tmp_path / "session.mcap")
+        assert time.process_time() - began < 5.0
 
 
 def test_all_chunks_together_have_one_limit():
@@ -94,8 +114,8 @@ def test_zeros_are_no_records():
 
 def test_a_session_of_a_real_run_is_far_from_the_limits(session, tmp_path, monkeypatch):
     path = record(tmp_path, session).path
-    monkeypatch.setattr(chunks, "FREE_EXPANSION", 0)
-    monkeypatch.setattr(chunks, "EXPANSION", 8)
+    monkeypatch.setattr(limits, "FREE_EXPANSION", 0)
+    monkeypatch.setattr(limits, "EXPANSION", 8)
     assert len(load_session(path).session.views) == len(session.views)
 
 

@@ -1,8 +1,11 @@
+import errno
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import synthetic
+from full_disk import full_disk
 from paper import paper_alignment, paper_config
 from recorded import line, make_robot, record
 from same import same
@@ -12,6 +15,7 @@ from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 from scan3d_twin.recording.mcap.recovering_reader import is_finished
+from scan3d_twin.recording.mcap.rewrite import back_up
 from scan3d_twin.recording.recorder import Recorder
 from scan3d_twin.recording.repair.edit import drop_view, remove_view, undo_last_change
 from scan3d_twin.recording.repair.recover import recover_session
@@ -116,3 +120,27 @@ def test_a_session_that_an_unfinished_file_continues_is_not_put_in_its_place(thr
         drop_view(tmp_path / "session.mcap", 1, lambda: 0.0)
     assert part.read_bytes() == kept[:-100]
     assert (tmp_path / "session.mcap").read_bytes() == kept
+
+
+def test_a_full_disk_leaves_the_session_as_it_was(three, tmp_path):
+    path = record(tmp_path, three).path
+    before = path.read_bytes()
+    words = r"cannot record to .*; .*session\.mcap is as it was: free disk space and try again"
+    with full_disk(100_000), pytest.raises(FileError, match=words):
+        drop_view(tmp_path, 1, lambda: 0.0)
+    assert [each.name for each in tmp_path.iterdir()] == ["session.mcap"]
+    assert path.read_bytes() == before
+
+
+def test_a_backup_that_does_not_fit_is_not_left(three, tmp_path, monkeypatch):
+    """On a file system without links, where the backup is a copy."""
+
+    def no_links(*_):
+        raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+
+    path = record(tmp_path, three).path
+    monkeypatch.setattr("scan3d_twin.recording.mcap.rewrite.os.link", no_links)
+    with full_disk(100_000), pytest.raises(FileError, match=r"cannot write .*session\.1\.mcap"):
+        back_up(path)
+    assert [each.name for each in tmp_path.iterdir()] == ["session.mcap"]
+    assert back_up(path).read_bytes() == path.read_bytes()
