@@ -19,9 +19,9 @@ import numpy as np
 
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 from scan3d_twin.sim.ray_casting import MujocoCaster, RayCaster
-from scan3d_twin.sim.scenes.facing import Facing
+from scan3d_twin.sim.scenes.facing import Facing, turn_over
 from scan3d_twin.sim.scenes.surface_samples import bounding_points, sample_places
-from scan3d_twin.sim.scenes.tessellation import mesh_triangles
+from scan3d_twin.sim.scenes.tessellation import mesh_triangles_by_number
 from scan3d_twin.sim.scenes.visibility import GROUNDS, find_seen_geoms
 
 WELD = 2.0**-20
@@ -96,7 +96,7 @@ def find_facings(
         box = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
         outside = Outside(MujocoCaster(model, seen), np.array(data.qpos), box, eye)
         for name in meshes:
-            triangles = _place(data, name, mesh_triangles)
+            triangles = _place(data, name, mesh_triangles_by_number)
             result[name] = find_facing(triangles, outside)
     return result
 
@@ -110,12 +110,16 @@ def _place(data: Any, name: str, shape: Callable[[Any, int], FloatArray]) -> Flo
 
 def find_facing(triangles: FloatArray, outside: Outside) -> Facing:
     """Return which sides of ``triangles`` (m, 3, 3) in ``map`` can be seen from ``outside``."""
+    # Wind faces by the places of their corners, so that nothing below depends on the file
     faces = weld(triangles)
+    turned = faces[:, 1] > faces[:, 2]
+    faces[turned] = faces[turned][:, [0, 2, 1]]
+    triangles = np.where(turned[:, None, None], turn_over(triangles), triangles)
     repeated = _find_repeated(faces)
 
     # Join faces to patches of one orientation
     patches, reversed_, closed = find_patches(faces, repeated)
-    wound = np.where(reversed_[:, None, None], triangles[:, ::-1], triangles)
+    wound = np.where(reversed_[:, None, None], turn_over(triangles), triangles)
 
     # Count the rays that leave, by side
     front, back = _count_leaving(wound, patches, repeated, outside)
@@ -125,7 +129,7 @@ def find_facing(triangles: FloatArray, outside: Outside) -> Facing:
     inwards = np.where(tie, outwards < 0, back > front)
     most, least = np.maximum(front, back), np.minimum(front, back)
     sheet = ~closed & (least > MIN_BACK_SHARE * most)
-    return Facing(reversed_ ^ inwards[patches], sheet[patches], repeated)
+    return Facing(turned ^ reversed_ ^ inwards[patches], sheet[patches], repeated)
 
 
 def weld(triangles: FloatArray) -> IntArray:

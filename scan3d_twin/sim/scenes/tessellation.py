@@ -68,6 +68,21 @@ def mesh_triangles(model: Any, geom: int) -> FloatArray:
     return triangles
 
 
+def mesh_triangles_by_number(model: Any, geom: int) -> FloatArray:
+    """Return ``mesh_triangles``, each from its corner of the least number.
+
+    Files list a face that is turned over from any of its corners.
+    """
+    mesh = model.geom_dataid[geom]
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    least = model.mesh_face[first : first + count].argmin(axis=1)
+    corners = (least[:, None] + np.arange(3)) % 3
+    triangles: FloatArray = np.take_along_axis(
+        mesh_triangles(model, geom), corners[:, :, None], axis=1
+    )
+    return triangles
+
+
 def _segment_count(radius: float, angle: float) -> int:
     """Return the number of chords for an arc of ``angle`` [rad] within ``CHORD_TOLERANCE``."""
     # A chord over the angle a lies radius * a^2 / 8 below the arc.
