@@ -12,6 +12,7 @@ import numpy as np
 from mujoco import batch
 
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
+from scan3d_twin.sim.coinciding_faces import CoincidingFaces
 from scan3d_twin.sim.embree import TriangleScene, can_triangulate, is_available
 from scan3d_twin.sim.planes import Planes
 from scan3d_twin.sim.scenes.visibility import find_seen_geoms, model_as_seen
@@ -76,6 +77,7 @@ class MujocoCaster:
         self._batch = batch.Batch(model_as_seen(model, seen), nsim=1, nthread=1)
         self._qpos = self._batch.bind("qpos")
         self._planes = Planes(model, seen)
+        self._coinciding = CoincidingFaces(model, seen)
 
     def cast(self, qpos: FloatArray, origins: FloatArray, directions: FloatArray) -> Hits:
         """See ``RayCaster.cast``."""
@@ -84,6 +86,7 @@ class MujocoCaster:
         missed = geoms[0] < 0
         hits = np.where(missed, np.inf, distances[0]), normals[0], geoms[0].astype(np.int64)
         self._planes.add_backs(origins, directions, hits)
+        self._coinciding.settle(origins, directions, hits)
         return Hits(*hits)
 
 
@@ -98,9 +101,11 @@ class EmbreeCaster:
         seen = find_seen_geoms(model)
         self._triangles = TriangleScene(model, seen)
         self._planes = Planes(model, seen)
+        self._coinciding = CoincidingFaces(model, seen)
 
     def cast(self, qpos: FloatArray, origins: FloatArray, directions: FloatArray) -> Hits:
         """See ``RayCaster.cast``."""
         hits = self._triangles.run(origins, directions)
         self._planes.add_far_parts(origins, directions, hits)
+        self._coinciding.settle(origins, directions, hits)
         return Hits(*hits)

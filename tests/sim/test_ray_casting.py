@@ -13,6 +13,19 @@ def rays(rng, count):
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
+def distance_to(model, data, geom, origin, direction):
+    """Return the distance of one geom along a ray, whatever else is there [m]; -1 for a miss."""
+    return mujoco.mju_rayGeom(
+        data.geom_xpos[geom],
+        data.geom_xmat[geom],
+        model.geom_size[geom],
+        origin,
+        direction,
+        int(model.geom_type[geom]),
+        None,
+    )
+
+
 @pytest.mark.parametrize("name", scene_names())
 def test_rays_agree_with_mj_ray(name):
     scene = load_scene(name)
@@ -25,7 +38,10 @@ def test_rays_agree_with_mj_ray(name):
         expected = mujoco.mj_ray(
             scene.model, data, origins[k], directions[k], None, 1, -1, geom, None
         )
-        assert hits.geoms[k] == geom[0]
+        if hits.geoms[k] != geom[0]:  # coinciding faces: then it is a first hit as well
+            assert distance_to(scene.model, data, hits.geoms[k], origins[k], directions[k]) == (
+                pytest.approx(expected, abs=1e-5)
+            )
         assert hits.distances[k] == (pytest.approx(expected) if geom[0] >= 0 else np.inf)
 
 
@@ -60,6 +76,53 @@ def test_embree_and_mujoco_see_the_same(name):
     turned = np.linalg.norm(exact.normals - fast.normals, axis=1)[same & aslant]
     # Where two faces meet either normal is right.
     assert (turned > 1e-3).mean() < 1e-3
+
+
+@pytest.mark.parametrize("name", ["steps", "corridor", "living_room", "ledge"])
+def test_rays_from_within_touching_things_hit_the_same_geom(name):
+    pytest.importorskip("embreex")
+    model = load_scene(name).model
+    rng = np.random.default_rng(3)
+    boxes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    inside = rng.choice(boxes, 20_000)
+    local = rng.uniform(-1, 1, (len(inside), 3)) * model.geom_size[inside]
+    turns = data.geom_xmat[inside].reshape(-1, 3, 3)
+    origins = np.einsum("nij,nj->ni", turns, local) + data.geom_xpos[inside]
+    directions = rays(rng, len(origins))[1]
+    exact = MujocoCaster(model).cast(np.empty(0), origins, directions)
+    fast = EmbreeCaster(model).cast(np.empty(0), origins, directions)
+    assert (exact.geoms != fast.geoms).mean() <= 1e-4
+
+
+COINCIDING = """
+<geom name="wall" type="box" size=".5 2 1" pos="2.5 0 1"/>
+<geom name="target" type="box" size=".2 .4 .4" pos="2.2 1 1"/>
+<geom name="drum" type="cylinder" size=".3 .2" pos="0 0 .2"/>
+<geom name="lid" type="cylinder" size=".3 .1" pos="0 0 .5"/>
+"""
+
+
+@pytest.mark.parametrize(
+    ("origin", "direction", "geom", "normal"),
+    [
+        ((0, 1, 1), (1, 0, 0), "wall", (-1, 0, 0)),  # flush: the first of the file
+        ((0.1, 0, 0.3), (0, 0, -1), "plane/0", (0, 0, 1)),  # planes first
+        ((0.1, 0, 0.5), (0, 0, -1), "drum", (0, 0, 1)),
+        ((0.1, 0, 0.3), (0, 0, 1), "drum", (0, 0, 1)),
+        ((0.1, 0, 1.0), (0, 0, -1), "lid", (0, 0, 1)),
+    ],
+)
+def test_where_faces_coincide_one_rule_names_the_geom(scene_of, origin, direction, geom, normal):
+    pytest.importorskip("embreex")
+    model = scene_of(COINCIDING + '<geom type="plane" size="9 9 .1"/>').model
+    origins = np.array(origin) + np.random.default_rng(4).uniform(-0.05, 0.05, (200, 3))
+    directions = np.tile(np.array(direction, float), (200, 1))
+    for caster in (MujocoCaster(model), EmbreeCaster(model)):
+        hits = caster.cast(np.empty(0), origins, directions)
+        assert {model.geom(k).name for k in hits.geoms} == {geom}
+        assert hits.normals == pytest.approx(np.tile(normal, (200, 1)), abs=1e-6)
 
 
 def test_embree_is_chosen_for_crowds_and_large_meshes_that_stand_still(scene_of):
