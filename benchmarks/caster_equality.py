@@ -58,7 +58,7 @@ def main():
     options = parser.parse_args()
     for name in options.scenes:
         model = load_scene(name).model
-        if not can_triangulate(model):
+        if model.nq > 0 or not can_triangulate(model):
             print(f"{name:30} moving or not of triangles: MuJoCo alone")
             continue
         rays, other, apart = count_differences(model, options.rays, np.random.default_rng(1))

@@ -1,4 +1,4 @@
-"""A static scene as triangles for Embree, by the optional package embreex."""
+"""A still scene as triangles for Embree, by the optional package embreex."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ import numpy as np
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 from scan3d_twin.sim.scenes.tessellation import TRIANGULATED_TYPES, geom_triangles
 
+MAX_HEIGHTS = 1_000_000
+"""Most heights of all height fields that are tessellated: 0.6 GB in Embree."""
+
 _GEOM = mujoco.mjtGeom
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID)
 _STRAIGHT = (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
@@ -22,24 +25,26 @@ def is_available() -> bool:
 
 
 def can_triangulate(model: Any) -> bool:
-    """Return whether ``model`` is static and all its geoms can be tessellated."""
-    return model.nq == 0 and set(model.geom_type.tolist()) <= {
-        int(kind) for kind in TRIANGULATED_TYPES
-    }
+    """Return whether all geoms of ``model`` can be tessellated within reasonable memory."""
+    known = {int(kind) for kind in TRIANGULATED_TYPES}
+    return set(model.geom_type.tolist()) <= known and model.nhfielddata <= MAX_HEIGHTS
 
 
 class TriangleScene:
-    """The ``seen`` geoms of a static model as triangles in Embree; single precision.
+    """The ``seen`` geoms of a model that stands still as triangles in Embree; single precision.
 
     Arrays by triangle have one more entry, for a miss.
     """
 
-    def __init__(self, model: Any, seen: BoolArray) -> None:
+    def __init__(self, model: Any, seen: BoolArray, qpos: FloatArray | None = None) -> None:
+        """Tessellate ``model`` at ``qpos`` (nq,), by default its reference pose."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
         # Compute the poses of all geoms
         data = mujoco.MjData(model)
+        if qpos is not None:
+            data.qpos[:] = qpos
         mujoco.mj_forward(model, data)
         attitudes = np.array(data.geom_xmat).reshape(-1, 3, 3)
 

@@ -2,7 +2,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from scan3d_twin.sim.ray_casting import EmbreeCaster, MujocoCaster, choose_caster
+from scan3d_twin.sim.ray_casting import (
+    EmbreeCaster,
+    MujocoCaster,
+    choose_caster,
+    choose_patient_caster,
+)
 from scan3d_twin.sim.scenes.load import load_scene, scene_names
 
 
@@ -123,6 +128,56 @@ def test_where_faces_coincide_one_rule_names_the_geom(scene_of, origin, directio
         hits = caster.cast(np.empty(0), origins, directions)
         assert {model.geom(k).name for k in hits.geoms} == {geom}
         assert hits.normals == pytest.approx(np.tile(normal, (200, 1)), abs=1e-6)
+
+
+def hilly(ball=""):
+    """Return a model with a height field, a few things on it and a ``ball``."""
+    spec = mujoco.MjSpec.from_string(
+        f"""<mujoco><asset><hfield name="hills" nrow="9" ncol="7" size="2 3 .4 .2"/></asset>
+        <worldbody><geom type="hfield" hfield="hills" pos=".1 .2 .3" euler="0 3 20"/>
+        <geom type="box" size=".2 .3 .4" pos="1 0 .7"/>{ball}</worldbody></mujoco>"""
+    )
+    spec.hfield("hills").userdata = np.random.default_rng(5).random(63)
+    return spec.compile()
+
+
+def test_height_fields_are_seen_as_mujoco_sees_them(monkeypatch):
+    pytest.importorskip("embreex")
+    model = hilly()
+    rng = np.random.default_rng(6)
+    origins = rng.uniform([-3, -4, 0.9], [3, 4, 2], (20_000, 3))
+    directions = rays(rng, len(origins))[1]
+    casters = [MujocoCaster(model), EmbreeCaster(model)]
+    monkeypatch.setattr("scan3d_twin.sim.ray_casting.is_available", lambda: False)
+    expected = MujocoCaster(model).cast(np.empty(0), origins, directions)
+    assert (expected.geoms == 0).sum() > 3000
+    for caster in casters:
+        hits = caster.cast(np.empty(0), origins, directions)
+        assert (hits.geoms != expected.geoms).sum() <= 2
+        same = (hits.geoms == expected.geoms) & (hits.geoms >= 0)
+        error = np.abs(hits.distances[same] - expected.distances[same])
+        assert (error < 1e-4).mean() > 0.9999
+        aligned = np.abs(np.einsum("ni,ni->n", hits.normals, expected.normals))[same]
+        assert (aligned > 0.999).mean() > 0.999
+
+
+def test_many_rays_at_what_has_moved_are_cast_by_embree():
+    pytest.importorskip("embreex")
+    model = hilly(
+        '<body pos="0 0 2"><freejoint/><geom size=".3"/></body>' + 8 * "<geom size='.01'/>"
+    )
+    patient = choose_patient_caster(model)
+    assert not isinstance(patient, MujocoCaster)
+    origins, directions = rays(np.random.default_rng(7), 5000)
+    origins[:, 2] += 2
+    for place in (0.0, 0.8):
+        qpos = np.array([place, 0.3, 1.9, 1, 0, 0, 0])
+        expected = MujocoCaster(model).cast(qpos, origins, directions)
+        hits = patient.cast(qpos, origins, directions)
+        ball = expected.geoms == model.ngeom - 1
+        assert ball.sum() > 50
+        assert (hits.geoms == expected.geoms).mean() > 0.999
+        assert hits.distances[ball] == pytest.approx(expected.distances[ball], abs=2e-4)
 
 
 def test_embree_is_chosen_for_crowds_and_large_meshes_that_stand_still(scene_of):
