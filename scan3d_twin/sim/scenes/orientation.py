@@ -17,6 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 from scan3d_twin.sim.ray_casting import MujocoCaster, RayCaster
 from scan3d_twin.sim.scenes.facing import Facing, turn_over
@@ -42,8 +43,6 @@ START_OFFSET = 2e-5
 MARGIN = 0.05
 """Distance from the object at which a ray has left it [m]: beyond the gap below a thing that does
 not quite reach the floor (assumption)."""
-EYE_HEIGHT = 0.30
-"""Height of the lidar [m]; as in ``core.model.coverable``."""
 MIN_BACK_SHARE = 0.05
 """Share of the rays leaving the front above which the back of a patch with a border is seen as
 well: less is a hole in a closed surface (assumption)."""
@@ -82,7 +81,7 @@ def find_facings(
         return {}
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    eye = np.array([spawn.x, spawn.y, EYE_HEIGHT])
+    eye = np.array([spawn.x, spawn.y, LIDAR_HEIGHT])
 
     # Decide for each object, with the floor but without its surroundings
     result = {}
