@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import mujoco
@@ -13,6 +16,18 @@ from scan3d_twin.sim.scenes.tessellation import TRIANGULATED_TYPES, geom_triangl
 
 MAX_HEIGHTS = 1_000_000
 """Most heights of all height fields that are tessellated: 0.6 GB in Embree."""
+
+
+@contextmanager
+def lifted_memory_limit() -> Iterator[None]:
+    """Let Embree take its memory, which grows with the triangles: where it lacks it crashes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    try:
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
 
 _GEOM = mujoco.mjtGeom
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID)
@@ -67,9 +82,11 @@ class TriangleScene:
         self._any_curved = bool(self._curved.any())
         self._maps, self._offsets = _quadrics(model, np.array(data.geom_xpos), attitudes)
 
-        # Build the hierarchy of triangles
-        self._scene = EmbreeScene(robust=True)
-        self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
+        # Build the hierarchy of triangles, which Embree does at the first rays
+        with lifted_memory_limit():
+            self._scene = EmbreeScene(robust=True)
+            self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
+            self.run(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
 
     def run(
         self, origins: FloatArray, directions: FloatArray

@@ -23,6 +23,10 @@ EMBREE_MIN_GEOMS = 8
 EMBREE_MIN_TRIANGLES = 2000
 """Fewest triangles of all meshes and height fields for which Embree is faster."""
 
+EMBREE_MANY_TRIANGLES = 20_000
+"""Fewest triangles of all meshes for which a million of MuJoCo's exact rays take too long: with
+400,000 (a Unitree G1) a minute."""
+
 
 @dataclass(frozen=True, slots=True)
 class Hits:
@@ -60,6 +64,12 @@ def choose_caster(model: Any) -> RayCaster:
     Embree, where it is installed, for static scenes with many geoms or large meshes; else MuJoCo.
     """
     return EmbreeCaster(model) if model.nq == 0 and _suits_embree(model) else MujocoCaster(model)
+
+
+def choose_caster_of(model: Any, seen: BoolArray) -> RayCaster:
+    """Return the caster for many rays at the ``seen`` geoms of ``model`` in its reference pose."""
+    crowded = model.nmeshface >= EMBREE_MANY_TRIANGLES and _suits_embree(model)
+    return EmbreeCaster(model, seen=seen) if crowded else MujocoCaster(model, seen)
 
 
 def choose_patient_caster(model: Any) -> RayCaster:
@@ -114,9 +124,14 @@ class EmbreeCaster:
     the exact distance and normal: flat facets of a shiny surface would return light in bands.
     """
 
-    def __init__(self, model: Any, qpos: FloatArray | None = None) -> None:
-        """Cast rays against ``model`` at ``qpos`` (nq,), by default its reference pose."""
-        seen = find_seen_geoms(model)
+    def __init__(
+        self, model: Any, qpos: FloatArray | None = None, seen: BoolArray | None = None
+    ) -> None:
+        """Cast rays against what is ``seen`` of ``model`` at ``qpos`` (nq,), see ``MujocoCaster``.
+
+        By default what is seen by the rule, and at the reference pose.
+        """
+        seen = find_seen_geoms(model) if seen is None else seen
         self._triangles = TriangleScene(model, seen, qpos)
         self._planes = Planes(model, seen)
         self._coinciding = CoincidingFaces(model, seen)

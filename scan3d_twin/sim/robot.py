@@ -93,7 +93,8 @@ def open_sim(
 def _reference(model: Any, caster: RayCaster) -> RayCaster:
     """Return the caster of the truth: exact, or the lidar's where many meshes make that slow."""
     meshes = int(np.count_nonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH))
-    return caster if meshes >= MANY_MESHES else choose_patient_caster(model)
+    still = model.nq == 0 and meshes >= MANY_MESHES
+    return caster if still else choose_patient_caster(model)
 
 
 @contextmanager

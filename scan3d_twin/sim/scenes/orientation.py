@@ -19,7 +19,7 @@ import numpy as np
 
 from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
-from scan3d_twin.sim.ray_casting import MujocoCaster, RayCaster
+from scan3d_twin.sim.ray_casting import RayCaster, choose_caster_of
 from scan3d_twin.sim.scenes.facing import Facing, turn_over
 from scan3d_twin.sim.scenes.surface_samples import bounding_points, sample_places
 from scan3d_twin.sim.scenes.tessellation import mesh_triangles_by_number
@@ -93,7 +93,7 @@ def find_facings(
         seen[[model.geom(name).id for name in parts]] = True
         corners = np.concatenate([_place(data, name, bounding_points) for name in parts])
         box = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
-        outside = Outside(MujocoCaster(model, seen), np.array(data.qpos), box, eye)
+        outside = Outside(choose_caster_of(model, seen), np.array(data.qpos), box, eye)
         for name in meshes:
             triangles = _place(data, name, mesh_triangles_by_number)
             result[name] = find_facing(triangles, outside)

@@ -7,7 +7,7 @@ import trimesh
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.coverable import find_coverable_surface
 from scan3d_twin.sim.kinematic import KinematicWorld
-from scan3d_twin.sim.ray_casting import choose_caster
+from scan3d_twin.sim.ray_casting import EMBREE_MANY_TRIANGLES, choose_caster
 from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.orientation import find_patches, weld
 from scan3d_twin.sim.truth import Truth
@@ -123,6 +123,17 @@ def test_what_can_be_seen_does_not_depend_on_the_winding(measure, shape):
         _, other, same = measure(wind(mesh, rng.random(len(mesh.faces)) < share))
         assert other == pytest.approx(right, abs=0.01)
         assert same == pytest.approx(area, rel=0.01)
+
+
+def test_large_meshes_are_turned_outwards_too(tmp_path):
+    """Their rays are cast by Embree, where it is installed."""
+    ball = trimesh.creation.icosphere(5, 0.3)
+    chosen = np.random.default_rng(8).random(len(ball.faces)) < 0.4
+    wind(ball, chosen).export(tmp_path / "ball.ply")
+    facing = load_scene(str(tmp_path / "ball.ply")).facings["target"]
+    assert len(ball.faces) >= EMBREE_MANY_TRIANGLES
+    assert (facing.flipped == chosen).all()
+    assert not facing.two_sided.any()
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj"])
