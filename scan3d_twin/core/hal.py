@@ -15,11 +15,14 @@ import numpy as np
 
 from scan3d_twin.core.types import Beams, FloatArray, Hazards, LidarSpec, Odometry, ScanLine
 
+LIDAR_HEIGHT = 0.30
+"""Height of the lidar above the floor [m], where it is not measured."""
+
 
 def default_mount() -> FloatArray:
     """Return ``T_base_lidar``: 0.05 m ahead of the axle, 0.30 m up, step 384 along +x."""
     T = np.eye(4)
-    T[0, 3], T[2, 3] = 0.05, 0.30
+    T[0, 3], T[2, 3] = 0.05, LIDAR_HEIGHT
     T.flags.writeable = False
     return T
 

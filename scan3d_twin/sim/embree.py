@@ -1,8 +1,11 @@
-"""A static scene as triangles for Embree, by the optional package embreex."""
+"""A still scene as triangles for Embree, by the optional package embreex."""
 
 from __future__ import annotations
 
 import importlib.util
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import mujoco
@@ -10,6 +13,21 @@ import numpy as np
 
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 from scan3d_twin.sim.scenes.tessellation import TRIANGULATED_TYPES, geom_triangles
+
+MAX_HEIGHTS = 1_000_000
+"""Most heights of all height fields that are tessellated: 0.6 GB in Embree."""
+
+
+@contextmanager
+def lifted_memory_limit() -> Iterator[None]:
+    """Let Embree take its memory, which grows with the triangles: where it lacks it crashes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    try:
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
 
 _GEOM = mujoco.mjtGeom
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID)
@@ -22,24 +40,26 @@ def is_available() -> bool:
 
 
 def can_triangulate(model: Any) -> bool:
-    """Return whether ``model`` is static and all its geoms can be tessellated."""
-    return model.nq == 0 and set(model.geom_type.tolist()) <= {
-        int(kind) for kind in TRIANGULATED_TYPES
-    }
+    """Return whether all geoms of ``model`` can be tessellated within reasonable memory."""
+    known = {int(kind) for kind in TRIANGULATED_TYPES}
+    return set(model.geom_type.tolist()) <= known and model.nhfielddata <= MAX_HEIGHTS
 
 
 class TriangleScene:
-    """The ``seen`` geoms of a static model as triangles in Embree; single precision.
+    """The ``seen`` geoms of a model that stands still as triangles in Embree; single precision.
 
     Arrays by triangle have one more entry, for a miss.
     """
 
-    def __init__(self, model: Any, seen: BoolArray) -> None:
+    def __init__(self, model: Any, seen: BoolArray, qpos: FloatArray | None = None) -> None:
+        """Tessellate ``model`` at ``qpos`` (nq,), by default its reference pose."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
         # Compute the poses of all geoms
         data = mujoco.MjData(model)
+        if qpos is not None:
+            data.qpos[:] = qpos
         mujoco.mj_forward(model, data)
         attitudes = np.array(data.geom_xmat).reshape(-1, 3, 3)
 
@@ -62,9 +82,11 @@ class TriangleScene:
         self._any_curved = bool(self._curved.any())
         self._maps, self._offsets = _quadrics(model, np.array(data.geom_xpos), attitudes)
 
-        # Build the hierarchy of triangles
-        self._scene = EmbreeScene(robust=True)
-        self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
+        # Build the hierarchy of triangles, which Embree does at the first rays
+        with lifted_memory_limit():
+            self._scene = EmbreeScene(robust=True)
+            self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
+            self.run(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
 
     def run(
         self, origins: FloatArray, directions: FloatArray

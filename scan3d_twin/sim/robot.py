@@ -20,7 +20,7 @@ from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.lidar.lidar import SimLidar
 from scan3d_twin.sim.lidar.rotating import RotatingLidar
 from scan3d_twin.sim.lidar.scanner import Scanner
-from scan3d_twin.sim.ray_casting import MujocoCaster, RayCaster, choose_caster
+from scan3d_twin.sim.ray_casting import RayCaster, choose_caster, choose_patient_caster
 from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.start_check import check_place, check_stand
@@ -93,7 +93,8 @@ def open_sim(
 def _reference(model: Any, caster: RayCaster) -> RayCaster:
     """Return the caster of the truth: exact, or the lidar's where many meshes make that slow."""
     meshes = int(np.count_nonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH))
-    return caster if meshes >= MANY_MESHES else MujocoCaster(model)
+    still = model.nq == 0 and meshes >= MANY_MESHES
+    return caster if still else choose_patient_caster(model)
 
 
 @contextmanager

@@ -18,8 +18,6 @@ from scan3d_twin.recording.colours import view_colours_rgb
 MAX_SURROUNDING_POINTS = 60_000
 SURROUNDINGS_VOXEL = 0.03
 """Side of the voxels to which the surroundings are thinned [m]."""
-LIDAR_HEIGHT = 0.30
-"""Height of the lidar, at which a viewpoint is drawn [m]."""
 GREY = "#8b949e"
 FIELD_OF_VIEW = math.radians(35.0)
 """Vertical field of view of the camera [rad]."""

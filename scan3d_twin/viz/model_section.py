@@ -7,6 +7,7 @@ import math
 from html import escape
 from typing import Any
 
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.viz import cloud
 from scan3d_twin.viz.packing import PackedCloud, Shown, pack
@@ -138,7 +139,7 @@ def _viewpoint_lines(shown: Shown) -> list[float]:
         k, pose = mark.group, mark.pose
         rgb = [round(int(view_colour(k)[i : i + 2], 16) / 255, 3) for i in (1, 3, 5)]
         half = min(mark.width, math.pi) / 2
-        tip = (pose.x, pose.y, cloud.LIDAR_HEIGHT)
+        tip = (pose.x, pose.y, LIDAR_HEIGHT)
         ends = [((pose.x, pose.y, 0.0), tip)]
         for turn in (half, -half):
             yaw = pose.yaw + turn
@@ -148,7 +149,7 @@ def _viewpoint_lines(shown: Shown) -> list[float]:
                     (
                         pose.x + 0.3 * math.cos(yaw),
                         pose.y + 0.3 * math.sin(yaw),
-                        cloud.LIDAR_HEIGHT,
+                        LIDAR_HEIGHT,
                     ),
                 )
             )

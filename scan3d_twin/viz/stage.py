@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2, Scan3D
 from scan3d_twin.recording.colours import view_colours_rgb
 from scan3d_twin.viz.cloud import (
     FIELD_OF_VIEW,
-    LIDAR_HEIGHT,
     STILL_HEIGHT,
     STILL_WIDTH,
     choose_camera,

@@ -15,14 +15,15 @@ from scan3d_twin.run.resolve import load_run_scene
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.scenes.surface_samples import sample_geom
 from scan3d_twin.sim.scenes.tessellation import TRIANGULATED_TYPES, geom_triangles
+from scan3d_twin.sim.scenes.visibility import GROUNDS
 
 SAMPLE_SPACING = 0.02
 """Spacing of the samples of the scene on which the model is laid [m]."""
 MAX_START_DISTANCE = 0.3
 """Distance of the robot's start from the scene's, beyond which a registration is wrong [m]."""
 
-SHOWN_TYPES = {int(kind) for kind in TRIANGULATED_TYPES} - {int(mujoco.mjtGeom.mjGEOM_PLANE)}
-"""Types of the geoms that are shown: infinite planes would hide all else."""
+SHOWN_TYPES = {int(kind) for kind in TRIANGULATED_TYPES} - {int(kind) for kind in GROUNDS}
+"""Types of the geoms that are shown: the ground would hide all else."""
 
 
 def lay_on_scene(session: Session, scene: Scene) -> Pose2:

@@ -7,6 +7,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull
 
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.types import BoolArray, FloatArray
 
@@ -14,8 +15,6 @@ MIN_COSINE = 0.15
 """Cosine of the incidence below which (81 deg) a surface is not visible."""
 POSE_STEP = 0.30
 """Spacing of the grid of poses from which surface can be covered [m]."""
-EYE_HEIGHT = 0.30
-"""Height of the lidar [m]; that it is 5 cm ahead of the axle is neglected here."""
 CLEAR_HEIGHTS = (0.05, 0.15, 0.25, 0.33)
 """Heights at which a feasible pose must be free of obstacles [m]."""
 HIT_TOLERANCE = 0.005
@@ -32,7 +31,8 @@ def find_coverable_surface(
     the tour ``front`` it must also be on the front side.
     """
     places = find_feasible_places(surface, truth, config)
-    eyes = np.column_stack([places, np.full(len(places), EYE_HEIGHT)])
+    # The lidar is 5 cm ahead of the axle, which is neglected here
+    eyes = np.column_stack([places, np.full(len(places), LIDAR_HEIGHT)])
     unseen = np.flatnonzero(_find_faced(surface, normals, eyes))
     seen = np.zeros(len(surface), dtype=bool)
     for eye in eyes:
@@ -106,5 +106,5 @@ def _is_free(places: FloatArray, truth: Truth, config: Config) -> BoolArray:
 
     # Cast rays down
     down = np.broadcast_to((0.0, 0.0, -1.0), (len(places), 3))
-    floor = truth.first_hits(np.column_stack([places, np.full(len(places), 0.3)]), down)
-    return np.asarray(free & (np.abs(floor - 0.3) < config.target.floor_height))
+    floor = truth.first_hits(np.column_stack([places, np.full(len(places), LIDAR_HEIGHT)]), down)
+    return np.asarray(free & (np.abs(floor - LIDAR_HEIGHT) < config.target.floor_height))

@@ -17,11 +17,11 @@ from scipy.spatial import cKDTree
 from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.grids import dilate, label_cells
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.walls import (
-    LIDAR_HEIGHT,
     Wall,
     find_walls,
     is_on_walls,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.types import BoolArray, FloatArray
 
 MIN_HEIGHT = 1.8
@@ -26,8 +27,6 @@ MIN_CELLS = 8
 """Fewest cells of the top view in a wall: every 0.2 m in one of 1.6 m."""
 THICKNESS = 0.03
 """Distance from a wall's plane within which points are on it [m]: 3 sigma of the range noise."""
-LIDAR_HEIGHT = 0.30
-"""Height of the lidar above the floor [m], as in ``evaluation``."""
 SIGHT_MARGIN = 0.15
 """Part of the height in sight that may be missing at the end of the range [m]."""
 END_MARGIN = 0.30

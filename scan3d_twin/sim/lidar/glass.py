@@ -18,6 +18,7 @@ strongest return.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,7 +99,9 @@ class Panes:
         first = self._caster.cast(qpos, origins, directions)
         distances = first.distances.copy()
         rays = np.flatnonzero(self._passing.take(first.geoms) > 0)
-        for hits, there in self._follow(qpos, origins[rays], directions[rays], _pick(first, rays)):
+        for hits, there, _ in self._follow(
+            qpos, origins[rays], directions[rays], _pick(first, rays)
+        ):
             distances[rays[there]] = hits.distances
         return distances
 
@@ -107,6 +110,7 @@ class Panes:
         qpos: FloatArray,
         rays: tuple[FloatArray, FloatArray],
         hits: Hits,
+        cosines: FloatArray,
         materials: Materials,
         beams: int,
         optics: tuple[LidarModelConfig, LidarSensor],
@@ -118,6 +122,7 @@ class Panes:
             qpos: Positions of the scene's moving objects.
             rays: Origins and directions (K * beams, 3) of the sub-rays.
             hits: What they hit first.
+            cosines: Of the incidence there (K * beams,).
             materials: Of the scene's geoms.
             beams: Number of beams.
             optics: Configuration and sensor.
@@ -129,7 +134,6 @@ class Panes:
         # Follow the rays of all beams that meet a pane
         met = (self._passing.take(hits.geoms) > 0).reshape(-1, beams).any(axis=0)
         columns = np.flatnonzero(met)
-        cosines = np.abs(np.einsum("ni,ni->n", hits.normals, rays[1]))
         if len(columns) == 0:
             return hits, cosines, mixed
         n_sub = len(hits.distances) // beams
@@ -144,6 +148,7 @@ class Panes:
             strongest = _agree(returns, strongest, n_sub)
         at = strongest, np.arange(len(chosen))
         result = Hits(hits.distances.copy(), hits.normals.copy(), hits.geoms.copy())
+        cosines = cosines.copy()
         result.distances[chosen], result.geoms[chosen] = returns.distances[at], returns.geoms[at]
         result.normals[chosen], cosines[chosen] = returns.normals[at], returns.cosines[at]
 
@@ -167,7 +172,11 @@ class Panes:
         n = len(origins)
         layers = []
         passed = np.ones(n)
-        for hits, there in self._follow(qpos, origins, directions, first, exits=False):
+        for hits, there, leaving in self._follow(qpos, origins, directions, first):
+            # A pane counts where it is entered
+            hits, there = _pick(hits, np.flatnonzero(~leaving)), there[~leaving]
+            if len(there) == 0:
+                continue
             row = Returns(
                 np.full(n, np.inf),
                 np.zeros(n),
@@ -198,21 +207,16 @@ class Panes:
         origins: FloatArray,
         directions: FloatArray,
         first: Hits,
-        *,
-        exits: bool = True,
-    ) -> Any:
-        """Yield what rays hit one surface after the other, and which rays (m,) hit it.
+    ) -> Iterator[tuple[Hits, IntArray, BoolArray]]:
+        """Yield what rays hit one surface after the other, which rays (m,), and if they leave it.
 
         The first are all rays; those that ended are left out. Distances are from ``origins``.
-        Without ``exits`` the far sides of panes are passed over: a pane counts where it is entered.
         """
         going, hits = np.arange(len(origins)), first
         inside = np.full(len(origins), -1)
         for _ in range(MAX_SURFACES):
             leaving = self._do_leave(hits, directions[going], inside[going])
-            shown = np.ones(len(going), bool) if exits else ~leaving
-            if shown.any():
-                yield _pick(hits, np.flatnonzero(shown)), going[shown]
+            yield hits, going, leaving
             inside[going] = np.where(leaving, -1, hits.geoms)
             on = np.flatnonzero(self._passing.take(hits.geoms) > 0)
             if len(on) == 0:

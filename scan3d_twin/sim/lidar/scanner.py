@@ -244,7 +244,7 @@ class Scanner:
         if self._panes is not None:
             optics = self.config, self.sensor
             hits, cosines, mixed = self._panes.look_through(
-                qpos, (origins, directions), hits, self.materials, shape[1], optics, mixed
+                qpos, (origins, directions), hits, cosines, self.materials, shape[1], optics, mixed
             )
         middle = slice(0, shape[1])
         bias = self.surface_bias.take(hits.geoms[middle])

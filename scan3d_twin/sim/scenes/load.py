@@ -15,7 +15,7 @@ from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
 from scan3d_twin.sim.scenes.meshes.files import MESH_SUFFIXES, refuse_other_format
 from scan3d_twin.sim.scenes.meshes.spec import complete_obj_meshes, mesh_spec
-from scan3d_twin.sim.scenes.mjcf.trial import check_size, limited_memory, try_mjcf
+from scan3d_twin.sim.scenes.mjcf.trial import COPIES, check_size, limited_memory, try_mjcf
 from scan3d_twin.sim.scenes.random_scenes import NAME_PREFIX, scene_of_seed
 from scan3d_twin.sim.scenes.scene import Scene, one_line, scene_from_spec
 
@@ -84,6 +84,7 @@ def load_scene(
                 notes = complete_obj_meshes(spec)
             else:
                 spec, notes = mesh_spec(path, mesh_scale, size, up)
+        with limited_memory(path, COPIES):
             scene = scene_from_spec(path.stem, spec, name_or_path, target, keyframe)
         return replace(scene, notes=(*notes, *scene.notes))
     if name_or_path not in scene_names():

@@ -17,11 +17,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
-from scan3d_twin.sim.ray_casting import MujocoCaster, RayCaster
-from scan3d_twin.sim.scenes.facing import Facing
+from scan3d_twin.sim.ray_casting import RayCaster, choose_caster_of
+from scan3d_twin.sim.scenes.facing import Facing, turn_over
 from scan3d_twin.sim.scenes.surface_samples import bounding_points, sample_places
-from scan3d_twin.sim.scenes.tessellation import mesh_triangles
+from scan3d_twin.sim.scenes.tessellation import mesh_triangles_by_number
 from scan3d_twin.sim.scenes.visibility import GROUNDS, find_seen_geoms
 
 WELD = 2.0**-20
@@ -42,8 +43,6 @@ START_OFFSET = 2e-5
 MARGIN = 0.05
 """Distance from the object at which a ray has left it [m]: beyond the gap below a thing that does
 not quite reach the floor (assumption)."""
-EYE_HEIGHT = 0.30
-"""Height of the lidar [m]; as in ``core.model.coverable``."""
 MIN_BACK_SHARE = 0.05
 """Share of the rays leaving the front above which the back of a patch with a border is seen as
 well: less is a hole in a closed surface (assumption)."""
@@ -82,7 +81,7 @@ def find_facings(
         return {}
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    eye = np.array([spawn.x, spawn.y, EYE_HEIGHT])
+    eye = np.array([spawn.x, spawn.y, LIDAR_HEIGHT])
 
     # Decide for each object, with the floor but without its surroundings
     result = {}
@@ -94,9 +93,9 @@ def find_facings(
         seen[[model.geom(name).id for name in parts]] = True
         corners = np.concatenate([_place(data, name, bounding_points) for name in parts])
         box = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
-        outside = Outside(MujocoCaster(model, seen), np.array(data.qpos), box, eye)
+        outside = Outside(choose_caster_of(model, seen), np.array(data.qpos), box, eye)
         for name in meshes:
-            triangles = _place(data, name, mesh_triangles)
+            triangles = _place(data, name, mesh_triangles_by_number)
             result[name] = find_facing(triangles, outside)
     return result
 
@@ -110,12 +109,16 @@ def _place(data: Any, name: str, shape: Callable[[Any, int], FloatArray]) -> Flo
 
 def find_facing(triangles: FloatArray, outside: Outside) -> Facing:
     """Return which sides of ``triangles`` (m, 3, 3) in ``map`` can be seen from ``outside``."""
+    # Wind faces by the places of their corners, so that nothing below depends on the file
     faces = weld(triangles)
+    turned = faces[:, 1] > faces[:, 2]
+    faces[turned] = faces[turned][:, [0, 2, 1]]
+    triangles = np.where(turned[:, None, None], turn_over(triangles), triangles)
     repeated = _find_repeated(faces)
 
     # Join faces to patches of one orientation
     patches, reversed_, closed = find_patches(faces, repeated)
-    wound = np.where(reversed_[:, None, None], triangles[:, ::-1], triangles)
+    wound = np.where(reversed_[:, None, None], turn_over(triangles), triangles)
 
     # Count the rays that leave, by side
     front, back = _count_leaving(wound, patches, repeated, outside)
@@ -125,7 +128,7 @@ def find_facing(triangles: FloatArray, outside: Outside) -> Facing:
     inwards = np.where(tie, outwards < 0, back > front)
     most, least = np.maximum(front, back), np.minimum(front, back)
     sheet = ~closed & (least > MIN_BACK_SHARE * most)
-    return Facing(reversed_ ^ inwards[patches], sheet[patches], repeated)
+    return Facing(turned ^ reversed_ ^ inwards[patches], sheet[patches], repeated)
 
 
 def weld(triangles: FloatArray) -> IntArray:

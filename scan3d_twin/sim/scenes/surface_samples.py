@@ -10,7 +10,7 @@ import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray
 from scan3d_twin.sim.scenes.facing import Facing
-from scan3d_twin.sim.scenes.tessellation import mesh_triangles
+from scan3d_twin.sim.scenes.tessellation import mesh_triangles, mesh_triangles_by_number
 
 Samples = tuple[FloatArray, FloatArray]
 """Points (n, 3) [m] and outward unit normals (n, 3)."""
@@ -44,7 +44,7 @@ def sample_geom(model: Any, geom: int, spacing: float, facing: Facing | None = N
         case mujoco.mjtGeom.mjGEOM_SPHERE:
             return _sample_sphere(size[0], spacing)
         case mujoco.mjtGeom.mjGEOM_MESH:
-            triangles = mesh_triangles(model, geom)
+            triangles = mesh_triangles_by_number(model, geom)
             return sample_triangles(facing.apply(triangles) if facing else triangles, spacing)
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
             return sample_triangles(_capsule_triangles(size[0], size[1]), spacing)

@@ -18,6 +18,7 @@ PLANE_REACH = 100.0
 _GEOM = mujoco.mjtGeom
 TRIANGULATED_TYPES = (
     _GEOM.mjGEOM_PLANE,
+    _GEOM.mjGEOM_HFIELD,
     _GEOM.mjGEOM_BOX,
     _GEOM.mjGEOM_SPHERE,
     _GEOM.mjGEOM_ELLIPSOID,
@@ -34,6 +35,8 @@ def geom_triangles(model: Any, geom: int) -> FloatArray:
     match mujoco.mjtGeom(int(model.geom_type[geom])):
         case mujoco.mjtGeom.mjGEOM_PLANE:
             return _plane_triangles(size)
+        case mujoco.mjtGeom.mjGEOM_HFIELD:
+            return _height_field_triangles(model, geom)
         case mujoco.mjtGeom.mjGEOM_BOX:
             return _box_triangles(size)
         case mujoco.mjtGeom.mjGEOM_SPHERE:
@@ -65,6 +68,21 @@ def mesh_triangles(model: Any, geom: int) -> FloatArray:
     vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
     faces = model.mesh_face[first : first + count]
     triangles: FloatArray = np.asarray(vertices, dtype=np.float64)[faces]
+    return triangles
+
+
+def mesh_triangles_by_number(model: Any, geom: int) -> FloatArray:
+    """Return ``mesh_triangles``, each from its corner of the least number.
+
+    Files list a face that is turned over from any of its corners.
+    """
+    mesh = model.geom_dataid[geom]
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    least = model.mesh_face[first : first + count].argmin(axis=1)
+    corners = (least[:, None] + np.arange(3)) % 3
+    triangles: FloatArray = np.take_along_axis(
+        mesh_triangles(model, geom), corners[:, :, None], axis=1
+    )
     return triangles
 
 
@@ -108,6 +126,33 @@ def _plane_triangles(size: FloatArray) -> FloatArray:
     x, y = (half if half > 0 else PLANE_REACH for half in size[:2])
     corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
     return corners[[[0, 1, 2], [0, 2, 3]]]
+
+
+def _height_field_triangles(model: Any, geom: int) -> FloatArray:
+    """Return the triangles of a height field, split as MuJoCo does, its sides and its bottom."""
+    # Place the vertices of the top
+    field = model.geom_dataid[geom]
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    first = int(model.hfield_adr[field])
+    heights = np.array(model.hfield_data[first : first + rows * columns]).reshape(rows, columns)
+    x_half, y_half, z_scale, base = (float(value) for value in model.hfield_size[field])
+    x, y = np.meshgrid(np.linspace(-x_half, x_half, columns), np.linspace(-y_half, y_half, rows))
+    top = np.stack([x, y, z_scale * heights], axis=-1)
+
+    # Split each cell along its diagonal
+    a, b, c, d = top[:-1, :-1], top[:-1, 1:], top[1:, 1:], top[1:, :-1]
+    cells = [np.stack(corners, axis=2).reshape(-1, 3, 3) for corners in ((a, b, c), (a, c, d))]
+
+    # Close it by sides down to the base
+    rim = np.concatenate([top[0], top[1:, -1], top[-1, -2::-1], top[-2::-1, 0]])
+    low = rim * (1.0, 1.0, 0.0) - (0.0, 0.0, base)
+    sides = [
+        np.stack([low[:-1], low[1:], rim[1:]], axis=1),
+        np.stack([low[:-1], rim[1:], rim[:-1]], axis=1),
+    ]
+    corners = np.array([[-x_half, -y_half], [-x_half, y_half], [x_half, y_half], [x_half, -y_half]])
+    bottom = np.column_stack([corners, np.full(4, -base)])[[[0, 1, 2], [0, 2, 3]]]
+    return np.concatenate([*cells, *sides, bottom])
 
 
 def _box_triangles(size: FloatArray) -> FloatArray:

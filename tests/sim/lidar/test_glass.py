@@ -62,7 +62,8 @@ def look(model, caster, degrees, sensor=URG04LX.sensor, config=CONFIG):
     power = materials.power(hits.geoms, cosines, hits.distances)
     mixed = mix(hits.distances[None], power[None], config, sensor)
     panes = Panes.of(model, caster)
-    return panes.look_through(np.empty(0), rays, hits, materials, 1, (config, sensor), mixed)
+    optics = config, sensor
+    return panes.look_through(np.empty(0), rays, hits, cosines, materials, 1, optics, mixed)
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -148,7 +149,8 @@ def test_pulses_agree_over_the_footprint(scene_of):
     hits = caster.cast(np.empty(0), *rays)
     none = mix(np.full((5, 1), np.inf), np.zeros((5, 1)), config, PULSES)
     panes, materials = Panes.of(model, caster), Materials.of(model, config)
-    _, _, light = panes.look_through(np.empty(0), rays, hits, materials, 1, (config, PULSES), none)
+    cosines, optics = np.abs(np.einsum("ni,ni->n", hits.normals, directions)), (config, PULSES)
+    _, _, light = panes.look_through(np.empty(0), rays, hits, cosines, materials, 1, optics, none)
     near = min(abs(light.distances[0] - 1 / np.cos(0.122)), abs(light.distances[0] - 2.015))
     assert near < 0.02
 

@@ -7,7 +7,7 @@ import trimesh
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.coverable import find_coverable_surface
 from scan3d_twin.sim.kinematic import KinematicWorld
-from scan3d_twin.sim.ray_casting import choose_caster
+from scan3d_twin.sim.ray_casting import EMBREE_MANY_TRIANGLES, choose_caster
 from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.orientation import find_patches, weld
 from scan3d_twin.sim.truth import Truth
@@ -91,9 +91,9 @@ def area_off_floor(mesh):
 SHAPES = (open_box, cup, soup, cracked, punctured, doubled, screen, table)
 
 
-def wind(mesh, chosen):
-    """Return ``mesh`` with the ``chosen`` faces wound the other way."""
-    faces = np.where(np.asarray(chosen)[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces)
+def wind(mesh, chosen, way=(0, 2, 1)):
+    """Return ``mesh`` with the ``chosen`` faces wound the other way, their corners listed so."""
+    faces = np.where(np.asarray(chosen)[:, None], mesh.faces[:, way], mesh.faces)
     return trimesh.Trimesh(mesh.vertices, faces, process=False)
 
 
@@ -123,6 +123,36 @@ def test_what_can_be_seen_does_not_depend_on_the_winding(measure, shape):
         _, other, same = measure(wind(mesh, rng.random(len(mesh.faces)) < share))
         assert other == pytest.approx(right, abs=0.01)
         assert same == pytest.approx(area, rel=0.01)
+
+
+def test_large_meshes_are_turned_outwards_too(tmp_path):
+    """Their rays are cast by Embree, where it is installed."""
+    ball = trimesh.creation.icosphere(5, 0.3)
+    chosen = np.random.default_rng(8).random(len(ball.faces)) < 0.4
+    wind(ball, chosen).export(tmp_path / "ball.ply")
+    facing = load_scene(str(tmp_path / "ball.ply")).facings["target"]
+    assert len(ball.faces) >= EMBREE_MANY_TRIANGLES
+    assert (facing.flipped == chosen).all()
+    assert not facing.two_sided.any()
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+@pytest.mark.parametrize("way", [(0, 2, 1), (2, 1, 0), (1, 0, 2)])
+def test_samples_do_not_depend_on_the_winding(tmp_path, suffix, way):
+    """A small object has few samples: another one is 2 % of what can be seen of it."""
+    wedge = standing(trimesh.creation.cone(0.06, 0.1, sections=5))
+    wedge = trimesh.util.concatenate([wedge, screen().apply_scale(0.2)])
+    rng = np.random.default_rng(7)
+    found = []
+    for share in (0.0, 1.0, 0.4):
+        path = tmp_path / f"thing.{suffix}"
+        wind(wedge, rng.random(len(wedge.faces)) < share, way).export(path)
+        scene = load_scene(str(path))
+        truth = Truth(scene, KinematicWorld(scene.spawn), choose_caster(scene.model), lambda: None)
+        found.append(truth.surface(0.03))
+    for points, normals in found[1:]:
+        assert points == pytest.approx(found[0][0], abs=1e-7)
+        assert normals == pytest.approx(found[0][1], abs=1e-5)
 
 
 @pytest.mark.parametrize("shape", [cup, soup, cracked, punctured, table])

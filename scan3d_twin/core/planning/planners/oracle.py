@@ -18,8 +18,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.model.coverable import (
-    EYE_HEIGHT,
     find_coverable_surface,
     find_feasible_places,
     find_visible,
@@ -151,7 +151,7 @@ class TrueWorld:
         local = pose.inverse().apply(points)
         inside = np.flatnonzero(np.abs(np.arctan2(local[:, 1], local[:, 0])) <= half)
         seen = np.zeros(len(points), dtype=bool)
-        eye = np.array([pose.x, pose.y, EYE_HEIGHT])
+        eye = np.array([pose.x, pose.y, LIDAR_HEIGHT])
         seen[inside] = find_visible(eye, points[inside], normals[inside], self.truth, self.config)
         return seen
 

@@ -142,10 +142,22 @@ def _read_by_trimesh(path: Path) -> tuple[FloatArray, IntArray]:
 
     try:
         mesh = trimesh.load_mesh(path)
-        return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+        vertices, faces = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64)
     except Exception as error:  # noqa: BLE001 - each of trimesh's decoders fails in its own way
         reason = " ".join(str(error).split()) or type(error).__name__
         raise SceneError(f"{path} is not a mesh that can be read: {reason}") from None
+    return (vertices, faces) if path.suffix.lower() in GLTF_SUFFIXES else _number(vertices, faces)
+
+
+def _number(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+    """Return ``vertices`` (n, 3) in the order of their places, and ``faces`` (m, 3) of them.
+
+    An STL file has no numbers of its own; those by which its faces come vary with their winding.
+    """
+    order = np.lexsort(vertices.T[::-1])
+    number = np.empty(len(order), np.int64)
+    number[order] = np.arange(len(order))
+    return vertices[order], number[faces]
 
 
 def _check_gltf(path: Path) -> None:

@@ -17,11 +17,10 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 from scan3d_twin.sim.mesh_up import MeshUp
 from scan3d_twin.sim.scenes.meshes.cleanup import drop_surroundings, turn_up
 from scan3d_twin.sim.scenes.meshes.files import GLTF_SUFFIXES, count_obj_objects, read_mesh
+from scan3d_twin.sim.scenes.mjcf.floors import ROBOT_HEIGHT
 from scan3d_twin.sim.scenes.surface_samples import sample_triangles
 from scan3d_twin.sim.scenes.walls import add_walls
 
-ROBOT_HEIGHT = 0.35
-"""Height above which nothing can touch the robot [m]."""
 SPAWN_DISTANCE = 1.5
 """Distance from the robot's start to the mesh [m]; as in the built-in scenes."""
 START_ROOM = 0.40

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import SceneError
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
 from scan3d_twin.sim.ray_casting import RayCaster, choose_caster
 from scan3d_twin.sim.scenes.mjcf.floors import ROBOT_HEIGHT, level_planes
@@ -32,8 +33,6 @@ RADIUS = 0.165 + 0.10
 """Free radius around the start [m]: the robot's and a turn's clearance."""
 FLAT = 0.005
 """Height of what the robot drives over [m]; assumption."""
-LIDAR_HEIGHT = 0.30
-"""Height of the lidar [m]."""
 MAX_AIMS = 200
 """About how many points of the target are looked at from a start."""
 SIDE_WEIGHT = 0.1

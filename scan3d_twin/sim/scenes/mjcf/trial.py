@@ -2,7 +2,8 @@
 
 MuJoCo's parser has no limits: a few lines can ask for a billion bodies, and where memory ends it
 aborts the process. So a file from elsewhere is first read and compiled by a child with limits of
-memory and processor time.
+memory and processor time. The memory that the file itself asks for does not count, as it is not
+taken (``settings.py``): dm_control's rodent wants 3.4 GB for its contacts.
 """
 
 from __future__ import annotations
@@ -18,11 +19,15 @@ from pathlib import Path
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.limits import how_to_raise, limit_factor, scaled
+from scan3d_twin.sim.scenes.mjcf.settings import SIZES
 
 MAX_FILE = 32_000_000
 """Largest scene file [bytes]: a binary STL of 640,000 triangles, which take 0.8 GB and 4 s."""
 MAX_MEMORY = 900_000_000
 """Memory for reading a file [bytes]; the largest mesh file that is admitted takes 0.7 GB."""
+COPIES = 4
+"""How many times as much memory a scene may take while it is built, of which it is copied and
+compiled as many times: near the limit even Python's own modules would fail to load."""
 MAX_TIME = 3.0
 """Processor time of the trial [s]; menageries of robots take one."""
 _HARMLESS = frozenset(
@@ -44,7 +49,10 @@ limit = int(used.ru_utime + used.ru_stime + seconds) + 1
 resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 try:
-    mujoco.MjSpec.from_file(path).compile()
+    spec, fresh = mujoco.MjSpec.from_file(path), mujoco.MjSpec()
+    for name in sys.argv[4:]:
+        setattr(spec, name, getattr(fresh, name))
+    spec.compile()
 except (MemoryError, RuntimeError):
     sys.exit(12)
 except Exception as error:  # an error in the scene is told by the reading that follows
@@ -71,15 +79,19 @@ def check_size(path: Path) -> None:
 
 
 @contextmanager
-def limited_memory(path: Path) -> Iterator[None]:
-    """Let this process take only so much more memory while it reads the mesh file ``path``.
+def limited_memory(path: Path, times: int = 1) -> Iterator[None]:
+    """Let this process take only so much more memory while it reads the file ``path``.
+
+    Args:
+        path: The file.
+        times: How many times ``MAX_MEMORY`` it may take.
 
     Raises:
         SceneError: The file takes more.
     """
     before = resource.getrlimit(resource.RLIMIT_AS)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    limit = pages * resource.getpagesize() + scaled(MAX_MEMORY)
+    limit = pages * resource.getpagesize() + times * scaled(MAX_MEMORY)
     if before[0] != resource.RLIM_INFINITY:
         limit = min(limit, before[0])
     try:
@@ -119,7 +131,8 @@ def try_mjcf(path: Path) -> None:
 
     # Run the trial
     seconds = MAX_TIME * limit_factor()
-    command = [sys.executable, "-P", "-c", _CHILD, str(path), str(scaled(MAX_MEMORY)), f"{seconds}"]
+    limits = str(scaled(MAX_MEMORY)), f"{seconds}"
+    command = [sys.executable, "-P", "-c", _CHILD, str(path), *limits, *SIZES]
     try:
         code = subprocess.run(
             command,

@@ -4,6 +4,7 @@ import pytest
 
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.limits import VARIABLE, limit_factor, scaled
+from scan3d_twin.sim.embree import lifted_memory_limit
 from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.mjcf import trial
 
@@ -30,6 +31,23 @@ def test_memory_is_limited_and_the_cure_is_named(scene, monkeypatch):
     monkeypatch.setattr(trial, "MAX_MEMORY", 1000)
     with pytest.raises(SceneError, match=rf"takes more than .*set {VARIABLE}=4$"):
         load_scene(str(scene))
+
+
+@pytest.mark.parametrize("size", ['memory="5G"', 'nconmax="2000000" njmax="2000000"'])
+def test_memory_that_a_file_only_asks_for_does_not_count(scene, size):
+    scene.write_text(scene.read_text().replace("<worldbody>", f"<size {size}/><worldbody>", 1))
+    assert load_scene(str(scene)).model.ngeom == 22
+
+
+def test_embree_gets_its_memory_while_a_file_is_read(scene):
+    """Where it lacks memory, it crashes."""
+    limit, soft = trial.resource.RLIMIT_AS, []
+    with trial.limited_memory(scene):
+        soft.append(trial.resource.getrlimit(limit)[0])
+        with lifted_memory_limit():
+            soft.append(trial.resource.getrlimit(limit)[0])
+        soft.append(trial.resource.getrlimit(limit)[0])
+    assert soft[0] == soft[2] != soft[1] == trial.resource.getrlimit(limit)[1]
 
 
 def test_time_is_limited(scene, monkeypatch):
