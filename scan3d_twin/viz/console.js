@@ -53,7 +53,8 @@ function showRun(run) {
   at("state").textContent = state;
   at("state").className = `badge ${COLOURS[state] || state}`;
   at("command").textContent = run.command;
-  at("last").textContent = run.error || !run.lines.length ? "" : run.lines[run.lines.length - 1];
+  const last = run.error || run.lines.length === 0 ? "" : run.lines[run.lines.length - 1];
+  at("last").textContent = last.replace(/^error: /, "");
   at("error").textContent = run.error;
   at("error").hidden = run.error === "";
   at("progress").hidden = run.lines.length === 0;

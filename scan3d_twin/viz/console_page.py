@@ -173,8 +173,8 @@ def _render_robot(ports: Sequence[str]) -> str:
     return (
         '<section aria-labelledby="robot"><h2 id="robot">Ports and devices</h2><div class="card">'
         f'<div id="ports">{found}</div><div class="bar"><button id="check">Check the robot</button>'
-        '</div><p class="note">Asks base and lidar on the ports of the form for the real robot, '
-        "and looks at permissions and libraries. Nothing moves.</p>"
+        '</div><p class="note">Takes the ports and devices entered for the real robot; looks at '
+        "permissions and libraries too. Nothing moves.</p>"
         '<div id="findings" aria-live="polite"></div></div></section>'
     )
 
