@@ -28,10 +28,16 @@ Promise.all(tries).then(() => document.getElementById("got").textContent = got.j
 """A report from someone else, which tries to use the console."""
 
 
-@pytest.fixture
-def address(tmp_path, finished):
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """The folder in which the console was started."""
+    return tmp_path_factory.mktemp("console")
+
+
+@pytest.fixture(scope="module")
+def address(place, finished):
     """The address of a console with two earlier runs, one of them someone else's."""
-    runs = tmp_path / "runs"
+    runs = place / "runs"
     shutil.copytree(finished[0], runs / "earlier")
     hostile = runs / HOSTILE
     hostile.mkdir()
@@ -39,7 +45,7 @@ def address(tmp_path, finished):
     (hostile / "report.json").write_text(json.dumps({**report, "warnings": [HOSTILE] * 2}))
     (hostile / "report.html").write_text(SPY)
     command = [sys.executable, "-m", "scan3d_twin.cli", "console", "--view-port", "0", "--json"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, text=True) as process:
         yield json.loads(process.stdout.readline())["address"]
         process.send_signal(signal.SIGINT)
         assert process.wait(SOON / 1000) == 0
@@ -57,7 +63,7 @@ def state(page, wanted):
 
 @pytest.mark.slow
 def test_a_run_is_started_paused_continued_finished_compared_and_exported(
-    open_page, address, tmp_path
+    open_page, address, place
 ):
     shown = open_page(address, **SMALL)
     page, form = shown.page, shown.page.locator("#sim")
@@ -97,7 +103,7 @@ def test_a_run_is_started_paused_continued_finished_compared_and_exported(
     run = page.locator("#runs tbody tr").filter(has_text="three_boxes-")
     name = run.locator("input").get_attribute("value")
     assert run.locator("td[data-label=Views]").inner_text() == "2"
-    assert (tmp_path / "runs" / name / "model.ply").stat().st_size > 1000
+    assert (place / "runs" / name / "model.ply").stat().st_size > 1000
 
     # It is exported and compared
     page.get_by_label("Export as").select_option("xyz")
@@ -106,9 +112,7 @@ def test_a_run_is_started_paused_continued_finished_compared_and_exported(
     run.locator("summary").click()
     with page.expect_download() as download:
         run.get_by_role("link", name="cloud.xyz").click()
-    assert (
-        download.value.path().read_bytes() == (tmp_path / "runs" / name / "cloud.xyz").read_bytes()
-    )
+    assert download.value.path().read_bytes() == (place / "runs" / name / "cloud.xyz").read_bytes()
     run.locator("input").check()
     row(page, "earlier").locator("input").check()
     page.get_by_role("button", name="Compare the marked runs").click()
@@ -149,12 +153,11 @@ def test_the_console_is_accessible(open_page, address, width):
         watched = open_page(address, width=width, color_scheme=scheme)
         page = watched.page
         row(page, "earlier").wait_for(timeout=SOON)
-        for kind in ("Simulated robot", "Real robot"):
-            page.get_by_label(kind).check()
-            for each in page.locator("summary:visible").all():
-                each.click()
-            assert find_violations(page) == []
-            assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.get_by_label("Simulated robot" if scheme == "dark" else "Real robot").check()
+        for each in page.locator("summary:visible").all():
+            each.click()
+        assert find_violations(page) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert (watched.errors, watched.asked) == ([], [])
 
 

@@ -161,17 +161,12 @@ class Console:
 
     def _entry(self, run: ListedRun) -> RunEntry:
         written = datetime.fromtimestamp(run.written).astimezone()
-        files = sorted(
-            path.name
-            for path in run.folder.iterdir()
-            if path.is_file() and not path.is_symlink() and not path.name.startswith(".")
-        )
         return RunEntry(
             self._name(run.folder),
             f"{written:%Y-%m-%d %H:%M}",
             tuple(format_number(run, key, form) for _, key, form in COLUMNS),
             tuple(list_notes(run)),
-            tuple(files),
+            tuple(_list_files(run.folder)),
         )
 
     def _name(self, folder: Path) -> str:
@@ -259,6 +254,18 @@ class Console:
         if run is not None:
             run.end()
         self._scratch.cleanup()
+
+
+def _list_files(folder: Path) -> list[str]:
+    """Return the names of the files in ``folder``; none if it is gone."""
+    try:
+        return sorted(
+            path.name
+            for path in folder.iterdir()
+            if path.is_file() and not path.is_symlink() and not path.name.startswith(".")
+        )
+    except OSError:
+        return []
 
 
 def _as_name(scene: str) -> str:

@@ -153,6 +153,8 @@ def _default(parameters: Sequence[Parameter]) -> str:
 
 def _choices(hint: Any) -> tuple[str, ...]:
     """Return the values that ``hint`` names, none where it is not a choice."""
+    if bool in (hint, *get_args(hint)):
+        return ("true",)
     kinds = [each for each in get_args(hint) if each is not NoneType]
     if kinds and get_origin(kinds[0]) is Literal:
         return tuple(map(str, get_args(kinds[0])))

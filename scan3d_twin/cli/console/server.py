@@ -16,7 +16,7 @@ from dataclasses import asdict
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 
 from websockets.datastructures import Headers
@@ -24,7 +24,7 @@ from websockets.exceptions import WebSocketException
 from websockets.http11 import Request, Response
 
 from scan3d_twin.cli.commands.runs import COLUMNS
-from scan3d_twin.cli.console.console import BusyError, Console
+from scan3d_twin.cli.console.console import COMPARISON, BusyError, Console
 from scan3d_twin.cli.console.form import COMMON, KINDS, form_fields
 from scan3d_twin.cli.console.run_process import OVER, STEERABLE
 from scan3d_twin.core.errors import FileError, TwinError
@@ -45,6 +45,8 @@ MAX_BODY = 65_536
 """Most bytes of a request: a filled form has one."""
 PATIENCE = 30.0
 """Longest time in which a request arrives [s]."""
+CHUNK = 1 << 20
+"""Part of a file that is read at once [bytes]: recordings are larger than a robot's memory."""
 _SHOWN = {".html": "text/html; charset=utf-8", ".svg": "image/svg+xml"}
 """Types of the files that a browser shows; the others are saved."""
 
@@ -82,6 +84,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer a request for the page, or for what it shows."""
+        if "Content-Length" in self.headers or "Transfer-Encoding" in self.headers:
+            self.close_connection = True  # what it sent is not read
         self._answer(_GET, lambda: {})
 
     def do_POST(self) -> None:
@@ -116,19 +120,17 @@ class _Handler(BaseHTTPRequestHandler):
         # Do it
         name = urlsplit(self.path).path.removeprefix("/")
         try:
-            if actions is _GET and name.startswith("run/"):
-                response = self._file(self.server.console, name.removeprefix("run/"))
-            elif actions is _GET and name == "compare.html":
-                response = _show_file(self.server.console.comparison)
-            elif name in actions:
-                answer = actions[name](self.server, body())
-                response = _respond(*answer) if isinstance(answer, tuple) else _as_json(answer)
-            else:
-                response = _as_json({"error": f"there is no {name!r} here"}, HTTPStatus.NOT_FOUND)
+            if actions is _GET and (path := self._named_file(name)) is not None:
+                self._send_file(request, path)
+                return
+            if name not in actions:
+                self.close_connection = True  # what it sent is not read
+                raise FileError(f"there is no {name!r} here")
+            answer = actions[name](self.server, body())
+            response = _respond(*answer) if isinstance(answer, tuple) else _as_json(answer)
         except TwinError as error:
             response = _as_json({"error": " ".join(str(error).split())}, _status_of(error))
-        policy = response.headers.get("Content-Security-Policy")
-        self._send(self.server.guard.protect(request, response), policy)
+        self._send(self.server.guard.protect(request, response))
 
     def _body(self) -> dict[str, Any]:
         """Return the JSON object that was sent.
@@ -150,20 +152,45 @@ class _Handler(BaseHTTPRequestHandler):
             raise TwinError("a request takes one JSON object")
         return sent
 
-    def _file(self, console: Console, place: str) -> Response:
-        """Return the file at ``place``, the name of a run and of a file in its folder."""
-        name, _, file = place.rpartition("/")
-        run = console.find_run("/".join(map(unquote, name.split("/"))))
+    def _named_file(self, name: str) -> Path | None:
+        """Return the file of a run, or the comparison, that ``name`` means; None for neither."""
+        console = self.server.console
+        if name == COMPARISON:
+            return console.comparison
+        if not name.startswith("run/"):
+            return None
+        place, _, file = name.removeprefix("run/").rpartition("/")
+        run = console.find_run(unquote(place))
         chosen = unquote(file)
         if "/" in chosen or chosen.startswith(".") or not chosen.isprintable():
-            raise FileError(f"no file {chosen!r} in {name}")
-        return _show_file(run.folder / chosen)
+            raise FileError(f"no file {chosen!r} in {place}")
+        return run.folder / chosen
 
-    def _send(self, response: Response, policy: str | None = None) -> None:
-        """Send ``response``, with a ``policy`` of its own instead of that of the page."""
-        if policy is not None:
-            del response.headers["Content-Security-Policy"]
-            response.headers["Content-Security-Policy"] = policy
+    def _send_file(self, request: Request, path: Path) -> None:
+        """Send a file, which may come from someone else, with an origin of its own.
+
+        Raises:
+            FileError: It is not there, a link, or no file.
+        """
+        with _open_file(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            kind = _SHOWN.get(path.suffix, "application/octet-stream")
+            response = self.server.guard.protect(request, _respond(HTTPStatus.OK, kind, b""))
+            for key in ("Content-Length", "Content-Security-Policy"):
+                del response.headers[key]
+            response.headers["Content-Length"] = str(size)
+            response.headers["Content-Security-Policy"] = FILE_POLICY
+            if path.suffix not in _SHOWN:
+                name = re.sub(r"[^A-Za-z0-9._-]", "_", path.name)
+                response.headers["Content-Disposition"] = f'attachment; filename="{name}"'
+            self._send(response)
+            with suppress(OSError):  # the page was closed
+                while size > 0 and (part := file.read(min(size, CHUNK))):
+                    self.wfile.write(part)
+                    size -= len(part)
+        self.close_connection |= size > 0  # it shrank, or the page was closed
+
+    def _send(self, response: Response) -> None:
         with suppress(OSError):  # the page was closed
             self.send_response_only(response.status_code)
             for key, value in response.headers.raw_items():
@@ -188,26 +215,21 @@ def _status_of(error: TwinError) -> int:
     return HTTPStatus.NOT_FOUND if isinstance(error, FileError) else HTTPStatus.BAD_REQUEST
 
 
-def _show_file(path: Path) -> Response:
-    """Return a file of a run, which may come from someone else, with an origin of its own.
+def _open_file(path: Path) -> BinaryIO:
+    """Open the file ``path``, not through a link.
 
     Raises:
         FileError: It is not there, a link, or no file.
     """
     try:
         opened = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-        with os.fdopen(opened, "rb") as file:
-            if not stat.S_ISREG(os.fstat(opened).st_mode):
-                raise FileError(f"{path.name} is no file")
-            content = file.read()
-    except OSError as error:
-        raise FileError(f"cannot read {path.name}: {error.strerror or error}") from None
-    response = _respond(HTTPStatus.OK, _SHOWN.get(path.suffix, "application/octet-stream"), content)
-    response.headers["Content-Security-Policy"] = FILE_POLICY
-    if path.suffix not in _SHOWN:
-        name = re.sub(r"[^A-Za-z0-9._-]", "_", path.name)
-        response.headers["Content-Disposition"] = f'attachment; filename="{name}"'
-    return response
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"cannot read {path.name}: {reason}") from None
+    if stat.S_ISREG(os.fstat(opened).st_mode):
+        return os.fdopen(opened, "rb")
+    os.close(opened)
+    raise FileError(f"{path.name} is no file")
 
 
 def _show_page(server: ConsoleServer, _: Any) -> Answer:
