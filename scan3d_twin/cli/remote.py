@@ -8,6 +8,7 @@ import threading
 from typing import IO, TYPE_CHECKING
 
 from scan3d_twin.cli.output import say
+from scan3d_twin.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from scan3d_twin.viz.live import LiveView
@@ -25,11 +26,15 @@ class RemoteCommands:
     """
 
     def __init__(self, stream: IO[str] | None = None) -> None:
-        """Begin to read ``stream``, by default standard input."""
+        """Begin to read ``stream``, by default standard input.
+
+        Raises:
+            ConfigError: Standard input is closed.
+        """
         self._lock = threading.Lock()
         self._view: LiveView | None = None
         self._pausing = self._leaving = self._stopped = False
-        source = sys.stdin if stream is None else stream
+        source = _open_input() if stream is None else stream
         self._thread = threading.Thread(target=self._obey, args=(source,), daemon=True)
         self._thread.start()
 
@@ -78,3 +83,10 @@ class RemoteCommands:
             self._pausing = wanted
             if self._view is not None:
                 self._view.set_pause(wanted)
+
+
+def _open_input() -> IO[str]:
+    """Open standard input once more: ``sys.stdin`` is locked by who reads it as Python ends."""
+    if sys.stdin is None:
+        raise ConfigError("--commands reads standard input, which is closed")
+    return open(sys.stdin.fileno(), encoding="utf-8", errors="replace", closefd=False)

@@ -3,6 +3,8 @@
 import io
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -94,3 +96,10 @@ def test_a_pause_before_there_is_a_view_is_kept(interrupts):
 
 def test_commands_take_a_live_view(fails):
     assert "--commands goes with --view" in fails(2, "sim", "--commands")
+
+
+def test_a_run_without_an_input_is_not_commanded():
+    command = ["sh", "-c", '"$0" -m scan3d_twin.cli sim --view --commands <&-', sys.executable]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr == "error: --commands reads standard input, which is closed\n"
