@@ -1,6 +1,6 @@
-"""Make the pictures of docs/registration.md: ``python registration_pictures.py``.
+"""Make the pictures of docs/registration.md: ``python benchmarks/registration_pictures.py``.
 
-Run in ``benchmarks/``; writes SVG files to ``docs/images``. The same program writes the same bytes.
+Writes SVG files to ``docs/images``. The same program writes the same bytes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from registration_data import FloatArray, Noise, pair, wall
 from registration_data import scan as take
-from ring import SIGMA_XY, SIGMA_YAW, chain, make_ring
+from ring_data import SIGMA_XY, SIGMA_YAW, chain, make_ring
 
 from scan3d_twin.core.mapping.loop_closure import align_grids
 from scan3d_twin.core.registration import (

@@ -1,4 +1,4 @@
-"""What all tests share: fixed arithmetic, ports of a robot, a limit of time and a browser."""
+"""What all tests share: fixed arithmetic, ports of a robot, a limit of time, a browser."""
 
 import shutil
 import signal
@@ -53,3 +53,36 @@ def browser():
         opened = driver.chromium.launch(executable_path=path, args=arguments)
         yield opened
         opened.close()
+
+
+class Watched:
+    """A page with what went wrong on it and what it asked of other machines."""
+
+    def __init__(self, page):
+        self.page, self.errors, self.asked = page, [], []
+        page.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("request", lambda request: self._note(request.url))
+
+    def _note(self, url):
+        local = ("data:", "blob:", "file:", "http://127.0.0.1", "ws://127.0.0.1", "about:")
+        if not url.startswith(local):
+            self.asked.append(url)
+
+
+@pytest.fixture
+def open_page(browser):
+    """Open a page of a size and colour scheme, watched."""
+    contexts = []
+
+    def opening(url, *, width=1000, height=800, **options):
+        """Open ``url`` and return the watched page."""
+        context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        contexts.append(context)
+        watched = Watched(context.new_page())
+        watched.page.goto(url)
+        return watched
+
+    yield opening
+    for context in contexts:
+        context.close()

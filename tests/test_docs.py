@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import scan3d_twin
+from scan3d_twin.cli.app import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -137,6 +138,30 @@ The page on extending names those of another package."""
 def test_files_that_pages_name_exist(page, path):
     homes = (".", "scan3d_twin", "scan3d_twin/core", "scan3d_twin/core/registration")
     assert any((ROOT / home / path).exists() for home in homes)
+
+
+FIGURE = r"""!\[[^\]]*\]\(([^)\s]+\.(?:png|svg|gif))\)|<img src="([^"]+)"|```\{image\} (\S+)"""
+FIGURES = [
+    (page.relative_to(ROOT), "".join(found.groups("")), text[found.end() :])
+    for page in PAGES
+    for text in [page.read_text(encoding="utf-8")]
+    for found in re.finditer(FIGURE, text)
+]
+"""Figures by the pages that show them, with the text after them."""
+
+
+@pytest.mark.parametrize(
+    ("page", "figure", "text"), FIGURES, ids=[f"{page}-{name}" for page, name, _ in FIGURES]
+)
+def test_under_each_figure_stands_the_command_that_makes_it(page, figure, text):
+    assert ((ROOT / page).parent / figure).exists()
+    below = re.split(FIGURE, text)[0]
+    (program, name), *_ = re.findall(r"[Mm]ade by `(\w+) ([^\s`]+)", below)
+    if program == "twin":
+        assert name in COMMANDS
+    else:
+        assert program == "python"
+        assert Path(figure).name in (ROOT / name).read_text(encoding="utf-8")
 
 
 @pytest.fixture

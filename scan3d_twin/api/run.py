@@ -28,6 +28,9 @@ from scan3d_twin.run.settings import Settings
 from scan3d_twin.run.versions import collect_versions
 from scan3d_twin.viz.notebook import REPORT_HEIGHT, frame_page, render_html
 
+SAVING, EVALUATING = "saving", "evaluating and saving"
+"""What the user is told when the robot is at rest and the files of the run are written."""
+
 
 @dataclass(frozen=True)
 class RunOutcome:
@@ -158,13 +161,13 @@ def _digitize_and_save(
             watching = Observers(watching, MovedCheck(known, watching.on_event))
 
         # Close the loop
-        robot, watching = watcher.attach(recorder.attach(robot), watching)
+        robot, watching = watcher.attach(recorder.attach(robot), watching, truth)
         loop = close_loop(robot, truth, settings, watching, time.perf_counter, earlier, begun)
         _finish(recorder, loop)
 
     # Save all files and the report
     effort = Effort(time.perf_counter() - started, sum(loop.plan_times), _peak_memory())
-    observer.on_event("evaluating and saving" if truth is not None else "saving")
+    observer.on_event(EVALUATING if truth is not None else SAVING)
     picture = watcher.picture()
     try:
         report = save_run(

@@ -9,8 +9,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from scan3d_twin.core.hal import Robot
+    from scan3d_twin.core.model.truth import Truth
     from scan3d_twin.core.observer import Observer
+    from scan3d_twin.core.types import FloatArray
+    from scan3d_twin.viz.banner import State
     from scan3d_twin.viz.live import LiveView
+
+
+STAYS = "the live view stays until its page is closed, or Ctrl-C"
+"""Ends the line that tells the user how the run ended, when it is saved and its page still read."""
+
+
+def _leave(view: LiveView) -> None:
+    """Do nothing with the live view."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,13 +36,15 @@ class RunWatcher:
     view: LiveView | None
     picture: Callable[[], bytes]
 
-    def attach(self, robot: Robot, observer: Observer) -> tuple[Robot, Observer]:
-        """Return ``robot`` and ``observer`` with the view among the observers."""
+    def attach(
+        self, robot: Robot, observer: Observer, truth: Truth | None
+    ) -> tuple[Robot, Observer]:
+        """Return ``robot`` and ``observer`` with the view, which knows ``truth``, among them."""
         from scan3d_twin.core.observer import Observers
 
         if self.view is None:
             return robot, observer
-        return self.view.attach(robot), Observers(observer, self.view)
+        return self.view.attach(robot, truth), Observers(observer, self.view)
 
     def finish(
         self, reason: str, report: Callable[[str], None], ended: BaseException | None = None
@@ -45,13 +58,12 @@ class RunWatcher:
         """
         if self.view is None:
             return
-        if ended is None:
-            self.view.finish(reason)
-        else:
-            stopped = isinstance(ended, KeyboardInterrupt)
-            self.view.finish(reason, "stopped" if stopped else "failed")
+        state: State = "finished"
+        if ended is not None:
+            state = "stopped" if isinstance(ended, KeyboardInterrupt) else "failed"
+        self.view.finish(reason, state)
         if self.view.has_readers():
-            report("the live view stays until its page is closed, or Ctrl-C")
+            report(f"{state}: {STAYS}")
             self.view.wait_for_readers()
 
 
@@ -63,11 +75,15 @@ class WatchOptions:
         address: Host and TCP port at which the live view is served; None for no live view.
         speed: Speed limit of the twin while it is watched, such as ``10x``; None for a real robot.
         picture: See ``RunWatcher``.
+        on_open: Given the live view when it is served.
+        surface: See ``LiveView``.
     """
 
     address: tuple[str, int] | None = None
     speed: str | None = None
     picture: Callable[[], bytes] = bytes
+    on_open: Callable[[LiveView], None] = _leave
+    surface: Callable[[], FloatArray] | None = None
 
     @contextmanager
     def open_watcher(self, name: str, report: Callable[[str], None]) -> Iterator[RunWatcher]:
@@ -82,7 +98,8 @@ class WatchOptions:
         from scan3d_twin.viz.live import open_live_view
 
         host, port = self.address
-        with open_live_view(host, port, name, self.speed, report) as view:
+        with open_live_view(host, port, name, self.speed, report, self.surface) as view:
+            self.on_open(view)
             yield RunWatcher(view, self.picture)
 
 

@@ -27,6 +27,7 @@ COMMANDS = {
     "real": ("real:real", "Digitise with the real robot."),
     "scan": ("scan:scan", "Take one 3D image from where the robot stands."),
     "view": ("view:view", "Show a recorded run on a web page."),
+    "console": ("console:console", "Start, steer and compare runs on a web page."),
     "runs": ("runs:runs", "List the earlier runs."),
     "film": ("film:film", "Make a film of a run."),
     "compare": ("compare:compare", "Compare runs: options, results, models."),

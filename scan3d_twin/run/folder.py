@@ -11,6 +11,9 @@ from pathlib import Path
 
 from scan3d_twin.core.errors import FileError
 
+RUNS = Path("runs")
+"""Folder of the runs for which none is stated."""
+
 
 def claim_folder(path: Path) -> Path:
     """Make the folder ``path`` for a new run and return it.
@@ -40,9 +43,9 @@ def find_free_folder(path: Path) -> Path:
     return candidate
 
 
-def default_folder(scene: str) -> Path:
-    """Return a new folder under ``runs`` for a run in ``scene``, named by the time of day."""
-    return find_free_folder(Path("runs") / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")
+def default_folder(scene: str, parent: Path = RUNS) -> Path:
+    """Return a new folder in ``parent`` for a run in ``scene``, named by the time of day."""
+    return find_free_folder(parent / f"{scene}-{datetime.now():%Y%m%d-%H%M%S}")
 
 
 def readable(path: Path | str) -> str:

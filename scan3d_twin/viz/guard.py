@@ -30,14 +30,14 @@ ANYWHERE = ("", "0.0.0.0", "::")
 TOKEN_BYTES = 18
 """Random bytes of a token: 144 bits, more than can be guessed."""
 _AUTHORITY = re.compile(r"(?P<name>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?")
-_POLICY = (
+VIEWER_POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
     "worker-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
     "font-src 'self' data:; connect-src 'self' data: blob: ws://{host} wss://{host}; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""What the page may load: nothing from another host. viser's page is one file that evaluates its
-own compressed script."""
+"""What a page of viser may load: nothing from another host. It is one file that evaluates its own
+compressed script."""
 
 
 def is_loopback(host: str) -> bool:
@@ -53,7 +53,14 @@ def is_loopback(host: str) -> bool:
 class Guard:
     """Decides on each request to the server at ``host``."""
 
-    def __init__(self, host: str) -> None:
+    def __init__(self, host: str, policy: str = VIEWER_POLICY) -> None:
+        """Guard the server at ``host``, whose pages may load what ``policy`` says.
+
+        Args:
+            host: Address of the server.
+            policy: The Content-Security-Policy; ``{host}`` stands for the host of the request.
+        """
+        self._policy = policy
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self.installed = False
         self._host = host
@@ -80,7 +87,7 @@ class Guard:
         host = request.headers["Host"]
         cookie = f"{_cookie_name(host)}={self.token}; HttpOnly; SameSite=Strict; Path=/"
         response.headers["Set-Cookie"] = cookie
-        response.headers["Content-Security-Policy"] = _POLICY.format(host=host)
+        response.headers["Content-Security-Policy"] = self._policy.format(host=host)
         response.headers["X-Frame-Options"] = "DENY"
         response.headers["Referrer-Policy"] = "no-referrer"
         response.headers["X-Content-Type-Options"] = "nosniff"

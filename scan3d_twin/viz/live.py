@@ -14,17 +14,23 @@ import numpy as np
 import viser
 
 from scan3d_twin.core.hal import Lidar, Robot
+from scan3d_twin.core.model.evaluation import lay_on_truth
 from scan3d_twin.core.model.fused_cloud import measure_scanned_share
+from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import LidarSpec, Pose2, ScanLine
+from scan3d_twin.core.types import FloatArray, LidarSpec, Pose2, ScanLine
 from scan3d_twin.viz.banner import Banner, State
 from scan3d_twin.viz.look_controls import add_look_controls
 from scan3d_twin.viz.markdown import as_text
 from scan3d_twin.viz.server import describe_reach, open_server
 from scan3d_twin.viz.stage import Stage
 from scan3d_twin.viz.track import place_track
-from scan3d_twin.viz.view_errors import format_view_errors, list_view_errors
+from scan3d_twin.viz.view_errors import (
+    format_view_errors,
+    list_view_errors,
+    measure_view_errors,
+)
 
 REFRESH_PERIOD = 0.1
 """Time between two updates of the moving robot [s]: the lidar's line period."""
@@ -36,6 +42,19 @@ SPEEDS = {"real time": 1.0, "2x": 2.0, "5x": 5.0, "10x": 10.0, "30x": 30.0, "unl
 """Speeds of the twin by name; 0 for no limit."""
 RELOAD_TIME = 3.0
 """Longest time that a page takes to reload [s]."""
+ADDRESS = "live view: "
+"""Begins the line that tells the user the page's address."""
+ANNOUNCED: dict[State, str] = {
+    "pausing": "pausing when the current view is finished",
+    "paused": "paused: waits for Continue",
+    "running": "continuing",
+    "stopped": "stopped in the live view",
+}
+"""Lines that tell the user what a button did, by the state of the run."""
+
+
+def _ignore(text: str) -> None:
+    """Tell nobody."""
 
 
 class LiveView:
@@ -44,12 +63,30 @@ class LiveView:
     The run calls all its methods; the buttons only set flags.
     """
 
-    def __init__(self, server: viser.ViserServer, name: str, speed: str | None) -> None:
-        """Build the page; ``speed`` is one of ``SPEEDS`` for a twin, None for a real robot."""
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        name: str,
+        speed: str | None,
+        notify: Callable[[str], None] = _ignore,
+        surface: Callable[[], FloatArray] | None = None,
+    ) -> None:
+        """Build the page.
+
+        Args:
+            server: Serves the page.
+            name: What the panel is called.
+            speed: One of ``SPEEDS`` for a twin, None for a real robot.
+            notify: Told in a line when the run is paused and continued.
+            surface: Returns the triangles (m, 3, 3) of the true target in ``map`` [m]; None where
+                nobody knows it.
+        """
         self.stage = Stage(server)
-        self._server = server
-        self._stop, self._pause = threading.Event(), threading.Event()
+        self._server, self._notify = server, notify
+        self._stop, self._pause, self._leave = (threading.Event() for _ in range(3))
         self._robot: Robot | None = None
+        self._truth: Truth | None = None
+        self._surface, self._T_world_map = surface, Pose2()
         self._session: Session | None = None
         self._track: list[tuple[float, float, float, float]] = []
         self._T_world_odom = Pose2()
@@ -66,7 +103,8 @@ class LiveView:
         self._build_buttons(gui)
         self._timeline = gui.add_slider("Views", 0, 1, step=1, initial_value=1, disabled=True)
         self._timeline.on_update(lambda _: self.stage.show_upto(int(self._timeline.value)))
-        add_look_controls(gui, self.stage, lambda: self._session)
+        truth = None if self._surface is None else self._place_surface
+        add_look_controls(gui, self.stage, lambda: self._session, truth)
         if speed is not None:
             chosen = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value=speed)
             chosen.on_update(lambda _: self._set_speed(chosen.value))
@@ -83,28 +121,47 @@ class LiveView:
         self._stop_button = gui.add_button(
             "Stop", icon=viser.Icon.HAND_STOP, color="red", hint="Stops the wheels at once"
         )
-        self._pause_button.on_click(lambda _: self._set_pause(True))
-        self._continue_button.on_click(lambda _: self._set_pause(False))
+        self._pause_button.on_click(lambda _: self.set_pause(True))
+        self._continue_button.on_click(lambda _: self.set_pause(False))
         self._stop_button.on_click(lambda _: self._set_stop())
 
-    def _set_pause(self, wanted: bool) -> None:
+    def set_pause(self, wanted: bool) -> None:
+        """Let the run wait when the current view is finished, or go on."""
         (self._pause.set if wanted else self._pause.clear)()
         self._pause_button.visible, self._continue_button.visible = not wanted, wanted
         if not self._stop.is_set():
-            self._banner.show("pausing" if wanted else "running")
+            self._announce("pausing" if wanted else "running")
+
+    def _announce(self, state: State) -> None:
+        """Show ``state`` on the banner, and tell the user of it once."""
+        if self._banner.state != state:
+            self._banner.show(state)
+            self._notify(ANNOUNCED[state])
 
     def _set_stop(self) -> None:
         self._stop.set()
-        self._banner.show("stopped")
+        self._announce("stopped")
         for button in (self._pause_button, self._continue_button, self._stop_button):
             button.disabled = True
 
     def _set_speed(self, name: str) -> None:
         self._pace = _Pace(SPEEDS[name])
 
-    def attach(self, robot: Robot) -> Robot:
-        """Return ``robot`` wrapped so that the page follows it and can stop it."""
-        self._robot = robot
+    def _place_surface(self) -> FloatArray | None:
+        """Return the true surface in ``world``; None before the first view, which defines that."""
+        if self._truth is None or self._session is None or self._surface is None:
+            return None
+        triangles = self._surface().reshape(-1, 3)
+        return self._T_world_map.apply(triangles).reshape(-1, 3, 3)
+
+    def attach(self, robot: Robot, truth: Truth | None = None) -> Robot:
+        """Return ``robot`` wrapped so that the page follows it and can stop it.
+
+        Args:
+            robot: The robot.
+            truth: What the page measures the views by; None where there is none.
+        """
+        self._robot, self._truth = robot, truth
         if self._banner.state == "waiting":
             self._banner.show("running")
         return with_clock_callbacks(replace(robot, lidar=_LineByLine(robot.lidar)), self.attend)
@@ -185,6 +242,9 @@ class LiveView:
         self._show_path()
         if count == 1:
             self.stage.aim_camera(session)
+            if self._truth is not None:
+                self._T_world_map = lay_on_truth(session, self._truth).inverse()
+        self._show_errors(session)
 
         # Show the progress
         share = measure_scanned_share(session)
@@ -199,7 +259,12 @@ class LiveView:
         self.stage.show_views(session)
         self.stage.show_plan(session)
         self._plan.content = format_plan(session)
-        errors = list_view_errors(session, {})
+        self._show_errors(session)
+
+    def _show_errors(self, session: Session) -> None:
+        """Show the predicted error of each view and, where the truth is known, the realised one."""
+        realised = {} if self._truth is None else measure_view_errors(session, self._truth)
+        errors = list_view_errors(session, realised)
         self._errors.content = format_view_errors(errors, session.config.planning.epsilon)
 
     def command(self) -> Command:
@@ -208,7 +273,7 @@ class LiveView:
             return "stop"
         if self._pause.is_set():
             self._status.content = "waits for *Continue*"
-            self._banner.show("paused")
+            self._announce("paused")
             time.sleep(PAUSE_PERIOD)
             return "pause"
         return "go"
@@ -221,16 +286,21 @@ class LiveView:
         for button in (self._pause_button, self._continue_button, self._stop_button):
             button.visible = False
 
+    def leave(self) -> None:
+        """Let the page end with the run, whoever reads it."""
+        self._leave.set()
+
     def has_readers(self) -> bool:
         """Return whether a page is open."""
         return bool(self._server.get_clients())
 
     def wait_for_readers(self) -> None:
-        """Wait until the last page is closed, or Ctrl-C."""
+        """Wait until the last page is closed, or Ctrl-C, or ``leave``."""
         last = time.monotonic()
         try:
             while time.monotonic() - last < RELOAD_TIME:
-                time.sleep(REFRESH_PERIOD)
+                if self._leave.wait(REFRESH_PERIOD):
+                    return
                 if self.has_readers():
                     last = time.monotonic()
         except KeyboardInterrupt:
@@ -287,15 +357,22 @@ def format_plan(session: Session) -> str:
 
 @contextmanager
 def open_live_view(
-    host: str, port: int, name: str, speed: str | None, notify: Callable[[str], None]
+    host: str,
+    port: int,
+    name: str,
+    speed: str | None,
+    notify: Callable[[str], None],
+    surface: Callable[[], FloatArray] | None = None,
 ) -> Iterator[LiveView]:
     """Serve the live view of the run called ``name``, and ``notify`` the user of its address.
+
+    The other arguments are those of ``LiveView``.
 
     Raises:
         LinkError: The view cannot be served there.
     """
     with open_server(host, port, f"{name} - scan3d_twin") as (server, address):
-        notify(f"live view: {address}")
+        notify(f"{ADDRESS}{address}")
         if warning := describe_reach(host):
             notify(warning)
-        yield LiveView(server, name, speed)
+        yield LiveView(server, name, speed, notify, surface)

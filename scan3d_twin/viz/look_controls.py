@@ -22,7 +22,7 @@ def add_look_controls(
     gui: Any,
     stage: Stage,
     session: Callable[[], Session | None],
-    truth: Callable[[], FloatArray] | None = None,
+    truth: Callable[[], FloatArray | None] | None = None,
 ) -> None:
     """Add to ``gui`` the controls of the appearance of ``stage``.
 
@@ -31,7 +31,7 @@ def add_look_controls(
         stage: What is shown.
         session: Returns the session that is shown; None before the first view.
         truth: Returns the triangles (m, 3, 3) of the true surface in ``world`` [m], asked when they
-            are wanted first; None where there is no truth.
+            are wanted first, or None before the first view; None where there is no truth.
     """
     # What is shown
     background = gui.add_checkbox("Background", initial_value=True)
@@ -52,22 +52,28 @@ def add_look_controls(
     shot.on_click(lambda event: _save_screenshot(event.client))
 
 
-def _add_truth_control(gui: Any, stage: Stage, truth: Callable[[], FloatArray]) -> None:
+def _add_truth_control(gui: Any, stage: Stage, truth: Callable[[], FloatArray | None]) -> None:
     """Add the control of the true surface, which is made when it is wanted first."""
     box = gui.add_checkbox(
         "True surface", initial_value=False, hint="The twin's scene, laid on the model"
     )
     made: list[bool] = []
 
+    def refuse(event: Any, reason: str) -> None:
+        box.value = False
+        if event.client is not None:
+            event.client.add_notification("No true surface", reason)
+
     def show(event: Any) -> None:
         if box.value and not made:
             try:
-                stage.show_truth(truth())
+                triangles = truth()
             except TwinError as error:
-                box.value, box.disabled = False, True
-                if event.client is not None:
-                    event.client.add_notification("No true surface", str(error))
-                return
+                box.disabled = True
+                return refuse(event, str(error))
+            if triangles is None:
+                return refuse(event, "it is laid on the first view: wait until that is finished")
+            stage.show_truth(triangles)
             made.append(True)
         stage.set_truth_shown(box.value)
 

@@ -20,8 +20,13 @@ AXIS_LENGTH = 0.25
 """Length of the drawn axes [m]."""
 
 
-def render_model(shown: Shown) -> str:
-    """Return the section with the interactive model over its still picture."""
+def render_model(shown: Shown, note: str = "") -> str:
+    """Return the section with the interactive model over its still picture.
+
+    Args:
+        shown: The model, and what is shown beside it.
+        note: HTML that stands below it on a screen.
+    """
     model = shown.model
     if len(model) == 0:
         return "<h2>Model</h2><p>No view shows anything of the target: there is no model.</p>"
@@ -49,7 +54,8 @@ def render_model(shown: Shown) -> str:
 {_render_controls(shown)}
 <figcaption class="screen">Drag to turn, shift-drag to move, click and scroll or pinch to zoom,
 double-click to return. Lines show where each view was taken; the axes at the corner, x red, y green
-and z blue, are {AXIS_LENGTH:g} m long. The scale holds in the middle of the model.</figcaption>
+and z blue, are {AXIS_LENGTH:g} m long. The scale holds in the middle of the model.
+{note}</figcaption>
 </figure>
 <script type="application/json" id="meta">{_meta(shown, packed, camera)}</script>
 <script type="text/plain" id="cloud">{data}</script>

@@ -35,7 +35,7 @@ def render_page(
         style: Style sheet of the page's own, after the common one.
         script: Script of the page's own, at its end.
     """
-    sheet = _read_asset("report.css") + style
+    sheet = read_asset("report.css") + style
     document = [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
         OFFLINE_POLICY,
@@ -44,7 +44,7 @@ def render_page(
         f"<title>{escape(title)}</title><style>{sheet}</style></head><body><main>",
         *parts,
         f'<script type="application/json" id="report">{embed_json(data, indent=2)}</script>',
-        *(f"<script>{_read_asset(name)}</script>" for name in SCRIPTS if drawn),
+        *(f"<script>{read_asset(name)}</script>" for name in SCRIPTS if drawn),
         f"<script>{script}</script>" if script else "",
         "</main></body></html>\n",
     ]
@@ -100,5 +100,6 @@ def _class_of(kind: str) -> str:
     return f' class="{kind}"' if kind else ""
 
 
-def _read_asset(name: str) -> str:
+def read_asset(name: str) -> str:
+    """Return the text of the file ``name`` of this package: a style sheet or a script."""
     return (files("scan3d_twin.viz") / name).read_text(encoding="utf-8")

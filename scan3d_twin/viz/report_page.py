@@ -16,6 +16,12 @@ from scan3d_twin.viz.model_section import render_model
 from scan3d_twin.viz.packing import Shown
 from scan3d_twin.viz.page import render_page
 
+OTHER_FILES = (
+    "For E57, LAS, OBJ and other files, run <code>twin export . --to e57</code> in the folder of "
+    "this page."
+)
+"""Said of the files that a page cannot make: they take the whole cloud, and libraries."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
@@ -51,7 +57,7 @@ def render_report_page(
     parts = [
         sections.render_head(report),
         sections.render_warnings(report["warnings"]),
-        render_model(shown),
+        render_model(shown, OTHER_FILES),
         sections.render_top_view(pictures.top_view, known=evaluation is not None),
         sections.render_views(report, session),
         sections.render_overlap_curves(session),

@@ -34,7 +34,7 @@ def open_server(host: str, port: int, title: str) -> Iterator[tuple[viser.ViserS
         LinkError: The port is in use, or the host is not an address of this machine, or the
             server did not take the guard.
     """
-    chosen, guard = _free_port(host, port), Guard(host)
+    chosen, guard = find_free_port(host, port), Guard(host)
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a closed page is no error
     with contextlib.ExitStack() as opened:
         with _silence_stdout(), guard.install(Branding(title).apply):
@@ -78,8 +78,12 @@ def _stop(server: viser.ViserServer) -> None:
         server.stop()
 
 
-def _free_port(host: str, port: int) -> int:
-    """Return ``port`` if it is free, or a free one for 0."""
+def find_free_port(host: str, port: int) -> int:
+    """Return ``port`` if it is free at ``host``, or a free one for 0.
+
+    Raises:
+        LinkError: It is in use, or the host is not an address of this machine.
+    """
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

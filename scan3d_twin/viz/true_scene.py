@@ -56,16 +56,23 @@ def true_triangles(run: RecordedRun) -> FloatArray:
     """
     scene = load_run_scene(run.settings.run)
     T_world_map = lay_on_scene(run.session, scene).inverse()
+    return T_world_map.apply(scene_triangles(scene).reshape(-1, 3)).reshape(-1, 3, 3)
+
+
+def scene_triangles(scene: Scene) -> FloatArray:
+    """Return the triangles (m, 3, 3) of the target of ``scene`` in ``map`` [m].
+
+    Raises:
+        SceneError: It has none.
+    """
     data = mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
-
-    # Collect the target's geoms
     found = []
     for name in scene.target_geoms:
         geom = data.geom(name)
         if int(scene.model.geom_type[geom.id]) in SHOWN_TYPES:
-            in_map = geom_triangles(scene.model, geom.id) @ geom.xmat.reshape(3, 3).T + geom.xpos
-            found.append(T_world_map.apply(in_map.reshape(-1, 3)).reshape(-1, 3, 3))
+            rotation = geom.xmat.reshape(3, 3)
+            found.append(geom_triangles(scene.model, geom.id) @ rotation.T + geom.xpos)
     if not found:
         raise SceneError(f"the target of {scene.name} has no surface of triangles")
     return np.concatenate(found)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from scan3d_twin.core.model.evaluation import measure_view_error
+from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.load import RecordedRun, run_folder
 from scan3d_twin.recording.overview.listing import REPORT, read_report_or_state
@@ -31,6 +33,11 @@ def read_view_errors(run: RecordedRun) -> tuple[ViewError, ...]:
     known = {row["view"]: row.get("error_mm") for row in report.get("registration", [])}
     realised = {k: math.nan if error is None else float(error) for k, error in known.items()}
     return list_view_errors(run.session, realised)
+
+
+def measure_view_errors(session: Session, truth: Truth) -> dict[int, float]:
+    """Return the realised error [mm] of each view of ``session`` but the first, by its number."""
+    return {k: 1e3 * measure_view_error(k, session, truth) for k in range(1, len(session.views))}
 
 
 def list_view_errors(session: Session, realised: dict[int, float]) -> tuple[ViewError, ...]:

@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -17,6 +18,19 @@ def test_a_finished_run_is_exported_into_its_folder(finished, twin):
     assert result.out.split() == [str(folder / "cloud.ply")]
     assert 0.9 * report["points"] < len(trimesh.load(folder / "cloud.ply").vertices)
     (folder / "cloud.ply").unlink()
+
+
+def test_the_command_that_the_report_names_writes_what_it_says(
+    finished, twin, tmp_path, monkeypatch
+):
+    pytest.importorskip("pye57")
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    page = (run / "report.html").read_text(encoding="utf-8")
+    (command,) = re.findall(r"<code>twin ([^<]* --to e57)</code>", page)
+    monkeypatch.chdir(run)
+    assert twin(*command.split()).code == 0
+    assert (run / "cloud.e57").read_bytes()[:8] == b"ASTM-E57"
 
 
 def test_views_apart_and_fused_ones_go_where_they_are_sent(finished, twin):

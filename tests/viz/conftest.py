@@ -1,4 +1,4 @@
-"""A session to be shown, and pages that note what goes wrong on them."""
+"""A session to be shown."""
 
 import math
 
@@ -38,36 +38,3 @@ def session() -> Session:
         seen = synthetic.observe(Pose2(-0.4, y, 0.0), sigma=0.004, rng=rng)
         session = integrate(session, seen).with_plan(each)
     return session.with_stop_reason("front complete")
-
-
-class Watched:
-    """A page with what went wrong on it and what it asked of other machines."""
-
-    def __init__(self, page):
-        self.page, self.errors, self.asked = page, [], []
-        page.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
-        page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on("request", lambda request: self._note(request.url))
-
-    def _note(self, url):
-        local = ("data:", "blob:", "file:", "http://127.0.0.1", "ws://127.0.0.1", "about:")
-        if not url.startswith(local):
-            self.asked.append(url)
-
-
-@pytest.fixture
-def open_page(browser):
-    """Open a page of a size and colour scheme, watched."""
-    contexts = []
-
-    def opening(url, *, width=1000, height=800, **options):
-        """Open ``url`` and return the watched page."""
-        context = browser.new_context(viewport={"width": width, "height": height}, **options)
-        contexts.append(context)
-        watched = Watched(context.new_page())
-        watched.page.goto(url)
-        return watched
-
-    yield opening
-    for context in contexts:
-        context.close()

@@ -6,16 +6,22 @@ import numpy as np
 import pytest
 from paper import paper_config
 from pixels import SMALL, SOON, drawn
+from scipy.spatial import cKDTree
 
 from scan3d_twin.api.watch import RunWatcher
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import LinkError
+from scan3d_twin.core.model.evaluation import evaluate
+from scan3d_twin.core.model.fused_cloud import build_model
 from scan3d_twin.core.observer import Observers, Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.scenes.load import load_scene
+from scan3d_twin.sim.scenes.surface_samples import sample_triangles
 from scan3d_twin.viz.banner import COLOURS
-from scan3d_twin.viz.live import LiveView, format_plan, open_live_view
+from scan3d_twin.viz.live import ANNOUNCED, LiveView, format_plan, open_live_view
 from scan3d_twin.viz.server import LOOPBACK, open_server
+from scan3d_twin.viz.true_scene import scene_triangles
 
 
 @pytest.fixture
@@ -95,9 +101,9 @@ def test_stop_stops_the_wheels_within_a_line(view, press):
 
 def test_the_buttons_command_what_they_say(view):
     assert view.command() == "go"
-    view._set_pause(True)
+    view.set_pause(True)
     assert view.command() == "pause"
-    view._set_pause(False)
+    view.set_pause(False)
     assert view.command() == "go"
     view._set_stop()
     assert view.command() == "stop"
@@ -108,14 +114,14 @@ def test_the_banner_says_how_the_run_stands(view):
     with open_sim("three_boxes", 0) as (robot, _):
         view.attach(robot)
     assert view._banner.state == "running"
-    view._set_pause(True)
+    view.set_pause(True)
     assert view._banner.state == "pausing"
     view.command()
     assert view._banner.state == "paused"
-    view._set_pause(False)
+    view.set_pause(False)
     assert view._banner.state == "running"
     view._set_stop()
-    view._set_pause(True)
+    view.set_pause(True)
     assert view._banner.state == "stopped"
     view.finish("interrupted")
     assert view._banner.state == "stopped"
@@ -156,13 +162,44 @@ def test_the_way_driven_is_drawn_as_it_is_driven(view):
     assert np.linalg.norm(way[-1] - (end.x, end.y)) < 0.15
 
 
+def test_in_the_twin_the_realised_errors_and_the_true_surface_are_shown():
+    scene = load_scene("three_boxes")
+    with (
+        open_live_view(
+            LOOPBACK, 0, "boxes", "unlimited", lambda _: None, lambda: scene_triangles(scene)
+        ) as view,
+        open_sim("three_boxes", 0) as (robot, truth),
+    ):
+        robot = view.attach(robot, truth)
+        assert view._place_surface() is None  # the first view defines where it is
+        session = run_loop(robot, make_planner("siicp"), paper_config(max_views=2), 0, view)
+        error = evaluate(session, truth).pairs[0].error
+        assert f"| {1e3 * error:.1f} mm |" in view._errors.content
+        assert "realised" in view._errors.content
+
+        # The true surface lies on the model
+        points, _ = sample_triangles(view._place_surface(), 0.005)
+        off, _ = cKDTree(points).query(build_model(session).points)
+        assert np.median(off) < 0.010  # range noise of the lidar
+
+
+def test_a_pause_is_said_once():
+    notes = []
+    with open_live_view(LOOPBACK, 0, "boxes", "unlimited", notes.append) as view:
+        view.set_pause(True)
+        view.set_pause(True)
+        assert view.command() == view.command() == "pause"
+        view.set_pause(False)
+    assert notes[1:] == [ANNOUNCED["pausing"], ANNOUNCED["paused"], ANNOUNCED["running"]]
+
+
 def test_watching_changes_nothing(view):
     def run(observer, attach):
-        with open_sim("three_boxes", 3) as (robot, _):
+        with open_sim("three_boxes", 3) as (robot, truth):
             planner = make_planner("siicp")
-            return run_loop(attach(robot), planner, paper_config(max_views=2), 3, observer)
+            return run_loop(attach(robot, truth), planner, paper_config(max_views=2), 3, observer)
 
-    watched, alone = run(view, view.attach), run(Unobserved(), lambda robot: robot)
+    watched, alone = run(view, view.attach), run(Unobserved(), lambda robot, _: robot)
     for mine, other in zip(watched.views, alone.views, strict=True):
         assert mine.T_world_scan == other.T_world_scan
         np.testing.assert_array_equal(mine.observation.image.ranges, other.observation.image.ranges)
@@ -219,7 +256,7 @@ def test_a_run_can_be_watched_paused_continued_and_stopped_in_a_browser(open_pag
     notes = []
     with open_live_view(LOOPBACK, 0, "boxes", "unlimited", notes.append) as view:
         run = Run(view)
-        view._set_pause(True)  # so that the page comes in time for the first view
+        view.set_pause(True)  # so that the page comes in time for the first view
         run.start()
         shown = open_page(notes[0].removeprefix("live view: "), **SMALL)
         page = shown.page

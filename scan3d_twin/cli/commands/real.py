@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import PortOptions, RunOptions, stated_options
@@ -77,6 +76,7 @@ def real(
     from scan3d_twin.recording.recorder import SerialTaps
 
     give_back_memory()
+    watch = options.watch()  # obeys commands from here on
     given = {} if dotted is None else stated(dotted)
     options = name_lidar(options)
     resume = None if options.resume is None else _going_on(options, options.resume, given)
@@ -95,7 +95,7 @@ def real(
             options.out,
             options.targets,
             as_json=options.json,
-            watch=WatchOptions(options.address),
+            watch=watch,
             taps=taps,
         )
         return
@@ -108,7 +108,7 @@ def real(
             as_json=options.json,
             taps=taps,
             resume=resume,
-            watch=WatchOptions(options.address),
+            watch=watch,
         )
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
 from scan3d_twin.cli.options import RunOptions, SceneOptions, stated_options
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from scan3d_twin.api.resume import ResumedRun
+    from scan3d_twin.core.types import FloatArray
     from scan3d_twin.run.closed_loop import RobotContext
     from scan3d_twin.sim.scenes.scene import Scene
 
@@ -55,6 +55,17 @@ def sim(
     """
     from scan3d_twin.run.resolve import is_mesh_file
 
+    def picture() -> bytes:
+        from scan3d_twin.api.sim import draw_scene  # slow to import
+
+        return draw_scene(scene, effective.twin.robot)
+
+    def surface() -> FloatArray:
+        from scan3d_twin.viz.true_scene import scene_triangles
+
+        return scene_triangles(scene)
+
+    watch = options.watch(SPEED, picture, surface)  # obeys commands from here on
     given = {} if dotted is None else stated(dotted)
     if options.resume is None:
         resume, (effective, scene) = None, resolve(options, given)
@@ -66,12 +77,6 @@ def sim(
     for note in scene.notes:
         say(note)
 
-    def picture() -> bytes:
-        from scan3d_twin.api.sim import draw_scene  # slow to import
-
-        return draw_scene(scene, effective.twin.robot)
-
-    watch = WatchOptions(options.address, SPEED, picture)
     if options.targets is not None:
         from scan3d_twin.cli.multi_target import run_each
 

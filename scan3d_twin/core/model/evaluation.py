@@ -392,16 +392,37 @@ def measure_displacement(points: FloatArray, a: Pose2, b: Pose2) -> float:
     return rms(a.apply(points) - b.apply(points))
 
 
-def _measure_pair_error(k: int, session: Session, reference: Reference) -> PairError:
-    """Return the errors of view ``k``, over all its points where it shows nothing of the target."""
+def measure_view_error(k: int, session: Session, truth: Truth) -> float:
+    """Return the RMS displacement of view ``k``'s points by ``T_prev_new`` from the true one [m].
+
+    This is ``PairError.error``, known as soon as the view is registered.
+    """
+    true = find_true_pose(session.views[k - 1], truth).inverse() @ find_true_pose(
+        session.views[k], truth
+    )
+    return _measure_registration_error(k, session, true)
+
+
+def _measure_registration_error(k: int, session: Session, T_prev_new: Pose2) -> float:
     previous, view = session.views[k - 1], session.views[k]
-    points = view.target.points if len(view.target) else view.sweep.points
-    true = reference.poses[k - 1].inverse() @ reference.poses[k]
     registered = previous.T_world_scan.inverse() @ view.T_world_scan
+    return measure_displacement(_judged_points(view), registered, T_prev_new)
+
+
+def _judged_points(view: View) -> FloatArray:
+    """Return the points of the target; all where the view shows nothing of it."""
+    return view.target.points if len(view.target) else view.sweep.points
+
+
+def _measure_pair_error(k: int, session: Session, reference: Reference) -> PairError:
+    """Return the errors of view ``k``."""
+    previous, view = session.views[k - 1], session.views[k]
+    points = _judged_points(view)
+    true = reference.poses[k - 1].inverse() @ reference.poses[k]
     odometry = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     return PairError(
         view=k,
-        error=measure_displacement(points, registered, true),
+        error=_measure_registration_error(k, session, true),
         pose_error=measure_displacement(
             points, reference.T_map_world @ view.T_world_scan, reference.poses[k]
         ),

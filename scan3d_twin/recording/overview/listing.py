@@ -57,14 +57,21 @@ _PARTIAL = SESSION_FILE + PART
 
 
 def _describe(folder: Path) -> ListedRun:
-    files = [folder / name for name in (REPORT, SESSION_FILE, _PARTIAL)]
-    written = max(path.stat().st_mtime for path in files if path.is_file())
+    written = max(_time_written(folder / name) for name in (REPORT, SESSION_FILE, _PARTIAL))
     report, state = read_report_or_state(folder / REPORT)
     if (folder / _PARTIAL).is_file():
         state = "not finished: twin session recover, or it still runs"
     elif not report and state == NO_REPORT:
         state = f"{NO_REPORT}: ended while it was saved? twin sim --resume writes it"
     return ListedRun(folder, written, report, state)
+
+
+def _time_written(path: Path) -> float:
+    """Return when the file ``path`` was written [s since 1970]; 0 if a run has just renamed it."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
 
 
 def read_report_or_state(path: Path) -> tuple[Report, str]:
