@@ -26,13 +26,16 @@ from scan3d_twin.devices.rplidar.capsules import (
     sample_angles,
 )
 from scan3d_twin.devices.rplidar.codec import ReplyType
-from scan3d_twin.devices.rplidar.frames import CapsuleSplitter, NodeSplitter
+from scan3d_twin.devices.rplidar.frames import MAX_NODE_RETREAT, CapsuleSplitter, NodeSplitter
 from scan3d_twin.devices.rplidar.model import NO_RETURN, SAMPLES, RplidarModel, ScanMode
-from scan3d_twin.devices.rplidar.nodes import DISTANCE_UNITS, NODE_LENGTH, decode_node
+from scan3d_twin.devices.rplidar.nodes import DISTANCE_UNITS, NODE_LENGTH, angle_at, decode_node
 
 CLOCK_WINDOW = 1.0
 """Time over which the earliest arrival is looked for [s]: a clock that is off by .1 % errs by 1 ms
 in it; a poll every 5 ms meets some frame of it within a fraction of that."""
+SETTLE = 0.1
+"""Time of learning after which times are certain [s]: twenty polls, of which the luckiest comes
+within a millisecond of the arrival of a frame; assumption."""
 MAX_TURN_CHANGE = 0.04
 """Largest difference of the turn over a capsule from the mean, as a share of it; assumption.
 Between two turns of an S3 it is .9 % (rplidar_ros#104)."""
@@ -40,6 +43,9 @@ MAX_START_CHANGE = 0.5
 """The same before the speed of this motor is known; an A1 may turn 1.4 times as fast as another."""
 SMOOTHING = 0.1
 """Share of the latest turn in the running mean of the turn over a capsule."""
+MAX_SPEED = 2.0
+"""Fastest turn, as a share of the nominal one, over nodes of which some were damaged; an A1 turns
+up to 1.4 times as fast as usual, and its optics shift nodes."""
 MAX_IMPLAUSIBLE = 3
 """Implausible capsules in a row after which the series must have begun anew."""
 _DECODERS = {ReplyType.EXPRESS: decode_express, ReplyType.DENSE: decode_dense}
@@ -60,10 +66,18 @@ class SampleClock:
         self._period = period
         self._least: deque[tuple[float, float]] = deque()
         self._last = -math.inf
+        self._since = math.inf
+        self._latest = 0.0
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether enough arrivals are known."""
+        return self._latest - self._since >= SETTLE
 
     def learn(self, index: int, taken_by: float) -> None:
         """Take in that sample ``index`` was taken by a time [s]: its arrival less transmission."""
         offset = taken_by - index * self._period
+        self._since, self._latest = min(self._since, taken_by), taken_by
         while self._least and self._least[-1][1] >= offset:
             self._least.pop()
         self._least.append((taken_by, offset))
@@ -73,6 +87,7 @@ class SampleClock:
     def restart(self) -> None:
         """Forget all arrivals, after samples that were lost and not counted."""
         self._least.clear()
+        self._since = math.inf
 
     def times(self, first: int, count: int) -> FloatArray:
         """Return when ``count`` samples from ``first`` on were taken [s]; never before earlier."""
@@ -103,6 +118,12 @@ class CapsuleStream:
     def bad(self) -> int:
         """Capsules dropped."""
         return self._splitter.bad + self._refused
+
+    def restart(self) -> None:
+        """Forget what is unfinished, after bytes were discarded."""
+        self._splitter.restart()
+        self._clock.restart()
+        self._held, self._ahead, self._implausible = None, 0, 0
 
     def feed(self, data: bytes, now: float) -> Beams:
         """Return the beams that are certain once ``data`` has arrived at ``now`` [s]."""
@@ -135,7 +156,7 @@ class CapsuleStream:
         # Spread the turn over the samples of the capsule before
         first, self._index = self._index, self._index + self._ahead * self._count
         self._hold(capsule, arrival)
-        beams = self._make_beams(held, first, step)
+        beams = self._make_beams(held, first, step) if self._clock.is_settled else None
         self._step += (SMOOTHING if self._slack == MAX_TURN_CHANGE else 1.0) * (step - self._step)
         self._slack = MAX_TURN_CHANGE
         return beams
@@ -174,11 +195,18 @@ class NodeStream:
         self._transmission = NODE_LENGTH * BITS_PER_BYTE / model.baud
         self._splitter = NodeSplitter()
         self._index = 0
+        self._angle = 0
+        self._step = mode.sample_us * 1e-6 * model.turns * TURN_UNITS
 
     @property
     def bad(self) -> int:
         """Nodes dropped."""
         return self._splitter.bad
+
+    def restart(self) -> None:
+        """See ``CapsuleStream.restart``."""
+        self._splitter.restart()
+        self._clock.restart()
 
     def feed(self, data: bytes, now: float) -> Beams:
         """See ``CapsuleStream.feed``."""
@@ -186,12 +214,17 @@ class NodeStream:
         if not frames:
             return Beams.join([])
 
-        # Count the samples and learn the clock
+        # Count the samples and learn the clock, anew where more were lost than bytes skipped
         indices = []
         for frame in frames:
-            self._index += 1 + round(frame.skipped / NODE_LENGTH)
+            steps = 1 + round(frame.skipped / NODE_LENGTH)
+            if self._has_jumped(angle_at(frame.data, 0), steps):
+                self._clock.restart()
+            self._index += steps
             indices.append(self._index)
             self._clock.learn(self._index, frame.arrival - self._transmission)
+        if not self._clock.is_settled:
+            return Beams.join([])
         first = indices[0]
         times = self._clock.times(first, self._index - first + 1)
 
@@ -200,6 +233,12 @@ class NodeStream:
         angles = np.array([node.angle for node in nodes]) / ANGLE_UNITS
         mm = np.array([node.distance for node in nodes]) / DISTANCE_UNITS
         return to_beams(times[np.array(indices) - first], angles, mm, self._model)
+
+    def _has_jumped(self, angle: int, steps: int) -> bool:
+        """Return whether an ``angle`` [1/64 deg] is too far from the last for so many ``steps``."""
+        before, self._angle = self._angle, angle
+        turned = (angle - before + MAX_NODE_RETREAT) % TURN_UNITS - MAX_NODE_RETREAT
+        return turned > MAX_NODE_RETREAT + MAX_SPEED * self._step * steps
 
 
 ScanStream = CapsuleStream | NodeStream

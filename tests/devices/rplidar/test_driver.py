@@ -64,6 +64,9 @@ class Bench:
             self.clock.sleep(0.3)
         wire.close()
 
+    def sent_requests(self):
+        return [data for way, data in self.sent if way == ">"]
+
     def read(self, count):
         return [self.lidar.read_line(2.0) for _ in range(count)]
 
@@ -226,6 +229,46 @@ def test_a_scan_that_ends_is_started_again():
     with pytest.raises(LinkTimeoutError, match=r"0\.5 s"):
         [lidar.read_line(0.5) for _ in range(50)]
     bench.check([lidar.read_line(8.0)])
+    assert lidar.stats.reconnects == 0
+
+
+def test_that_it_fell_silent_is_told_apart_from_a_stream_without_a_good_scan():
+    bench = Bench()
+    lidar = bench.connect()
+    bench.read(3)
+    bench.talk([codec.encode_request(Command.STOP)])
+    with pytest.raises(LinkTimeoutError, match="the lidar fell silent"):
+        [lidar.read_line(1.5) for _ in range(50)]
+    bench.check([lidar.read_line(8.0)])
+    transmit = bench.device.transmit
+    bench.device.transmit = lambda now: bytes(len(transmit(now)))
+    with pytest.raises(LinkTimeoutError, match="no good scan arrives"):
+        [lidar.read_line(1.5) for _ in range(50)]
+
+
+@pytest.mark.parametrize(("model", "link"), KINDS)
+def test_after_planning_lines_arrive_without_a_new_scan(model, link, caplog):
+    bench = Bench(model, link)
+    lidar = bench.connect()
+    bench.read(3)
+    sent, bad = len(bench.sent_requests()), lidar.stats.bad
+    bench.clock.sleep(8.5)
+    lines = bench.read(6)
+    # What waited in the port is stale, and the rest of it was lost
+    assert lines[0].stamp > bench.clock.now() - 1.5
+    bench.check(lines)
+    assert (len(bench.sent_requests()), lidar.stats.bad, caplog.messages) == (sent, bad, [])
+
+
+@pytest.mark.parametrize(("model", "link"), KINDS)
+def test_bytes_that_were_lost_do_not_delay_the_stamps(model, link):
+    bench = Bench(model, link)
+    bench.connect()
+    bench.read(3)
+    bench.clock.sleep(0.313)
+    bench.line.receive(bench.clock.now(), model.baud)
+    bench.check(bench.read(6), share=0.3)
+    bench.check(bench.read(2))
 
 
 def test_a_stalled_host_loses_nothing():
