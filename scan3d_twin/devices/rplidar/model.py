@@ -18,6 +18,8 @@ MIN_CONF_FIRMWARE = (1, 24)
 """First firmware of an A1 that answers GET_LIDAR_CONF; the SDK."""
 MIN_CONF_SERIES = 4
 """First series that answers it with every firmware; the SDK."""
+STOP_PAUSE = 0.001
+"""Time after STOP in which the lidar takes no request [s]; the protocol's manual."""
 NO_RETURN = 0
 """Code of a reading without a distance; the lidar sends a distance of 0 for every cause."""
 SAMPLES = {ReplyType.NODES: 1, ReplyType.EXPRESS: EXPRESS_SAMPLES, ReplyType.DENSE: DENSE_SAMPLES}

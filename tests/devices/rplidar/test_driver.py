@@ -18,7 +18,7 @@ from scan3d_twin.devices.rplidar.device import describe_rplidar
 from scan3d_twin.devices.rplidar.driver import RplidarLidar, line_spec
 from scan3d_twin.devices.rplidar.emulated_firmware import RplidarProfile
 from scan3d_twin.devices.rplidar.emulator import RplidarEmulator
-from scan3d_twin.devices.rplidar.model import A1, C1, DENSE, EXPRESS, S2, STANDARD
+from scan3d_twin.devices.rplidar.model import A1, C1, DENSE, EXPRESS, S2, STANDARD, STOP_PAUSE
 from scan3d_twin.devices.rplidar.reading_filter import ReadingFilter
 
 KINDS = [(A1, EXPRESS), (A1, STANDARD), (C1, DENSE), (C1, STANDARD), (S2, DENSE)]
@@ -180,6 +180,16 @@ def test_closing_stops_scan_and_motor(model, link):
     assert bench.device.firmware.mode is None
     assert not bench.device.firmware.is_turning
     assert wire.read(1.0) == b""
+
+
+def test_after_stop_comes_a_pause_before_the_next_request():
+    """The emulated one, as the real one, takes no request within 1 ms after STOP."""
+    stop, start = codec.encode_request(Command.STOP), codec.encode_motor_rpm(600)
+    bench = Bench(S2, DENSE, RplidarProfile(running=False))
+    bench.device.receive(stop + start, 1.0)
+    assert not bench.device.firmware.is_turning
+    bench.device.receive(start, 1.0 + STOP_PAUSE)
+    assert bench.device.firmware.is_turning
 
 
 def test_a_lidar_that_does_not_work_is_left_standing():
