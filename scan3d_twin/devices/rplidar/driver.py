@@ -102,7 +102,7 @@ class RplidarLidar(ReconnectingLidar):
         super().__init__(open_transport, clock)
         self.stats = RplidarStats()
         self._model, self._wanted = model, tuple(wanted)
-        self._filter = ReadingFilter()
+        self._filter = ReadingFilter(model.noise)
         try:
             self._connect_first()
         except BaseException:

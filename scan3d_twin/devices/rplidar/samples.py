@@ -40,7 +40,8 @@ MAX_TURN_CHANGE = 0.04
 """Largest difference of the turn over a capsule from the mean, as a share of it; assumption.
 Between two turns of an S3 it is .9 % (rplidar_ros#104)."""
 MAX_START_CHANGE = 0.5
-"""The same before the speed of this motor is known; an A1 may turn 1.4 times as fast as another."""
+"""The same before the speed of this motor is known; an A1 may turn 1.4 times as fast as another.
+When a series begins anew it is twice what it was."""
 SMOOTHING = 0.1
 """Share of the latest turn in the running mean of the turn over a capsule."""
 MAX_SPEED = 2.0
@@ -110,7 +111,8 @@ class CapsuleStream:
         self._splitter = CapsuleSplitter()
         self._implausible = self._refused = 0
         self._held: Capsule | None = None
-        self._index = self._ahead = 0
+        self._before: Capsule | None = None
+        self._index = self._ahead = self._gap = 0
         self._step = self._count * mode.sample_us * 1e-6 * model.turns * TURN_UNITS
         self._slack = MAX_START_CHANGE
 
@@ -123,7 +125,8 @@ class CapsuleStream:
         """Forget what is unfinished, after bytes were discarded."""
         self._splitter.restart()
         self._clock.restart()
-        self._held, self._ahead, self._implausible = None, 0, 0
+        self._held = self._before = None
+        self._ahead = self._implausible = 0
 
     def feed(self, data: bytes, now: float) -> Beams:
         """Return the beams that are certain once ``data`` has arrived at ``now`` [s]."""
@@ -146,8 +149,14 @@ class CapsuleStream:
             self._begin(capsule, arrival)
             return None
 
-        # Check that it continues the turn
-        step = self._step if capsule.restarted else self._measure_step(held, capsule)
+        # Check that it continues the turn, or shows that the one before did not
+        step = self._step if capsule.restarted else self._measure_step(held, capsule, self._ahead)
+        if self._is_held_astray(step, capsule):
+            self._refused += 1
+            self._index += self._ahead * self._count
+            self._gap += self._ahead
+            self._keep(capsule, arrival)
+            return None
         if abs(step - self._step) > self._slack * self._step:
             self._refused += 1
             self._implausible += 1
@@ -161,21 +170,39 @@ class CapsuleStream:
         self._slack = MAX_TURN_CHANGE
         return beams
 
-    def _measure_step(self, held: Capsule, capsule: Capsule) -> float:
-        """Return the turn per capsule from ``held`` to ``capsule`` [1/64 deg]."""
-        turn = (capsule.start - held.start) % TURN_UNITS
-        whole = max(0, round((self._ahead * self._step - turn) / TURN_UNITS))
-        return (turn + whole * TURN_UNITS) / self._ahead
+    def _measure_step(self, first: Capsule, capsule: Capsule, ahead: int) -> float:
+        """Return the turn per capsule from ``first`` to ``capsule``, so many ahead [1/64 deg]."""
+        turn = (capsule.start - first.start) % TURN_UNITS
+        whole = max(0, round((ahead * self._step - turn) / TURN_UNITS))
+        return (turn + whole * TURN_UNITS) / ahead
+
+    def _is_held_astray(self, step: float, capsule: Capsule) -> bool:
+        """Return whether ``capsule``, a turn of ``step`` per capsule on, fits better without it.
+
+        Then the held one begins at a damaged angle, which its checksum has missed.
+        """
+        off = abs(step - self._step) * self._ahead
+        if self._before is None or off <= MAX_TURN_CHANGE * self._step:
+            return False
+        ahead = self._gap + self._ahead
+        return abs(self._measure_step(self._before, capsule, ahead) - self._step) * ahead < off / 2
 
     def _begin(self, capsule: Capsule, arrival: float) -> None:
         """Begin a series with ``capsule``."""
-        self._slack = MAX_START_CHANGE
+        # The speed stays nearly what it was, unless that does not help
+        self._slack = min(MAX_START_CHANGE, 2 * self._slack)
         self._clock.restart()
         self._index += self._ahead * self._count
+        self._held = None
         self._hold(capsule, arrival)
 
     def _hold(self, capsule: Capsule, arrival: float) -> None:
         """Keep ``capsule`` until the next one shows how far the lidar has turned over it."""
+        self._before, self._gap = self._held, self._ahead
+        self._keep(capsule, arrival)
+
+    def _keep(self, capsule: Capsule, arrival: float) -> None:
+        """Keep ``capsule`` in place of the held one."""
         self._held, self._ahead, self._implausible = capsule, 0, 0
         self._clock.learn(self._index + self._count - 1, arrival - self._transmission)
 

@@ -262,7 +262,7 @@ def test_after_planning_lines_arrive_without_a_new_scan(model, link, caplog):
     lidar = bench.connect()
     bench.read(3)
     sent, bad = len(bench.sent_requests()), lidar.stats.bad
-    bench.clock.sleep(8.5)
+    bench.clock.sleep(2.5)
     lines = bench.read(6)
     # What waited in the port is stale, and the rest of it was lost
     assert lines[0].stamp > bench.clock.now() - 1.5
@@ -322,7 +322,7 @@ def room_lines():
 
 
 def test_while_the_line_is_sound_lines_are_neither_delayed_nor_changed(room_lines):
-    filtered = ReadingFilter()
+    filtered = ReadingFilter(C1.noise)
     lines = [spoil(line, slice(200, 201), 7.0) for line in room_lines]
     for line in lines:
         assert filtered.take(line, 0) == [line]
@@ -331,7 +331,7 @@ def test_while_the_line_is_sound_lines_are_neither_delayed_nor_changed(room_line
 
 @pytest.mark.parametrize("row", [slice(200, 201), slice(200, 203), slice(200, 220)])
 def test_readings_that_only_one_line_has_are_left_out_while_it_is_noisy(room_lines, row):
-    filtered, taken = ReadingFilter(), []
+    filtered, taken = ReadingFilter(C1.noise), []
     lines = [*room_lines[:3], spoil(room_lines[3], row, 7.0), *room_lines[4:]]
     for line in lines:
         taken += filtered.take(line, 1)
@@ -344,8 +344,52 @@ def test_readings_that_only_one_line_has_are_left_out_while_it_is_noisy(room_lin
         assert np.array_equal(kept.codes == VALID, lines[taken.index(kept)].codes == VALID)
 
 
+def add_noise(line, noise, rng):
+    """Return ``line`` with the ``noise`` of a lidar."""
+    ranges = line.ranges + noise.at(line.ranges) * rng.standard_normal(len(line.ranges))
+    return replace(line, ranges=ranges)
+
+
+@pytest.mark.parametrize("bit", [32, 64])
+def test_a_flip_of_a_low_bit_is_left_out_and_noise_is_not(room_lines, bit):
+    rng, filtered, taken = np.random.default_rng(0), ReadingFilter(A1.noise), []
+    lines = [add_noise(line, A1.noise, rng) for line in room_lines]
+    # On the walls beside it, in 1.2 m
+    at = [120, 136, 386]
+    assert (lines[3].ranges[at] < 1.3).all()
+    lines[3] = spoil(lines[3], at, lines[3].ranges[at] + np.array([1, -1, 1]) * bit / 1000)
+    for line in lines:
+        taken += filtered.take(line, 1)
+    assert np.flatnonzero(taken[3].codes != lines[3].codes).tolist() == at
+    assert filtered.dropped == len(at)
+
+
+def test_a_reading_that_is_off_its_angle_is_left_out(room_lines):
+    line = room_lines[1]
+    elevations = line.elevations.copy()
+    at = int(np.flatnonzero(line.codes == VALID)[300])
+    elevations[at] += math.radians(0.5)
+    filtered, taken = ReadingFilter(C1.noise), []
+    lines = [room_lines[0], replace(line, elevations=elevations), *room_lines[2:4]]
+    for each in lines:
+        taken += filtered.take(each, 1)
+    assert np.flatnonzero(taken[1].codes != line.codes).tolist() == [at]
+
+
+def test_what_is_left_of_a_damaged_frame_is_left_out_too(room_lines):
+    filtered, taken = ReadingFilter(C1.noise), []
+    lines = [*room_lines[:3], spoil(room_lines[3], slice(200, 240, 3), 7.0), *room_lines[4:]]
+    for line in lines:
+        taken += filtered.take(line, 1)
+    kept, there = np.flatnonzero(taken[3].codes == VALID), room_lines[3].codes == VALID
+    assert not ((kept >= 207) & (kept < 233)).any()
+    # Those beside it stay
+    beside = [k for k in (*range(190, 200), *range(240, 250)) if there[k]]
+    assert set(beside) <= set(kept)
+
+
 def test_what_two_lines_have_stays_however_small(room_lines):
-    filtered, taken = ReadingFilter(), []
+    filtered, taken = ReadingFilter(C1.noise), []
     for k, line in enumerate(room_lines):
         small = spoil(line, slice(200, 201), 0.5) if k in (2, 3) else line
         taken += filtered.take(small, 1)
@@ -358,7 +402,7 @@ def test_a_reading_in_a_place_of_another_time_is_left_out(room_lines):
     times = line.beam_times.copy()
     at = np.flatnonzero(line.codes == VALID)[300]
     times[at] += 0.01
-    filtered, taken = ReadingFilter(), []
+    filtered, taken = ReadingFilter(C1.noise), []
     for each in (room_lines[0], replace(line, beam_times=times), room_lines[2], room_lines[3]):
         taken += filtered.take(each, 1)
     assert np.flatnonzero(taken[1].codes != line.codes).tolist() == [at]
