@@ -146,19 +146,20 @@ class LidarProbe:
         bauds: Bit rates at which it may be found, the most likely first [bit/s].
         recognise: Returns the name of the device that sent some bytes, read at one of ``bauds``;
             None if they are from none of this family.
-        stop: Bytes that end what it was doing, sent before ``request``. Both must not harm a lidar
-            of any other family, nor change more of its own than that it stops scanning.
-        pause: Time between the two [s].
-        request: Bytes to which it then answers; empty for a lidar that sends by itself.
+        request: Bytes to which it answers in any state. They must not harm a lidar of any other
+            family, nor change more of its own than that it stops scanning; empty for a lidar that
+            sends by itself.
         wait: Time in which enough bytes arrive [s].
+        stop: Bytes as harmless that end what it was doing, sent before ``request``.
+        pause: Time between the two [s].
     """
 
     bauds: tuple[int, ...]
     recognise: Callable[[bytes], str | None]
-    stop: bytes = b""
-    pause: float = 0.0
     request: bytes = b""
     wait: float = 0.15
+    stop: bytes = b""
+    pause: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
