@@ -174,6 +174,8 @@ def test_closing_stops_scan_and_motor(model, link):
     lidar = bench.connect()
     assert bench.device.firmware.is_turning
     lidar.close()
+    for _ in range(20):
+        lidar.service()
     wire = Wire(bench.line, bench.clock, model.baud)
     bench.clock.sleep(0.2)
     wire.read(0.0)
