@@ -4,9 +4,9 @@ A checksum of 8 bits misses 1 in 256 of larger damages, and two flips of the sam
 node has none. While the line is noisy, a reading must be near another one, of its neighbours or of
 the lines before and after, and so must a short row of readings that are near only each other: what
 is read a byte off is often as smooth as the surface. And a reading that is off the surface by more
-than noise, in its own line and beside both others, is a flip of low bits; so is one that is off the
-angle at which its neighbours let expect it. Where many readings are dropped the frame is damaged,
-and the others of it are dropped, too.
+than noise, in its own line and beside both others, is a flip of low bits; so is one whose angle is
+not that predicted by its neighbours and an even turn. Between many dropped readings the frame is
+damaged, and what is left of it is dropped, too.
 """
 
 from __future__ import annotations
@@ -43,8 +43,6 @@ LONGEST_ROW = 40
 """Readings of a row that a damaged capsule may have made alone: those of a capsule."""
 MAX_DISORDER = 2.5
 """Largest deviation of a reading's time from that of its neighbours, in beams."""
-
-
 FIT = 3
 """Readings on a side to which a straight surface is fitted."""
 FIT_GAP = 2.0
@@ -188,7 +186,7 @@ def find_fitting(line: ScanLine, others: list[ScanLine], noise: RangeNoise) -> B
 
     A surface is a straight line through the readings on the left, on the right, or on both sides;
     of another line it is the readings there, shifted by the median difference of those nearby.
-    Where there are too few readings for either, the reading is taken to fit.
+    Where there are too few readings for either, the reading is accepted.
     """
     fitting = np.ones(len(line.ranges), dtype=bool)
     at = np.flatnonzero(line.codes == VALID)
@@ -206,10 +204,10 @@ def find_fitting(line: ScanLine, others: list[ScanLine], noise: RangeNoise) -> B
 
 
 def find_at_expected_angle(line: ScanLine) -> BoolArray:
-    """Return which readings (n,) of ``line`` have the angle that the even turn lets expect.
+    """Return which readings (n,) of ``line`` have the angle predicted by an even turn.
 
-    It is compared with neighbours of similar distance that agree with each other; without any the
-    angle is taken as it is.
+    It is predicted from neighbours of similar distance that agree with each other; without any the
+    angle is accepted.
     """
     expected = np.ones(len(line.ranges), dtype=bool)
     at = np.flatnonzero(line.codes == VALID)
@@ -286,8 +284,8 @@ def _fit_sides(x: FloatArray, y: FloatArray, at: IntArray, ranges: FloatArray) -
         with np.errstate(invalid="ignore", divide="ignore"):
             slope = (offsets * ys).sum(axis=0) / spread
             sigma = np.sqrt(1.0 + 1.0 / len(side) + xs.mean(axis=0) ** 2 / spread)
-        error = (slope * xs.mean(axis=0) - ys.mean(axis=0)) / sigma
-        bend = np.abs(ys - ys.mean(axis=0) - slope * offsets).max(axis=0)
+            error = (slope * xs.mean(axis=0) - ys.mean(axis=0)) / sigma
+            bend = np.abs(ys - ys.mean(axis=0) - slope * offsets).max(axis=0)
         depth = np.abs(depths).max(axis=0)
         fits.append(_Fit(np.where(complete, error, np.nan), bend, depth))
     return fits
