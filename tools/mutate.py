@@ -60,12 +60,14 @@ TESTS = {
         "tests/devices/links/test_transport.py",
         "tests/devices/links/test_unplugged.py",
     ],
+    DEVICES / "reconnecting.py": ["tests/devices/ldrobot/test_ld_driver.py", *URG],
     DEVICES / "urg/driver.py": URG,
     DEVICES / "urg/clock_sync.py": ["tests/devices/urg/test_clock_sync.py", *URG],
     DEVICES / "urg/connect.py": URG,
     DEVICES / "urg/lines.py": ["tests/devices/urg/test_lines.py", *URG],
     DEVICES / "urg/link.py": URG,
     DEVICES / "urg/scan_modes.py": ["tests/devices/urg/test_scan_modes.py", *URG],
+    DEVICES / "rplidar/reading_filter.py": ["tests/devices/rplidar/test_driver.py"],
     **{DEVICES / f"rplidar/{name}.py": ["tests/devices/rplidar"] for name in RPLIDAR},
 }
 """Tests that should fail for a mutant, by module; the quick ones first."""

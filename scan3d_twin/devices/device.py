@@ -150,12 +150,16 @@ class LidarProbe:
             family, nor change more of its own than that it stops scanning; empty for a lidar that
             sends by itself.
         wait: Time in which enough bytes arrive [s].
+        stop: Bytes as harmless that end what it was doing, sent before ``request``.
+        pause: Time between the two [s].
     """
 
     bauds: tuple[int, ...]
     recognise: Callable[[bytes], str | None]
     request: bytes = b""
     wait: float = 0.15
+    stop: bytes = b""
+    pause: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ import numpy as np
 from scan3d_twin.core.errors import LinkTimeoutError
 from scan3d_twin.core.hal import BeamStream, Lidar
 from scan3d_twin.core.line_grid import arrange_line
-from scan3d_twin.core.types import UNMEASURED, Beams, FloatArray, LidarSpec, ScanLine
+from scan3d_twin.core.types import UNMEASURED, VALID, Beams, FloatArray, LidarSpec, ScanLine
 
 MAX_BACKSTEP = math.radians(20.0)
 """Largest angle by which a beam may lie before its predecessor [rad]; the optics of triangulating
@@ -109,6 +109,12 @@ class Revolutions:
             self._spec, stamp, angles[own] - math.tau * turn - math.pi, beams.times - stamp,
             beams.ranges, beams.codes,
         )  # fmt: skip
+
+
+def share_seen(line: ScanLine) -> float:
+    """Return which share of the beams of ``line`` see something; spare places are no beams."""
+    beams = int(np.count_nonzero(line.codes != UNMEASURED))
+    return int(np.count_nonzero(line.codes == VALID)) / max(1, beams)
 
 
 class BeamReader:

@@ -66,6 +66,9 @@ def find_lidar(
 def _try(line: Transport, clock: Clock, probe: LidarProbe) -> tuple[str | None, int]:
     """Return the lidar that a ``probe`` recognises at the line's bit rate, and the bytes heard."""
     line.discard_input()
+    if probe.stop:
+        line.write(probe.stop)
+        clock.sleep(probe.pause)
     if probe.request:
         line.write(probe.request)
     data, until = b"", clock.now() + probe.wait

@@ -195,5 +195,7 @@ def test_a_file_without_grids_is_no_experiment(tmp_path):
 
 
 def test_an_unknown_suite_names_the_known_ones():
-    with pytest.raises(UnknownNameError, match="costs, full, paper-fig10, paper-fig13, smoke"):
+    with pytest.raises(
+        UnknownNameError, match="costs, full, lidars, paper-fig10, paper-fig13, smoke"
+    ):
         load_suite("somke")

@@ -85,9 +85,9 @@ def test_listeners_come_first_and_no_request_could_be_another_familys() -> None:
     for probe in probes:
         # VV and requests for several echoes mute an URG-04LX, SS and RS change it for good
         for word in (b"VV", b"ND", b"HD", b"NE", b"SS", b"RS"):
-            assert word not in probe.request
+            assert word not in probe.stop + probe.request
         # RESET and requests that set something change a lidar with binary requests
         for word in (b"\xa5\x40", b"\xa5\xf0", b"\xa5\xa8"):
-            assert word not in probe.request
+            assert word not in probe.stop + probe.request
     assert len(probes) < len(lidar_names())
     assert lidar_device("ld19").probe is lidar_device("stl27l").probe

@@ -191,8 +191,10 @@ def rehearse(robot: Robot, *, as_json: bool) -> None:
         HazardError: The robot could not drive off.
         ScanError: The lidar has hardly any returns.
     """
+    from scan3d_twin.devices.rotating import share_seen
+
     lines = [robot.lidar.read_line(1.0) for _ in range(REHEARSED_LINES)]
-    seen = sum(float((line.ranges > 0).mean()) for line in lines) / len(lines)
+    seen = sum(map(share_seen, lines)) / len(lines)
     rate = (len(lines) - 1) / (lines[-1].stamp - lines[0].stamp)
     hazards = robot.base.hazards()
     found = {

@@ -129,8 +129,11 @@ def find_base(transport: Transport, clock: Clock, stated: Model | None = None) -
     """
     give_up = clock.now() + CONNECT_TIMEOUT
     questioner = _Questioner(transport, clock)
-    # At a wrong baud rate the base may hear the start of a long command: complete it every 2nd time
-    tries = list(product((HALF_DRIVE, HALF_ANYTHING), BAUDS))
+    # At a wrong baud rate the base may hear Reset, or on a Create 1 Wait, which makes it deaf: try
+    # that of a stated model first
+    bauds = BAUDS if stated is None else dict.fromkeys((stated.baud, *BAUDS))
+    # It may hear the start of a long command, too: complete it every 2nd time
+    tries = list(product((HALF_DRIVE, HALF_ANYTHING), bauds))
     for number, (pad, baud) in enumerate(cycle(tries)):
         if clock.now() > give_up:
             break

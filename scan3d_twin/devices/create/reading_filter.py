@@ -69,12 +69,14 @@ class ReadingFilter:
         """Return ``values`` without the readings that are out of range; None to reject them all.
 
         On a noisy link a reading out of range shows that the checksum has missed an error, unless
-        it comes twice in a row: then it is what the base sends. Of flags only the defined bits are
-        kept, other readings are as they were last accepted.
+        it comes twice in a row: then it is what the base sends. So it is with the first readings,
+        of a link of which nothing is known yet. Of flags only the defined bits are kept, other
+        readings are as they were last accepted.
         """
         # Reject what may be an error of the line
         before, self._odd = self._odd, find_implausible(values, contact)
-        if self._odd and self.is_noisy(now) and self._odd != before:
+        is_doubtful = self.is_noisy(now) or not self._accepted
+        if self._odd and is_doubtful and self._odd != before:
             return None
 
         # Mask what the base sends

@@ -8,6 +8,7 @@ grow clockwise seen from above, 0 is ahead. (LDROBOT development manuals; ldlida
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 
@@ -20,6 +21,9 @@ TIME_PERIOD = 30_000
 """Times begin again at 0 from here [ms]."""
 POLYNOMIAL = 0x4D
 """Of the CRC-8, with start 0, not reflected; the check value of "123456789" is C3."""
+MAX_STRAY = 2
+"""Bytes between two packets that are inserted by a bad line rather than what is left of a packet;
+assumption."""
 FOREIGN_HEADER = b"\xaa\x55"
 """Begins the packets of a COIN-D4, which is sold as LD19 too."""
 
@@ -97,7 +101,7 @@ class Splitter:
     """Finds packets in bytes that are cut anywhere.
 
     Attributes:
-        bad: Headers that did not begin a good packet: damaged packets, besides chance.
+        bad: Damaged packets, by the number of bytes between two good ones.
         passed: Bytes taken in.
         foreign: Headers of another maker's protocol among them.
     """
@@ -107,11 +111,18 @@ class Splitter:
         self.passed = 0
         self.foreign = 0
         self._rest = b""
+        self._skipped = 0
+        self._is_cut = True
+
+    def restart(self) -> None:
+        """Forget the packet that has begun, after bytes were lost; its rest is no damage."""
+        self._rest, self._skipped, self._is_cut = b"", 0, True
 
     def feed(self, data: bytes) -> list[Packet]:
         """Return the packets that are complete now.
 
-        After a damaged packet the search goes on at its second byte: the next one is not lost.
+        After a damaged packet the search goes on at its second byte: the next one is not lost. What
+        comes before the first packet is the rest of one that began earlier.
         """
         self.passed += len(data)
         self.foreign += data.count(FOREIGN_HEADER)
@@ -119,13 +130,22 @@ class Splitter:
         while (start := rest.find(HEADER, at)) >= 0 and len(rest) - start >= SIZE:
             packet = decode(rest[start : start + SIZE])
             if packet is None:
-                self.bad += 1
+                self._skipped += start + 1 - at
                 at = start + 1
             else:
+                self._count_damage(start - at)
                 packets.append(packet)
                 at = start + SIZE
 
         # Keep what may be the beginning of a packet
-        at = start if start >= 0 else max(at, len(rest) - len(HEADER) + 1)
-        self._rest = rest[at:]
+        kept = start if start >= 0 else max(at, len(rest) - len(HEADER) + 1)
+        self._skipped += kept - at
+        self._rest = rest[kept:]
         return packets
+
+    def _count_damage(self, more: int) -> None:
+        """Count the packets that were damaged before a good one, and ``more`` skipped bytes."""
+        skipped = self._skipped + more
+        if skipped > MAX_STRAY and not self._is_cut:
+            self.bad += math.ceil((skipped - MAX_STRAY) / SIZE)
+        self._skipped, self._is_cut = 0, False

@@ -21,12 +21,12 @@ from scan3d_twin.core.types import LidarSpec
 
 TURN_RATE = 10.0
 """Revolutions per second under the lidar's own control, with its PWM pin grounded [Hz] [manual]."""
-MAX_TURN_RATE_ERROR = 0.1
+MAX_TURN_RATE_ERROR = 0.03
 """Share by which the turn rate may be off before the lidar counts as controlled from outside
 [assumption]; its own control keeps 10 +- 0.1 Hz [manual]."""
 SPARE_PLACES = 0.05
-"""Share of places of a line beyond its nominal readings: those of a slow revolution [assumption],
-four standard deviations of ``revolution`` and ``jitter`` in ``device``."""
+"""Share of places of a line beyond its nominal readings: those of a revolution that is slow by
+``MAX_TURN_RATE_ERROR`` [assumption], and four standard deviations of ``revolution`` below."""
 BOOT = 0.7
 """Time from power-up to the first packet [s]: 500 ms set-up, 200 ms angle search [manual]."""
 SPIN_UP = 3.0

@@ -66,9 +66,14 @@ class PacketStream:
     def take(self, packets: list[Packet], now: float) -> Beams:
         """Return the beams of ``packets``, which had arrived by ``now`` [s]."""
         # Keep those that follow from each other
-        kept, ends = [], []
+        kept: list[Packet] = []
+        ends: list[float] = []
         for packet in packets:
             if self._is_plausible(packet):
+                # The timer of those before an interruption is forgotten
+                if self._count == 0:
+                    kept.clear()
+                    ends.clear()
                 ends.append(self._find_time(packet))
                 kept.append(packet)
         if not kept:

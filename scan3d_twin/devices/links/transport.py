@@ -61,6 +61,8 @@ class Transport(Protocol):
     def set_dtr(self, on: bool) -> None:
         """Set the modem line DTR, with which some lidars switch their motor, where there is one.
 
+        Set, it stays so after ``close``.
+
         Raises:
             LinkError: The device is unplugged.
         """
@@ -142,9 +144,26 @@ class SerialTransport:
     def set_dtr(self, on: bool) -> None:
         """See ``Transport.set_dtr``."""
         try:
+            if on:
+                self._keep_modem_lines()
             self._serial.dtr = on
         except OSError as error:
             if error.errno not in (errno.ENOTTY, errno.EINVAL):
+                raise self._unplugged_error(error) from None
+
+    def _keep_modem_lines(self) -> None:
+        """Tell the system not to clear the modem lines when the port is closed (HUPCL, termios(3)).
+
+        Raises:
+            LinkError: The device is unplugged.
+        """
+        try:
+            attributes = termios.tcgetattr(self.fileno())
+            attributes[2] &= ~termios.HUPCL
+            termios.tcsetattr(self.fileno(), termios.TCSANOW, attributes)
+        except termios.error as error:
+            # A socket is no terminal
+            if error.args[0] not in (errno.ENOTTY, errno.EINVAL):
                 raise self._unplugged_error(error) from None
 
     def discard_input(self) -> None:

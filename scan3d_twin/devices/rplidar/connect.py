@@ -9,9 +9,9 @@ import logging
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError
+from scan3d_twin.devices.reconnecting import Steps, T
 from scan3d_twin.devices.rplidar import codec
 from scan3d_twin.devices.rplidar.codec import (
     FIXED_POINT,
@@ -24,7 +24,7 @@ from scan3d_twin.devices.rplidar.codec import (
     SampleRate,
     encode_request,
 )
-from scan3d_twin.devices.rplidar.link import RplidarLink, Steps
+from scan3d_twin.devices.rplidar.link import RplidarLink
 from scan3d_twin.devices.rplidar.model import (
     FRAME_LENGTHS,
     MODELS,
@@ -33,8 +33,6 @@ from scan3d_twin.devices.rplidar.model import (
     ScanMode,
     answers_conf,
 )
-
-T = TypeVar("T")
 
 BOOT = 2.5
 """Time after RESET until it is spoken to again [s]: an S1 is deaf for 2 s (ardupilot#14527)."""
@@ -214,9 +212,3 @@ def start_scan(link: RplidarLink, model: RplidarModel, mode: ScanMode) -> Steps[
             if attempt + 1 == START_ATTEMPTS:
                 raise
             yield from link.stop_scan()
-
-
-def stop_requests(model: RplidarModel) -> bytes:
-    """Return the requests that end the scan and stop the motor."""
-    stop = encode_request(Command.STOP)
-    return stop + codec.encode_motor_rpm(0) if model.motor is Motor.SPEED else stop

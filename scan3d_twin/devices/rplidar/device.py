@@ -51,11 +51,8 @@ def _threshold(black_reach: float) -> float:
 
 
 _A1_ERRORS = {
-    # One A1M8 on a flat board 1181 mm away: 2.0 mm (donkeycar#914); in proportion to the distance
-    # also the .2 % at 6 m of the data sheet's figure 2-2.
-    "sigma": 0.0,
-    "sigma_per_metre": 0.0017,
-    # The same board: 6 mm too far, one unit; within the 1 % of the data sheet.
+    # One A1M8 on a flat board 1181 mm away: 6 mm too far, one unit (donkeycar#914); within the 1 %
+    # of the data sheet.
     "warm_up": 0.006,
     # Assumption, as of the URG-04LX.
     "surface_bias": 0.003,
@@ -70,10 +67,7 @@ _A1_ERRORS = {
     "revolution": 0.01,
 }
 _TOF_ERRORS = {
-    # The +-30 mm of the data sheets, read as three standard deviations of the sum of noise, unit
-    # and surface; how it is shared: assumption.
-    "sigma": 0.008,
-    "sigma_per_metre": 0.0,
+    # Shares of the +-30 mm of the data sheets, see TOF_NOISE.
     "warm_up": 0.005,
     "surface_bias": 0.003,
     # Assumption.
@@ -114,7 +108,8 @@ def _describe(model: RplidarModel, summary: str) -> LidarDevice:
     def emulate(lidar: Lidar, wiring: Wiring) -> RplidarEmulator:
         return RplidarEmulator(lidar, model)
 
-    errors = {**_PLAIN, **_ERRORS[model.name], "latency": _line_latency(model)}
+    noise = {"sigma": model.noise.constant, "sigma_per_metre": model.noise.per_metre}
+    errors = {**_PLAIN, **noise, **_ERRORS[model.name], "latency": _line_latency(model)}
     return LidarDevice(
         name=model.name,
         summary=summary,

@@ -25,6 +25,7 @@ from scan3d_twin.devices.rplidar.codec import (
 )
 from scan3d_twin.devices.rplidar.model import (
     FRAME_LENGTHS,
+    STOP_PAUSE,
     Motor,
     RplidarModel,
     ScanMode,
@@ -63,14 +64,15 @@ class Firmware:
         model: The kind of lidar.
         mode: The scan that is running; None when idle.
         scan_from: Time from which samples are sent [s].
-        deaf_until: Time until which it does not listen [s].
+        deaf_until: Time until which it does not listen [s], after RESET.
+        busy_until: Time until which it takes no request [s], after STOP.
     """
 
     def __init__(self, model: RplidarModel, profile: RplidarProfile) -> None:
         self.model = model
         self.mode: ScanMode | None = None
         self.scan_from = 0.0
-        self.deaf_until = 0.0
+        self.deaf_until = self.busy_until = 0.0
         self._asked_at = 0.0
         self._profile = profile
         self._firmware = profile.firmware or model.firmware
@@ -98,7 +100,7 @@ class Firmware:
     def answer(self, request: Request, now: float) -> bytes:
         """Return the reply to a request received at ``now`` [s]; b"" if there is none."""
         handler = self._handlers.get(request.command)
-        return b"" if handler is None else handler(request, now)
+        return b"" if handler is None or now < self.busy_until else handler(request, now)
 
     def set_motor(self, running: bool, now: float) -> None:
         """Start or stop the motor at ``now`` [s]; without it no samples are sent."""
@@ -116,6 +118,7 @@ class Firmware:
 
     def _stop(self, request: Request, now: float) -> bytes:
         self.mode = None
+        self.busy_until = now + STOP_PAUSE
         if self.model.motor is Motor.SCAN:
             self.set_motor(False, now)
         return b""

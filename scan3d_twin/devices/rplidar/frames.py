@@ -61,7 +61,15 @@ class _Splitter:
         self._buffer = bytearray()
         self._taken = 0
         self._skipped = 0
+        self._is_rest = False
         self._marks: deque[tuple[int, float]] = deque()
+
+    def restart(self) -> None:
+        """Forget the frame that has begun, after bytes were discarded; its rest is no damage."""
+        self._taken += len(self._buffer)
+        self._buffer.clear()
+        self._marks.clear()
+        self._skipped, self._is_rest = 0, True
 
     def feed(self, data: bytes, now: float) -> list[Frame]:
         """Return the frames that are certain once ``data`` has arrived at ``now`` [s]."""
@@ -75,14 +83,14 @@ class _Splitter:
 
     def _accept(self) -> Frame:
         """Return the frame at the start of the buffer and remove it."""
-        if self._skipped:
+        if self._skipped and not self._is_rest:
             self.bad += max(1, round(self._skipped / self.length))
         end = self._taken + self.length
         while self._marks[0][0] < end:
             self._marks.popleft()
         frame = Frame(bytes(self._buffer[: self.length]), self._marks[0][1], self._skipped)
         self._remove(self.length)
-        self._skipped = 0
+        self._skipped, self._is_rest = 0, False
         return frame
 
     def _skip(self, count: int = 1) -> None:
@@ -131,6 +139,11 @@ class NodeSplitter(_Splitter):
     def __init__(self) -> None:
         super().__init__()
         self._last: int | None = None
+
+    def restart(self) -> None:
+        """See ``_Splitter.restart``."""
+        super().restart()
+        self._last = None
 
     def _frames(self) -> Iterator[Frame]:
         window = (CHAIN + 2) * NODE_LENGTH + 1

@@ -1,17 +1,13 @@
-"""Requests to an RPLIDAR and their replies, without blocking.
-
-Functions that take time are generators that yield where they would block; the caller services other
-devices meanwhile.
-"""
+"""Requests to an RPLIDAR and their replies, without blocking."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
-from typing import TypeVar
+from collections.abc import Callable
 
 from scan3d_twin.core.errors import LinkTimeoutError, ProtocolError
 from scan3d_twin.core.hal import Clock
 from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.reconnecting import Steps, T, wait
 from scan3d_twin.devices.rplidar.codec import (
     DESCRIPTOR_LENGTH,
     REPLY_START,
@@ -21,10 +17,6 @@ from scan3d_twin.devices.rplidar.codec import (
     decode_descriptor,
     encode_request,
 )
-
-T = TypeVar("T")
-Steps = Generator[None, None, T]
-"""A generator that yields where it would block, and returns a T."""
 
 TIMEOUT = 0.15
 """Time-out for the reply to a request [s]; assumption, the SDK waits 2 s. Twenty attempts fit into
@@ -44,11 +36,13 @@ class RplidarLink:
     Attributes:
         clock: The robot's clock.
         received: Number of bytes received.
+        heard_at: Time at which the last byte had arrived [s].
     """
 
     def __init__(self, transport: Transport, clock: Clock) -> None:
         self.clock = clock
         self.received = 0
+        self.heard_at = clock.now()
         self._transport = transport
         self._buffer = b""
 
@@ -59,7 +53,9 @@ class RplidarLink:
             LinkError: The lidar is unplugged.
         """
         data = self._transport.read(timeout)
-        self.received += len(data)
+        if data:
+            self.received += len(data)
+            self.heard_at = self.clock.now()
         self._buffer += data
 
     def take(self) -> bytes:
@@ -67,6 +63,11 @@ class RplidarLink:
         self.pump()
         data, self._buffer = self._buffer, b""
         return data
+
+    def forget(self) -> None:
+        """Discard what has arrived."""
+        self._transport.discard_input()
+        self._buffer = b""
 
     def send(self, data: bytes) -> None:
         """Send ``data``."""
@@ -78,9 +79,7 @@ class RplidarLink:
 
     def wait(self, seconds: float) -> Steps[None]:
         """Let ``seconds`` pass."""
-        until = self.clock.now() + seconds
-        while self.clock.now() < until:
-            yield
+        yield from wait(self.clock, seconds)
 
     def stop_scan(self) -> Steps[bool]:
         """Send STOP until nothing arrives any more; return whether that was so."""

@@ -11,7 +11,7 @@ from scan3d_twin.devices.rplidar.codec import (
     decode_info,
     encode_request,
 )
-from scan3d_twin.devices.rplidar.model import A1, C1, MODELS, S2
+from scan3d_twin.devices.rplidar.model import A1, C1, MODELS, S2, STOP_PAUSE
 
 _HEAD = Descriptor(INFO_LENGTH, False, ReplyType.INFO).encode()
 
@@ -30,7 +30,10 @@ PROBE = LidarProbe(
     recognise=recognise_rplidar,
     # STOP ends a scan, several complete a request that was cut off. Two binary bytes without a line
     # feed: an URG-04LX waits for the rest, an LDROBOT hears nothing.
-    request=4 * encode_request(Command.STOP) + encode_request(Command.GET_INFO),
+    stop=4 * encode_request(Command.STOP),
+    # Ten times what the protocol demands, for the latency of an adapter.
+    pause=10 * STOP_PAUSE,
+    request=encode_request(Command.GET_INFO),
     wait=0.12,
 )
 """The scan that was being sent ends within 0.1 s; the answer comes at once."""

@@ -26,20 +26,27 @@ from scan3d_twin.devices.rplidar.capsules import (
     sample_angles,
 )
 from scan3d_twin.devices.rplidar.codec import ReplyType
-from scan3d_twin.devices.rplidar.frames import CapsuleSplitter, NodeSplitter
+from scan3d_twin.devices.rplidar.frames import MAX_NODE_RETREAT, CapsuleSplitter, NodeSplitter
 from scan3d_twin.devices.rplidar.model import NO_RETURN, SAMPLES, RplidarModel, ScanMode
-from scan3d_twin.devices.rplidar.nodes import DISTANCE_UNITS, NODE_LENGTH, decode_node
+from scan3d_twin.devices.rplidar.nodes import DISTANCE_UNITS, NODE_LENGTH, angle_at, decode_node
 
 CLOCK_WINDOW = 1.0
 """Time over which the earliest arrival is looked for [s]: a clock that is off by .1 % errs by 1 ms
 in it; a poll every 5 ms meets some frame of it within a fraction of that."""
+SETTLE = 0.1
+"""Time of learning after which times are certain [s]: twenty polls, of which the luckiest comes
+within a millisecond of the arrival of a frame; assumption."""
 MAX_TURN_CHANGE = 0.04
 """Largest difference of the turn over a capsule from the mean, as a share of it; assumption.
 Between two turns of an S3 it is .9 % (rplidar_ros#104)."""
 MAX_START_CHANGE = 0.5
-"""The same before the speed of this motor is known; an A1 may turn 1.4 times as fast as another."""
+"""The same before the speed of this motor is known; an A1 may turn 1.4 times as fast as another.
+When a series begins anew it is twice what it was."""
 SMOOTHING = 0.1
 """Share of the latest turn in the running mean of the turn over a capsule."""
+MAX_SPEED = 2.0
+"""Fastest turn, as a share of the nominal one, over nodes of which some were damaged; an A1 turns
+up to 1.4 times as fast as usual, and its optics shift nodes."""
 MAX_IMPLAUSIBLE = 3
 """Implausible capsules in a row after which the series must have begun anew."""
 _DECODERS = {ReplyType.EXPRESS: decode_express, ReplyType.DENSE: decode_dense}
@@ -60,10 +67,18 @@ class SampleClock:
         self._period = period
         self._least: deque[tuple[float, float]] = deque()
         self._last = -math.inf
+        self._since = math.inf
+        self._latest = 0.0
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether enough arrivals are known."""
+        return self._latest - self._since >= SETTLE
 
     def learn(self, index: int, taken_by: float) -> None:
         """Take in that sample ``index`` was taken by a time [s]: its arrival less transmission."""
         offset = taken_by - index * self._period
+        self._since, self._latest = min(self._since, taken_by), taken_by
         while self._least and self._least[-1][1] >= offset:
             self._least.pop()
         self._least.append((taken_by, offset))
@@ -73,6 +88,7 @@ class SampleClock:
     def restart(self) -> None:
         """Forget all arrivals, after samples that were lost and not counted."""
         self._least.clear()
+        self._since = math.inf
 
     def times(self, first: int, count: int) -> FloatArray:
         """Return when ``count`` samples from ``first`` on were taken [s]; never before earlier."""
@@ -95,7 +111,8 @@ class CapsuleStream:
         self._splitter = CapsuleSplitter()
         self._implausible = self._refused = 0
         self._held: Capsule | None = None
-        self._index = self._ahead = 0
+        self._before: Capsule | None = None
+        self._index = self._ahead = self._gap = 0
         self._step = self._count * mode.sample_us * 1e-6 * model.turns * TURN_UNITS
         self._slack = MAX_START_CHANGE
 
@@ -103,6 +120,13 @@ class CapsuleStream:
     def bad(self) -> int:
         """Capsules dropped."""
         return self._splitter.bad + self._refused
+
+    def restart(self) -> None:
+        """Forget what is unfinished, after bytes were discarded."""
+        self._splitter.restart()
+        self._clock.restart()
+        self._held = self._before = None
+        self._ahead = self._implausible = 0
 
     def feed(self, data: bytes, now: float) -> Beams:
         """Return the beams that are certain once ``data`` has arrived at ``now`` [s]."""
@@ -125,8 +149,14 @@ class CapsuleStream:
             self._begin(capsule, arrival)
             return None
 
-        # Check that it continues the turn
-        step = self._step if capsule.restarted else self._measure_step(held, capsule)
+        # Check that it continues the turn, or shows that the one before did not
+        step = self._step if capsule.restarted else self._measure_step(held, capsule, self._ahead)
+        if self._is_held_astray(step, capsule):
+            self._refused += 1
+            self._index += self._ahead * self._count
+            self._gap += self._ahead
+            self._keep(capsule, arrival)
+            return None
         if abs(step - self._step) > self._slack * self._step:
             self._refused += 1
             self._implausible += 1
@@ -135,26 +165,44 @@ class CapsuleStream:
         # Spread the turn over the samples of the capsule before
         first, self._index = self._index, self._index + self._ahead * self._count
         self._hold(capsule, arrival)
-        beams = self._make_beams(held, first, step)
+        beams = self._make_beams(held, first, step) if self._clock.is_settled else None
         self._step += (SMOOTHING if self._slack == MAX_TURN_CHANGE else 1.0) * (step - self._step)
         self._slack = MAX_TURN_CHANGE
         return beams
 
-    def _measure_step(self, held: Capsule, capsule: Capsule) -> float:
-        """Return the turn per capsule from ``held`` to ``capsule`` [1/64 deg]."""
-        turn = (capsule.start - held.start) % TURN_UNITS
-        whole = max(0, round((self._ahead * self._step - turn) / TURN_UNITS))
-        return (turn + whole * TURN_UNITS) / self._ahead
+    def _measure_step(self, first: Capsule, capsule: Capsule, ahead: int) -> float:
+        """Return the turn per capsule from ``first`` to ``capsule``, so many ahead [1/64 deg]."""
+        turn = (capsule.start - first.start) % TURN_UNITS
+        whole = max(0, round((ahead * self._step - turn) / TURN_UNITS))
+        return (turn + whole * TURN_UNITS) / ahead
+
+    def _is_held_astray(self, step: float, capsule: Capsule) -> bool:
+        """Return whether ``capsule``, a turn of ``step`` per capsule on, fits better without it.
+
+        Then the held one begins at a damaged angle, which its checksum has missed.
+        """
+        off = abs(step - self._step) * self._ahead
+        if self._before is None or off <= MAX_TURN_CHANGE * self._step:
+            return False
+        ahead = self._gap + self._ahead
+        return abs(self._measure_step(self._before, capsule, ahead) - self._step) * ahead < off / 2
 
     def _begin(self, capsule: Capsule, arrival: float) -> None:
         """Begin a series with ``capsule``."""
-        self._slack = MAX_START_CHANGE
+        # The speed stays nearly what it was, unless that does not help
+        self._slack = min(MAX_START_CHANGE, 2 * self._slack)
         self._clock.restart()
         self._index += self._ahead * self._count
+        self._held = None
         self._hold(capsule, arrival)
 
     def _hold(self, capsule: Capsule, arrival: float) -> None:
         """Keep ``capsule`` until the next one shows how far the lidar has turned over it."""
+        self._before, self._gap = self._held, self._ahead
+        self._keep(capsule, arrival)
+
+    def _keep(self, capsule: Capsule, arrival: float) -> None:
+        """Keep ``capsule`` in place of the held one."""
         self._held, self._ahead, self._implausible = capsule, 0, 0
         self._clock.learn(self._index + self._count - 1, arrival - self._transmission)
 
@@ -174,11 +222,18 @@ class NodeStream:
         self._transmission = NODE_LENGTH * BITS_PER_BYTE / model.baud
         self._splitter = NodeSplitter()
         self._index = 0
+        self._angle = 0
+        self._step = mode.sample_us * 1e-6 * model.turns * TURN_UNITS
 
     @property
     def bad(self) -> int:
         """Nodes dropped."""
         return self._splitter.bad
+
+    def restart(self) -> None:
+        """See ``CapsuleStream.restart``."""
+        self._splitter.restart()
+        self._clock.restart()
 
     def feed(self, data: bytes, now: float) -> Beams:
         """See ``CapsuleStream.feed``."""
@@ -186,12 +241,17 @@ class NodeStream:
         if not frames:
             return Beams.join([])
 
-        # Count the samples and learn the clock
+        # Count the samples and learn the clock, anew where more were lost than bytes skipped
         indices = []
         for frame in frames:
-            self._index += 1 + round(frame.skipped / NODE_LENGTH)
+            steps = 1 + round(frame.skipped / NODE_LENGTH)
+            if self._has_jumped(angle_at(frame.data, 0), steps):
+                self._clock.restart()
+            self._index += steps
             indices.append(self._index)
             self._clock.learn(self._index, frame.arrival - self._transmission)
+        if not self._clock.is_settled:
+            return Beams.join([])
         first = indices[0]
         times = self._clock.times(first, self._index - first + 1)
 
@@ -200,6 +260,12 @@ class NodeStream:
         angles = np.array([node.angle for node in nodes]) / ANGLE_UNITS
         mm = np.array([node.distance for node in nodes]) / DISTANCE_UNITS
         return to_beams(times[np.array(indices) - first], angles, mm, self._model)
+
+    def _has_jumped(self, angle: int, steps: int) -> bool:
+        """Return whether an ``angle`` [1/64 deg] is too far from the last for so many ``steps``."""
+        before, self._angle = self._angle, angle
+        turned = (angle - before + MAX_NODE_RETREAT) % TURN_UNITS - MAX_NODE_RETREAT
+        return turned > MAX_NODE_RETREAT + MAX_SPEED * self._step * steps
 
 
 ScanStream = CapsuleStream | NodeStream

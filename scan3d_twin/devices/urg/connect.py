@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from itertools import cycle
 
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError, ProtocolError
+from scan3d_twin.devices.reconnecting import Steps
 from scan3d_twin.devices.urg import codec as scip
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.devices.urg.clock_sync import SensorClock
 from scan3d_twin.devices.urg.codec import Request, ScanRequest
-from scan3d_twin.devices.urg.link import Steps, UrgLink
+from scan3d_twin.devices.urg.link import UrgLink
 from scan3d_twin.devices.urg.replies import (
     Block,
     Reply,

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import logging
-import math
-from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -14,8 +11,9 @@ import numpy as np
 
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError, ProtocolError
 from scan3d_twin.core.hal import Clock
-from scan3d_twin.core.types import IntArray, LidarSpec, ScanLine
+from scan3d_twin.core.types import IntArray
 from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.reconnecting import POLL, LinkStats, ReconnectingLidar, Steps
 from scan3d_twin.devices.urg.clock_sync import SensorClock
 from scan3d_twin.devices.urg.codec import Request, ScanRequest
 from scan3d_twin.devices.urg.connect import (
@@ -28,7 +26,7 @@ from scan3d_twin.devices.urg.connect import (
     synchronise,
 )
 from scan3d_twin.devices.urg.lines import line_spec, to_line
-from scan3d_twin.devices.urg.link import Arrived, Steps, UrgLink
+from scan3d_twin.devices.urg.link import Arrived, UrgLink
 from scan3d_twin.devices.urg.model import ScanMode
 from scan3d_twin.devices.urg.replies import (
     DONE,
@@ -46,13 +44,6 @@ CONNECT_TIMEOUT = 5.8
 FIND_TIMEOUT = 3.5
 """Share of ``CONNECT_TIMEOUT`` for finding the sensor [s]: trying all bit rates takes 1.05 s, and
 the sensor may still be starting."""
-MAX_UNREAD = 16
-"""Number of unread lines kept, as in the twin."""
-POLL = 0.005
-"""Interval at which a waiting reader polls the port [s]."""
-STALE = 1.0
-"""Time without ``service`` after which waiting bytes are discarded [s]: the program computed, and
-of what arrived meanwhile the port may have lost any part; assumption."""
 MAX_SCAN_GAP = 1.0
 """Time of listening without a good scan after which the stream is requested again [s]; it doubles
 with each fruitless request, because a sensor may start its stream anew at each."""
@@ -62,8 +53,6 @@ MAX_REQUESTS_SILENT = 2
 """Fruitless requests to a silent sensor after which the driver reconnects."""
 MAX_REQUESTS = 5
 """Fruitless requests after which it reconnects although bytes still arrive."""
-BACKOFF = (0.1, 0.25)
-"""First and longest wait between two attempts to reconnect [s]; it doubles each time."""
 CLOSE_TIMEOUT = 0.5
 """Time-out for each request on closing [s]: two ticks, besides the scan in the line's buffer."""
 USUAL_BAUDS = (19200, 57600, 115200)
@@ -73,8 +62,8 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass
-class UrgStats:
-    """Statistics of the link.
+class UrgStats(LinkStats):
+    """Statistics of the link, besides those of every lidar.
 
     Attributes:
         good: Scans received whole.
@@ -83,8 +72,6 @@ class UrgStats:
         bad: Blocks dropped, scans or others: wrong checksum, length or time.
         masked: Readings beyond the lidar's range, left out of their scans.
         reason: Why the last block was dropped.
-        reconnects: Connections after the first.
-        problem: The current problem; empty if there is none.
     """
 
     good: int = 0
@@ -93,24 +80,17 @@ class UrgStats:
     bad: int = 0
     masked: int = 0
     reason: str = ""
-    reconnects: int = 0
-    problem: str = ""
 
 
-class UrgLidar:
+class UrgLidar(ReconnectingLidar):
     """A ``Lidar``: an URG-04LX behind a transport.
 
-    There are no threads: ``service`` does all work that needs no waiting, including to reconnect
-    after the sensor was unplugged. Call it at least every 50 ms, or wait in ``read_line``.
-
     Attributes:
-        spec: See ``Lidar.spec``.
         info: The sensor's description of itself.
         request: The running stream.
-        stats: Statistics of the link.
     """
 
-    spec: LidarSpec
+    stats: UrgStats
     info: UrgInfo
     request: ScanRequest
 
@@ -135,23 +115,15 @@ class UrgLidar:
             ConfigError: There is no such mode.
             LinkError: There is no sensor, or it cannot deliver ``mode``; the message says why.
         """
-        # Port and statistics
+        super().__init__(open_transport, clock)
         self._requests = scan_requests(mode, cluster)
         self.stats = UrgStats()
-        self._open_transport = open_transport
-        self._clock = clock
-        self._unread: deque[ScanLine] = deque(maxlen=MAX_UNREAD)
 
         # State of the connection
         self._bauds: tuple[int, ...] = LIKELY_BAUDS
         self._info: UrgInfo | None = None
         self._sensor_clock = SensorClock()
-        self._transport: Transport | None = None
         self._link: UrgLink | None = None
-        self._connected = False
-        self._last_good = -math.inf
-        self._serviced = clock.now()
-        self._work = self._run_work()
 
         # Connect
         try:
@@ -172,38 +144,6 @@ class UrgLidar:
         """Blocks that arrived damaged, scans or others."""
         return self.stats.bad + self.stats.garbled
 
-    def service(self, now: float | None = None) -> None:
-        """Take in what has arrived, without waiting.
-
-        Args:
-            now: Ignored; the lidar has a clock of its own.
-        """
-        next(self._work, None)
-
-    def read_line(self, timeout: float) -> ScanLine:
-        """See ``Lidar.read_line``."""
-        deadline = self._clock.now() + timeout
-        self.service()
-        while not self._unread:
-            left = deadline - self._clock.now()
-            if left <= 1e-9:
-                why = self.stats.problem or self.stats.reason
-                raise LinkTimeoutError(
-                    f"no scan line within {timeout:g} s" + (f": {why}" if why else "")
-                )
-            self._clock.sleep(min(POLL, left))
-            self.service()
-        return self._unread.popleft()
-
-    def close(self) -> None:
-        """Stop the laser, restore a bit rate that other programs expect, and close the port."""
-        self._work.close()
-        transport, self._transport = self._transport, None
-        if transport is not None:
-            with suppress(LinkError):
-                self._stop_and_restore_baud()
-            transport.close()
-
     def _connect_first(self) -> None:
         deadline = self._clock.now() + CONNECT_TIMEOUT
         while not self._connected:
@@ -218,44 +158,26 @@ class UrgLidar:
             else:
                 self._link.pump(POLL)
 
-    def _run_work(self) -> Steps[NoReturn]:
-        """Connect, stream, and reconnect whenever the link is lost."""
-        wait, longest = BACKOFF
-        while True:
-            # Stream until the link is lost
-            started = self._clock.now()
-            try:
-                yield from self._stream()
-            except LinkError as error:
-                if not (self._connected or isinstance(error, LinkTimeoutError)):
-                    raise
-                self._drop_link(error)
+    def _may_reconnect(self, error: LinkError) -> bool:
+        """See ``ReconnectingLidar``; a sensor that was just switched on answers late."""
+        return self._connected or isinstance(error, LinkTimeoutError)
 
-            # Wait before the next attempt
-            wait = BACKOFF[0] if self._last_good > started else min(longest, 2 * wait)
-            until = self._clock.now() + wait
-            while self._clock.now() < until:
-                yield
+    def _explain_missing_line(self) -> str:
+        return self.stats.problem or self.stats.reason
 
     def _drop_link(self, error: LinkError) -> None:
-        if not self.stats.problem:
-            _log.warning("lidar lost: %s; reconnecting", error)
-        self.stats.problem = str(error)
         self._link = None
-        transport, self._transport = self._transport, None
-        if transport is not None:
-            transport.close()
+        super()._drop_link(error)
 
-    def _stream(self) -> Steps[NoReturn]:
-        """Connect and take in scans until the link is lost."""
+    def _scan(self) -> Steps[NoReturn]:
+        """See ``ReconnectingLidar``."""
         link = yield from self._connect()
-        nudges, heard = 0, link.received
-        looked = self._serviced = self._clock.now()
+        nudges, looked = 0, self._clock.now()
+        self._measure_absence()
         while True:
             # Discard what arrived while the program computed
             now = self._clock.now()
-            away, self._serviced = now - self._serviced, now
-            if away > STALE:
+            if away := self._measure_absence():
                 link.forget()
                 looked += away
 
@@ -269,8 +191,7 @@ class UrgLidar:
                 nudges, looked = 0, self._last_good
             elif now - looked > gap:
                 nudges, looked = nudges + 1, now
-                self._request_again(link, nudges, silent=link.received == heard)
-                heard = link.received
+                self._request_again(link, nudges, silent=now - link.heard_at > gap / 2)
             yield
 
     def _request_again(self, link: UrgLink, nudges: int, *, silent: bool) -> None:
@@ -394,8 +315,8 @@ class UrgLidar:
             )
         stats.masked += len(beyond)
 
-    def _stop_and_restore_baud(self) -> None:
-        """Stop the stream and return to a usual bit rate."""
+    def _leave_at_rest(self, transport: Transport) -> None:
+        """Stop the laser, and return to a bit rate that other programs expect."""
         link = self._link
         if link is None or self._info is None:
             return

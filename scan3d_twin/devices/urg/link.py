@@ -1,25 +1,17 @@
-"""Requests to an URG-04LX and their replies, without blocking.
-
-Functions that take time are generators that yield where they would block; the caller services other
-devices meanwhile.
-"""
+"""Requests to an URG-04LX and their replies, without blocking."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TypeVar
 
 from scan3d_twin.core.errors import LinkTimeoutError, ProtocolError
 from scan3d_twin.core.hal import Clock
 from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.reconnecting import Steps, T, wait
 from scan3d_twin.devices.urg.codec import Request
 from scan3d_twin.devices.urg.replies import Block, Reply, Splitter, decode_reply, find_echo
-
-T = TypeVar("T")
-Steps = Generator[None, None, T]
-"""A generator that yields where it would block, and returns a T."""
 
 TIMEOUT = 0.45
 """Time-out for the answer to a request [s]: the tick of 0.1 s, 0.11 s for the longest answer at
@@ -63,13 +55,13 @@ class UrgLink:
     Attributes:
         clock: The robot's clock.
         baud: Bit rate [bit/s].
-        received: Number of bytes received.
+        heard_at: Time at which the last byte had arrived [s].
     """
 
     def __init__(self, transport: Transport, clock: Clock, baud: int) -> None:
         self.clock = clock
         self.baud = baud
-        self.received = 0
+        self.heard_at = clock.now()
         self._transport = transport
         self._splitter = Splitter()
         self._began = clock.now()
@@ -84,7 +76,8 @@ class UrgLink:
         """
         data = self._transport.read(timeout)
         now = self.clock.now()
-        self.received += len(data)
+        if data:
+            self.heard_at = now
         if self._splitter.is_empty:
             self._began = now
         for block in self._splitter.feed(data):
@@ -156,6 +149,4 @@ class UrgLink:
 
     def wait(self, seconds: float) -> Steps[None]:
         """Let ``seconds`` pass."""
-        until = self.clock.now() + seconds
-        while self.clock.now() < until:
-            yield
+        yield from wait(self.clock, seconds)

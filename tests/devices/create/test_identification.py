@@ -101,6 +101,14 @@ def test_a_stated_base_opens_at_once_and_the_other_one_is_refused(model):
         Bench(model).find(other)
 
 
+@pytest.mark.parametrize("seed", [1012, 1045, 1116])
+def test_a_stated_create_1_hears_nothing_at_another_baud_rate(seed):
+    """With these seeds it hears Reset or Wait at 115200 baud, and answers no more in time."""
+    with pytest.raises(LinkTimeoutError):
+        Bench(CREATE1, seed=seed).find()
+    assert Bench(CREATE1, seed=seed).find(CREATE1).model is CREATE1
+
+
 @pytest.mark.parametrize("lost", [1, 2])
 def test_a_lost_start_is_no_wrong_mode(lost):
     """A base that another program left in Safe reports 2, as some firmware does in Passive."""

@@ -1,5 +1,7 @@
 """Readings are accepted at once on a clean link and debounced on a noisy one."""
 
+from scan3d_twin.devices.create.codec import CREATE2
+from scan3d_twin.devices.create.link import Contact
 from scan3d_twin.devices.create.packets import Packet
 from scan3d_twin.devices.create.reading_filter import NOISY_TIME, ReadingFilter
 
@@ -55,3 +57,16 @@ def test_a_stream_that_was_asked_for_anew_counts_from_zero():
     reading_filter = doubting()
     assert not reading_filter.count_errors(0, 20.0)
     assert reading_filter.count_errors(1, 30.0)
+
+
+def test_the_first_readings_are_not_believed_with_one_out_of_range():
+    contact, odd = Contact(CREATE2, 115200, 0), {**BUMPED, Packet.BUMPS_DROPS: 96 + 2}
+    reading_filter = ReadingFilter()
+    assert reading_filter.mask(odd, contact, 1.0) is None
+    assert reading_filter.mask(QUIET, contact, 1.015) == QUIET
+    assert reading_filter.take(QUIET, 1.015) == QUIET
+    # On a good line that is known, or twice in a row, it is what the base sends
+    assert reading_filter.mask(odd, contact, 1.03) == BUMPED
+    fresh = ReadingFilter()
+    assert fresh.mask(odd, contact, 1.0) is None
+    assert fresh.mask(odd, contact, 1.015) == BUMPED

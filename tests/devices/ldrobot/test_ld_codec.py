@@ -81,6 +81,19 @@ def test_every_flipped_bit_is_seen_and_costs_that_packet_alone() -> None:
         splitter = Splitter()
         found = splitter.feed(PLAIN + bytes(broken) + PLAIN + PLAIN)
         assert found == [decode(PLAIN)] * 3, bit
+        assert splitter.bad == 1, bit
+
+
+@pytest.mark.parametrize("size", [1, 5, 47, 1000])
+def test_what_is_cut_off_at_first_is_no_damage_and_what_is_cut_out_later_is(size: int) -> None:
+    data = PLAIN[20:] + PLAIN + WRAPPED[:-1] + PLAIN + WRAPPED[1:] + WRAPPED[:9] + PLAIN
+    splitter = Splitter()
+    for at in range(0, len(data), size):
+        splitter.feed(data[at : at + size])
+    assert splitter.bad == 3
+    splitter.restart()
+    assert splitter.feed(WRAPPED[3:] + PLAIN) == [decode(PLAIN)]
+    assert splitter.bad == 3
 
 
 def test_a_lost_byte_costs_that_packet_alone() -> None:

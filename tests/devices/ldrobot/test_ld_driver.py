@@ -65,7 +65,7 @@ def test_lines_have_the_angles_times_and_distances_of_the_scene(
             np.abs(line.ranges[valid] - true_range(line.elevations[valid])) <= 0.3 * angle + 0.0011
         )
         assert 0 < len(there) - len(valid) < 0.05 * len(there)
-    assert lidar.bad == lidar.reconnects == 0
+    assert lidar.bad == lidar.stats.reconnects == 0
 
 
 def test_a_bad_line_lets_hardly_any_wrong_reading_through() -> None:
@@ -93,7 +93,51 @@ def test_after_the_line_was_unplugged_it_goes_on() -> None:
     setup.line.plugged = True
     for line in list(lines(lidar, 5))[-2:]:
         assert line.stamp == pytest.approx(setup.scene.seam_before(line.stamp + 0.01), abs=0.002)
-    assert lidar.reconnects == 1
+    assert lidar.stats.reconnects == 1
+
+
+@pytest.mark.parametrize("model", [ld.LD19, ld.STL27L])
+@pytest.mark.parametrize("pause", [0.6, 8.5])
+def test_after_planning_lines_arrive_and_what_waited_is_not_believed(
+    model: LdModel, pause: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    setup = Setup(model)
+    lidar = setup.open(model)
+    list(lines(lidar, 3))
+    setup.clock.sleep(pause)
+    if pause < 1:
+        # Of what waits, all but the last 100 ms was lost
+        setup.line.receive(setup.clock.now() - 0.1, model.baud)
+    for line in lines(lidar, 5):
+        assert line.stamp == pytest.approx(setup.scene.seam_before(line.stamp + 0.01), abs=0.002)
+    assert line.stamp > setup.clock.now() - 0.3
+    # Of what was lost, a packet was cut, and the next is in doubt
+    assert lidar.bad == 2 * (pause < 1)
+    assert (lidar.stats.reconnects, caplog.messages) == (0, [])
+
+
+def test_after_close_the_port_stays_closed() -> None:
+    setup = Setup()
+    lidar = setup.open()
+    lidar.close()
+    opened = []
+    lidar._open_transport = lambda: opened.append(1)
+    for _ in range(100):
+        lidar.service()
+        setup.clock.sleep(0.05)
+    assert not opened
+
+
+@pytest.mark.parametrize("speed", [0.96, 0.975, 1.0, 1.025, 1.04])
+def test_a_speed_that_is_accepted_fits_into_the_lines(speed: float) -> None:
+    setup = Setup(speed=speed * ld.TURN_RATE)
+    if abs(speed - 1) > ld.MAX_TURN_RATE_ERROR:
+        with pytest.raises(LinkError, match="times a second"):
+            setup.open()
+        return
+    for line in lines(setup.open(), 3):
+        readings = np.count_nonzero(line.codes != UNMEASURED)
+        assert readings == pytest.approx(setup.scene._rate / setup.scene._speed, abs=1)
 
 
 def test_after_power_was_off_its_timer_begins_anew() -> None:

@@ -65,6 +65,18 @@ def test_the_bit_rate_is_set(pty, port, baud, constant):
     assert termios.tcgetattr(pty[0])[4:6] == [constant, constant]
 
 
+def test_a_modem_line_that_was_set_stays_so_after_closing(pty, port):
+    """With HUPCL the system clears it, and the motor of an RPLIDAR A1 starts again."""
+    attributes = termios.tcgetattr(pty[0])
+    attributes[2] |= termios.HUPCL
+    termios.tcsetattr(pty[0], termios.TCSANOW, attributes)
+    port.set_dtr(False)
+    assert termios.tcgetattr(pty[0])[2] & termios.HUPCL
+    port.set_dtr(True)
+    port.set_baud(57600)
+    assert not termios.tcgetattr(pty[0])[2] & termios.HUPCL
+
+
 @pytest.mark.parametrize("baud", [250000, 500000, 750000])
 def test_unusual_bit_rates_are_set(port, baud):
     port.set_baud(baud)

@@ -18,7 +18,7 @@ from scan3d_twin.devices.rplidar.device import describe_rplidar
 from scan3d_twin.devices.rplidar.driver import RplidarLidar, line_spec
 from scan3d_twin.devices.rplidar.emulated_firmware import RplidarProfile
 from scan3d_twin.devices.rplidar.emulator import RplidarEmulator
-from scan3d_twin.devices.rplidar.model import A1, C1, DENSE, EXPRESS, S2, STANDARD
+from scan3d_twin.devices.rplidar.model import A1, C1, DENSE, EXPRESS, S2, STANDARD, STOP_PAUSE
 from scan3d_twin.devices.rplidar.reading_filter import ReadingFilter
 
 KINDS = [(A1, EXPRESS), (A1, STANDARD), (C1, DENSE), (C1, STANDARD), (S2, DENSE)]
@@ -63,6 +63,9 @@ class Bench:
             wire.read(0.0)
             self.clock.sleep(0.3)
         wire.close()
+
+    def sent_requests(self):
+        return [data for way, data in self.sent if way == ">"]
 
     def read(self, count):
         return [self.lidar.read_line(2.0) for _ in range(count)]
@@ -171,12 +174,24 @@ def test_closing_stops_scan_and_motor(model, link):
     lidar = bench.connect()
     assert bench.device.firmware.is_turning
     lidar.close()
+    for _ in range(20):
+        lidar.service()
     wire = Wire(bench.line, bench.clock, model.baud)
     bench.clock.sleep(0.2)
     wire.read(0.0)
     assert bench.device.firmware.mode is None
     assert not bench.device.firmware.is_turning
     assert wire.read(1.0) == b""
+
+
+def test_after_stop_comes_a_pause_before_the_next_request():
+    """The emulated one, as the real one, takes no request within 1 ms after STOP."""
+    stop, start = codec.encode_request(Command.STOP), codec.encode_motor_rpm(600)
+    bench = Bench(S2, DENSE, RplidarProfile(running=False))
+    bench.device.receive(stop + start, 1.0)
+    assert not bench.device.firmware.is_turning
+    bench.device.receive(start, 1.0 + STOP_PAUSE)
+    assert bench.device.firmware.is_turning
 
 
 def test_a_lidar_that_does_not_work_is_left_standing():
@@ -226,6 +241,46 @@ def test_a_scan_that_ends_is_started_again():
     with pytest.raises(LinkTimeoutError, match=r"0\.5 s"):
         [lidar.read_line(0.5) for _ in range(50)]
     bench.check([lidar.read_line(8.0)])
+    assert lidar.stats.reconnects == 0
+
+
+def test_that_it_fell_silent_is_told_apart_from_a_stream_without_a_good_scan():
+    bench = Bench()
+    lidar = bench.connect()
+    bench.read(3)
+    bench.talk([codec.encode_request(Command.STOP)])
+    with pytest.raises(LinkTimeoutError, match="the lidar fell silent"):
+        [lidar.read_line(1.5) for _ in range(50)]
+    bench.check([lidar.read_line(8.0)])
+    transmit = bench.device.transmit
+    bench.device.transmit = lambda now: bytes(len(transmit(now)))
+    with pytest.raises(LinkTimeoutError, match="no good scan arrives"):
+        [lidar.read_line(1.5) for _ in range(50)]
+
+
+@pytest.mark.parametrize(("model", "link"), KINDS)
+def test_after_planning_lines_arrive_without_a_new_scan(model, link, caplog):
+    bench = Bench(model, link)
+    lidar = bench.connect()
+    bench.read(3)
+    sent, bad = len(bench.sent_requests()), lidar.stats.bad
+    bench.clock.sleep(2.5)
+    lines = bench.read(6)
+    # What waited in the port is stale, and the rest of it was lost
+    assert lines[0].stamp > bench.clock.now() - 1.5
+    bench.check(lines)
+    assert (len(bench.sent_requests()), lidar.stats.bad, caplog.messages) == (sent, bad, [])
+
+
+@pytest.mark.parametrize(("model", "link"), KINDS)
+def test_bytes_that_were_lost_do_not_delay_the_stamps(model, link):
+    bench = Bench(model, link)
+    bench.connect()
+    bench.read(3)
+    bench.clock.sleep(0.313)
+    bench.line.receive(bench.clock.now(), model.baud)
+    bench.check(bench.read(6), share=0.3)
+    bench.check(bench.read(2))
 
 
 def test_a_stalled_host_loses_nothing():
@@ -269,7 +324,7 @@ def room_lines():
 
 
 def test_while_the_line_is_sound_lines_are_neither_delayed_nor_changed(room_lines):
-    filtered = ReadingFilter()
+    filtered = ReadingFilter(C1.noise)
     lines = [spoil(line, slice(200, 201), 7.0) for line in room_lines]
     for line in lines:
         assert filtered.take(line, 0) == [line]
@@ -278,7 +333,7 @@ def test_while_the_line_is_sound_lines_are_neither_delayed_nor_changed(room_line
 
 @pytest.mark.parametrize("row", [slice(200, 201), slice(200, 203), slice(200, 220)])
 def test_readings_that_only_one_line_has_are_left_out_while_it_is_noisy(room_lines, row):
-    filtered, taken = ReadingFilter(), []
+    filtered, taken = ReadingFilter(C1.noise), []
     lines = [*room_lines[:3], spoil(room_lines[3], row, 7.0), *room_lines[4:]]
     for line in lines:
         taken += filtered.take(line, 1)
@@ -291,8 +346,52 @@ def test_readings_that_only_one_line_has_are_left_out_while_it_is_noisy(room_lin
         assert np.array_equal(kept.codes == VALID, lines[taken.index(kept)].codes == VALID)
 
 
+def add_noise(line, noise, rng):
+    """Return ``line`` with the ``noise`` of a lidar."""
+    ranges = line.ranges + noise.at(line.ranges) * rng.standard_normal(len(line.ranges))
+    return replace(line, ranges=ranges)
+
+
+@pytest.mark.parametrize("bit", [32, 64])
+def test_a_flip_of_a_low_bit_is_left_out_and_noise_is_not(room_lines, bit):
+    rng, filtered, taken = np.random.default_rng(0), ReadingFilter(A1.noise), []
+    lines = [add_noise(line, A1.noise, rng) for line in room_lines]
+    # On the walls beside it, in 1.2 m
+    at = [120, 136, 386]
+    assert (lines[3].ranges[at] < 1.3).all()
+    lines[3] = spoil(lines[3], at, lines[3].ranges[at] + np.array([1, -1, 1]) * bit / 1000)
+    for line in lines:
+        taken += filtered.take(line, 1)
+    assert np.flatnonzero(taken[3].codes != lines[3].codes).tolist() == at
+    assert filtered.dropped == len(at)
+
+
+def test_a_reading_that_is_off_its_angle_is_left_out(room_lines):
+    line = room_lines[1]
+    elevations = line.elevations.copy()
+    at = int(np.flatnonzero(line.codes == VALID)[300])
+    elevations[at] += math.radians(0.5)
+    filtered, taken = ReadingFilter(C1.noise), []
+    lines = [room_lines[0], replace(line, elevations=elevations), *room_lines[2:4]]
+    for each in lines:
+        taken += filtered.take(each, 1)
+    assert np.flatnonzero(taken[1].codes != line.codes).tolist() == [at]
+
+
+def test_what_is_left_of_a_damaged_frame_is_left_out_too(room_lines):
+    filtered, taken = ReadingFilter(C1.noise), []
+    lines = [*room_lines[:3], spoil(room_lines[3], slice(200, 240, 3), 7.0), *room_lines[4:]]
+    for line in lines:
+        taken += filtered.take(line, 1)
+    kept, there = np.flatnonzero(taken[3].codes == VALID), room_lines[3].codes == VALID
+    assert not ((kept >= 207) & (kept < 233)).any()
+    # Those beside it stay
+    beside = [k for k in (*range(190, 200), *range(240, 250)) if there[k]]
+    assert set(beside) <= set(kept)
+
+
 def test_what_two_lines_have_stays_however_small(room_lines):
-    filtered, taken = ReadingFilter(), []
+    filtered, taken = ReadingFilter(C1.noise), []
     for k, line in enumerate(room_lines):
         small = spoil(line, slice(200, 201), 0.5) if k in (2, 3) else line
         taken += filtered.take(small, 1)
@@ -305,7 +404,7 @@ def test_a_reading_in_a_place_of_another_time_is_left_out(room_lines):
     times = line.beam_times.copy()
     at = np.flatnonzero(line.codes == VALID)[300]
     times[at] += 0.01
-    filtered, taken = ReadingFilter(), []
+    filtered, taken = ReadingFilter(C1.noise), []
     for each in (room_lines[0], replace(line, beam_times=times), room_lines[2], room_lines[3]):
         taken += filtered.take(each, 1)
     assert np.flatnonzero(taken[1].codes != line.codes).tolist() == [at]

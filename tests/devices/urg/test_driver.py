@@ -544,6 +544,15 @@ def test_the_skew_of_the_sensors_clock_is_found(skew):
     assert error[100:].std() < 0.002
 
 
+def test_that_it_fell_silent_is_said_at_once():
+    bench = Bench()
+    lidar = bench.connect()
+    read(lidar, 3)
+    bench.device.transmit = lambda now: b""
+    with pytest.raises(LinkTimeoutError, match="the lidar fell silent"):
+        read(lidar, 3, timeout=1.5)
+
+
 @pytest.mark.parametrize("power", ["kept", "lost"])
 @pytest.mark.parametrize("seconds", [0.2, 3.0])
 def test_unplugged_and_plugged_in_again(power, seconds):
