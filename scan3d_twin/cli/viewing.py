@@ -5,14 +5,16 @@ No postponed annotations here: those of inherited fields are looked up where the
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from scan3d_twin.api.watch import WatchOptions
 from scan3d_twin.cli.options import env
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.types import FloatArray
+
+if TYPE_CHECKING:
+    from scan3d_twin.core.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +39,7 @@ class ViewOptions:
         self,
         speed: str | None = None,
         picture: Callable[[], bytes] = bytes,
-        surface: Callable[[], FloatArray] | None = None,
+        surface: "Callable[[], FloatArray] | None" = None,
     ) -> WatchOptions:
         """Return how the run is watched and commanded; see ``WatchOptions``.
 
