@@ -25,6 +25,8 @@ TYPES = {
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 MAX_HEADER = 65_536
 """Largest header [bytes]."""
+MAX_INTEGER = 2.0**53
+"""Largest integer of which a double holds all below."""
 STRIP_END = -1
 """Index that ends one of several triangle strips in one list."""
 
@@ -133,7 +135,7 @@ def _read_text(data: bytes, elements: list[Element]) -> dict[str, dict[str, Colu
                 value = numbers[at : at + count]
                 if len(value) != count:
                     raise ValueError("it ends early")
-                rows[name].append(value.astype(np.int64) if size else value[0])
+                rows[name].append(value if size else value[0])
                 at += count
         result[element.name] = rows
     return result
@@ -200,10 +202,17 @@ def _lists(columns: dict[str, Column], names: tuple[str, ...]) -> list[IntArray]
     for name in names:
         rows = columns.get(name)
         if isinstance(rows, np.ndarray) and rows.ndim == 2:
-            return np.asarray(columns[name], dtype=np.int64)
+            return _to_integers(rows)
         if name in columns:
-            return [np.asarray(row, dtype=np.int64) for row in columns[name]]
+            return [np.atleast_1d(_to_integers(row)) for row in columns[name]]
     return []
+
+
+def _to_integers(numbers: Column) -> IntArray:
+    """Return ``numbers`` as integers; what is none in 64 bits is the index of no vertex."""
+    known = np.nan_to_num(np.asarray(numbers, dtype=np.float64), nan=MAX_INTEGER)
+    result: IntArray = known.clip(-MAX_INTEGER, MAX_INTEGER).astype(np.int64)
+    return result
 
 
 def _strip_triangles(strip: IntArray) -> IntArray:

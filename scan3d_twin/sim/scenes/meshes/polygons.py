@@ -31,7 +31,10 @@ def triangulate(
         check_indices(polygons.ravel(), len(vertices), label)
         return polygons
     sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
-    corners = np.array([index for polygon in polygons for index in polygon], dtype=np.int64)
+    try:
+        corners = np.array([index for polygon in polygons for index in polygon], dtype=np.int64)
+    except OverflowError:
+        raise SceneError(f"{label} is damaged: the number of a vertex has over 64 bits") from None
     check_indices(corners, len(vertices), label)
     starts = np.cumsum(sizes) - sizes
     parts = [corners[starts[sizes == 3][:, None] + np.arange(3)]]

@@ -111,6 +111,38 @@ def test_indices_out_of_range_are_one_line(tmp_path, name):
         load_scene(str(tmp_path / name))
 
 
+@pytest.mark.parametrize("name", [name for name in WRITERS if name[:-4] not in ("little", "big")])
+@pytest.mark.parametrize("number", [10**30, -(10**30), 2**63, 2**64])
+def test_indices_of_more_than_64_bits_are_one_line(tmp_path, name, number):
+    vertices, polygons, _ = stairs()
+    polygons[3] = [0, 1, number]
+    (tmp_path / name).write_bytes(WRITERS[name](vertices, polygons))
+    with pytest.raises(SceneError, match=name) as caught:
+        load_scene(str(tmp_path / name))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("order", ["", "<"])
+@pytest.mark.parametrize("kind", ["list uchar float", "float"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1e30])
+def test_indices_of_a_ply_file_that_are_no_integers_are_one_line(tmp_path, order, kind, value):
+    header = ply_header("binary_little_endian" if order else "ascii", 3,
+                        f"element face 1\nproperty {kind} vertex_indices\n")  # fmt: skip
+    corners = [0.0, 1.0, value] if kind != "float" else [value]
+    if order:
+        body = b"".join(struct.pack("<ffdB", k, k * k, 0, 9) for k in range(3))
+        body += struct.pack("<B", 3) if len(corners) == 3 else b""
+        body += struct.pack(f"<{len(corners)}f", *corners)
+    else:
+        lines = [f"{k} {k * k} 0 9" for k in range(3)]
+        count = ["3"] if len(corners) == 3 else []
+        body = "\n".join([*lines, " ".join(count + [str(c) for c in corners])]).encode()
+    (tmp_path / "a.ply").write_bytes(header + body)
+    with pytest.raises(SceneError, match=r"a\.ply") as caught:
+        load_scene(str(tmp_path / "a.ply"))
+    assert len(str(caught.value).splitlines()) == 1
+
+
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_file_that_ends_early_is_one_line(tmp_path, name):
     vertices, polygons, _ = stairs()
