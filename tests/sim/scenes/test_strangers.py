@@ -133,6 +133,15 @@ def test_a_start_is_chosen_on_free_floor_in_sight_of_the_target(arm):
         assert robot.base.hazards().active() == ()
 
 
+@pytest.mark.parametrize(("width", "distance"), [(0.03, 0.8), (0.12, 1.15), (0.6, 1.5)])
+def test_the_chosen_start_is_nearer_to_a_small_target(scene_of, width, distance):
+    """At 1.5 m the lines of a panorama are 5 cm apart, and may all miss it."""
+    target = f'<geom name="target" type="box" size=".3 {width / 2} .1" pos="0 0 .1"/>'
+    spawn = scene_of(target, spawn="").spawn
+    gap = np.hypot(max(0, abs(spawn.x) - 0.3), max(0, abs(spawn.y) - width / 2))
+    assert gap == pytest.approx(distance, abs=0.1)
+
+
 def test_the_chosen_start_keeps_off_walls_things_and_the_far_side_of_planes(tmp_path):
     path = tmp_path / "room.xml"
     path.write_text("""<mujoco><worldbody>

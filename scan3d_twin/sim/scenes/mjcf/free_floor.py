@@ -27,6 +27,9 @@ REACH = 3.0
 """Distance around the target within which a start is looked for [m]."""
 DISTANCE = 1.5
 """Wanted distance from the start to the target [m]; as in the built-in scenes."""
+MIN_ANGLE = np.radians(6.0)
+"""Least angle at which the start sees a small target [rad]: three lines of a panorama, which are
+2 deg apart."""
 NEAREST = 0.8
 """Least distance from the start to the target [m]; nearer, panoramas cut it off."""
 RADIUS = 0.165 + 0.10
@@ -71,7 +74,8 @@ def choose_spawn(model: Any, targets: tuple[str, ...], points: FloatArray, name:
     gap = np.linalg.norm(np.maximum(0, np.maximum(low - cells, cells - high)), axis=-1)
     room &= (gap >= NEAREST) & (gap <= REACH)
     candidates = cells[room]
-    cost = np.abs(gap[room] - DISTANCE) + SIDE_WEIGHT * _turn_from_behind(candidates - middle)
+    wanted = np.clip(float((high - low).min()) / MIN_ANGLE, NEAREST, DISTANCE)
+    cost = np.abs(gap[room] - wanted) + SIDE_WEIGHT * _turn_from_behind(candidates - middle)
     order = np.argsort(cost, kind="stable")
     caster = choose_caster(model)
     ids = [model.geom(target).id for target in targets]
