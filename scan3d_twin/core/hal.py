@@ -13,7 +13,15 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from scan3d_twin.core.types import Beams, FloatArray, Hazards, LidarSpec, Odometry, ScanLine
+from scan3d_twin.core.types import (
+    Beams,
+    FloatArray,
+    Hazards,
+    LidarSpec,
+    Odometry,
+    ScanLine,
+    TableAngle,
+)
 
 
 def default_mount() -> FloatArray:
@@ -139,6 +147,60 @@ class BeamStream(Lidar, Protocol):
 
         Only those of the last few revolutions are kept. Lines are read independently of them.
         """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TurntableSpec:
+    """Limits of a turntable.
+
+    Attributes:
+        name: Model, such as ``xl330``.
+        min_angle: Smallest angle it turns to [rad].
+        max_angle: Largest angle it turns to [rad].
+        max_speed: [rad/s].
+        resolution: Step of its commands and of its angle sensor [rad].
+        sample_period: Time between two samples of its angle [s].
+    """
+
+    name: str
+    min_angle: float
+    max_angle: float
+    max_speed: float
+    resolution: float
+    sample_period: float
+
+
+class Turntable(Protocol):
+    """A servo that turns the lidar about one axis, between the base and the lidar."""
+
+    @property
+    def spec(self) -> TurntableSpec:
+        """The turntable's model."""
+        ...
+
+    def turn_to(self, angle: float, speed: float) -> tuple[float, float]:
+        """Begin to turn to ``angle`` [rad] at ``speed`` [rad/s], until the next command.
+
+        Returns:
+            The (angle, speed) that was sent, after clipping to the limits and rounding to the
+            turntable's resolution.
+
+        Raises:
+            HazardError: It switched its torque off, as on overload or heat.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stay at the angle that is reached."""
+        ...
+
+    def angle(self) -> TableAngle:
+        """Return the latest angle."""
+        ...
+
+    def angles_since(self, stamp: float) -> tuple[TableAngle, ...]:
+        """Return the recorded angles, oldest first, from the last sample before ``stamp`` on."""
         ...
 
 

@@ -230,6 +230,20 @@ class Odometry:
 
 
 @dataclass(frozen=True, slots=True)
+class TableAngle:
+    """Angle of a turntable by its own sensor.
+
+    Attributes:
+        stamp: Time on ``Clock.now()`` [s].
+        angle: About the turning axis, 0 in the middle [rad]. The play of its gear stands between
+            it and the angle of what it carries.
+    """
+
+    stamp: float
+    angle: float
+
+
+@dataclass(frozen=True, slots=True)
 class Hazards:
     """The conditions that stop the robot; all False with a charged battery is safe.
 
