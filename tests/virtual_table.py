@@ -5,7 +5,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 from scan3d_twin.core.types import TableAngle
-from scan3d_twin.devices.dynamixel.model import SPEC
+from scan3d_twin.devices.dynamixel.driver import SPEC
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Motion:
 class VirtualTable:
     """A ``Turntable`` on a virtual clock; it stops at once."""
 
-    def __init__(self, clock, angle=0.0, acceleration=6.0, period=0.002):
+    def __init__(self, clock, angle=0.0, acceleration=2.0, period=0.002):
         self.spec, self.blocked = SPEC, False
         self.orders = []
         self._clock, self._acceleration, self._period = clock, acceleration, period

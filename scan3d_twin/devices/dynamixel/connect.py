@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -35,7 +36,8 @@ class ServoInfo:
         model_number: Its model number.
         firmware: Version of its firmware.
         max_velocity: Its velocity limit [0.229 rev/min].
-        positions: Its smallest and largest position [counts].
+        positions: Its smallest and largest position [counts]: those that are set in it, or as far
+            as the cable allows.
         is_on: Whether its torque was on.
         voltage: Supply voltage [V].
         temperature: Its temperature [degC].
@@ -115,7 +117,8 @@ def _find_any(
 def prepare_servo(link: ServoLink, servo: int) -> Steps[ServoInfo]:
     """Set up the servo for motions to positions; it does not move.
 
-    The EEPROM, which wears out, is written only where it must be.
+    It may turn over several turns, as far as the cable of what it carries allows, unless position
+    limits are set in it. The EEPROM, which wears out, is written only where it must be.
 
     Raises:
         LinkError: It is no XL330, has a hardware error that stays, or does not answer.
@@ -128,19 +131,23 @@ def prepare_servo(link: ServoLink, servo: int) -> Steps[ServoInfo]:
         known = " or ".join(f"{title} ({number})" for number, title in model.MODELS.items())
         raise LinkError(f"the servo {servo} is of model {number}, not {known}: use one of these")
     is_on = yield from _check_health(link, servo)
-    is_on = (yield from _set_up(link, servo, eeprom)) and is_on
+    limits = reg.MIN_POSITION.find_in(eeprom, 0), reg.MAX_POSITION.find_in(eeprom, 0)
+    is_limited = limits != (reg.MIN_POSITION.default, reg.MAX_POSITION.default)
+    mode = model.POSITION_MODE if is_limited else model.MULTI_TURN_MODE
+    is_on = (yield from _set_up(link, servo, eeprom, mode)) and is_on
 
     # A guard that has expired locks the goals
     yield from link.write(servo, reg.BUS_WATCHDOG, 0)
     start = reg.PRESENT_VOLTAGE.address
     state = (yield from link.read(servo, start, reg.PRESENT_TEMPERATURE.end)).data
+    reach = math.floor(model.CABLE_LIMIT / model.COUNT)
     return ServoInfo(
         id=servo,
         baud=link.baud,
         model_number=number,
         firmware=reg.FIRMWARE_VERSION.find_in(eeprom, 0),
         max_velocity=reg.VELOCITY_LIMIT.find_in(eeprom, 0),
-        positions=(reg.MIN_POSITION.find_in(eeprom, 0), reg.MAX_POSITION.find_in(eeprom, 0)),
+        positions=limits if is_limited else (model.MIDDLE - reach, model.MIDDLE + reach),
         is_on=is_on,
         voltage=reg.PRESENT_VOLTAGE.find_in(state, start) * model.VOLTAGE_UNIT,
         temperature=reg.PRESENT_TEMPERATURE.find_in(state, start),
@@ -155,11 +162,11 @@ def _read_eeprom(link: ServoLink, servo: int) -> Steps[bytes]:
     return b"".join(pieces)
 
 
-def _set_up(link: ServoLink, servo: int, eeprom: bytes) -> Steps[bool]:
-    """Set operating mode, drive mode and return delay; return whether the torque is as before."""
+def _set_up(link: ServoLink, servo: int, eeprom: bytes, mode: int) -> Steps[bool]:
+    """Set operating ``mode``, drive mode, return delay; return if the torque is as before."""
     drive = reg.DRIVE_MODE.find_in(eeprom, 0)
     wanted = {
-        reg.OPERATING_MODE: model.POSITION_MODE,
+        reg.OPERATING_MODE: mode,
         reg.DRIVE_MODE: drive & ~model.TIME_BASED,
         reg.RETURN_DELAY: 0,
     }

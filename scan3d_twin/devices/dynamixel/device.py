@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from scan3d_twin.core.hal import Turntable
 from scan3d_twin.devices.device import Finding, TurntableDevice
 from scan3d_twin.devices.dynamixel import model
-from scan3d_twin.devices.dynamixel.driver import Xl330Turntable
+from scan3d_twin.devices.dynamixel.driver import SPEC, Xl330Turntable
 from scan3d_twin.devices.dynamixel.emulated_firmware import ServoProfile
 from scan3d_twin.devices.dynamixel.emulator import Xl330Emulator
 
@@ -36,9 +36,9 @@ def _emulate(turntable: Turntable) -> Xl330Emulator:
 
 
 XL330 = TurntableDevice(
-    name=model.SPEC.name,
+    name=SPEC.name,
     summary="Robotis Dynamixel XL330: a servo with a 12-bit angle sensor, 5 V, 0.5 Nm",
-    spec=model.SPEC,
+    spec=SPEC,
     open_driver=Xl330Turntable,
     emulate=_emulate,
     # U2D2 holds an FT232H; the boards of the maker have an id of its own.

@@ -15,7 +15,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
-from scan3d_twin.core.errors import HazardError, LinkError, LinkTimeoutError, ProtocolError
+from scan3d_twin.core.errors import (
+    ConfigError,
+    HazardError,
+    LinkError,
+    LinkTimeoutError,
+    ProtocolError,
+)
 from scan3d_twin.core.hal import Clock, TurntableSpec
 from scan3d_twin.core.types import TableAngle
 from scan3d_twin.devices.dynamixel import model
@@ -50,6 +56,16 @@ EXAMINED_AGAIN = 1.0
 """Time after which a servo that reports an error, but works, is asked again what it has [s]."""
 MAX_REFUSALS = 3
 """Refused goals in a row after which the servo is set up anew."""
+SPEC = TurntableSpec(
+    name="xl330",
+    min_angle=-model.CABLE_LIMIT,
+    max_angle=model.CABLE_LIMIT,
+    max_speed=model.VELOCITY_LIMIT * model.SPEED_UNIT,
+    resolution=model.COUNT,
+    sample_period=model.sample_period(1_000_000),
+    play=model.PLAY,
+)
+"""The turntable as shipped, but at 1000000 baud."""
 STATE = reg.BUS_WATCHDOG.address, reg.PRESENT_POSITION.end
 """Part of the control table that is read each time: guard, profile, goal, timer and position."""
 
@@ -78,7 +94,7 @@ class Order:
     """A motion that was asked for.
 
     Attributes:
-        position: Where to [counts].
+        position: Where to [counts], whole turns included.
         velocity: How fast [0.229 rev/min], at least 1: 0 would be as fast as it can.
     """
 
@@ -120,6 +136,7 @@ class Xl330Turntable:
         self._order: Order | None = None
         self._is_pending = self._is_on = self._is_armed = False
         self._position, self._velocity = model.MIDDLE, 0
+        self._whole_turns, self._is_first = 0, True
         self._rest_since: float | None = None
         self._hazard, self._is_told, self._examined = "", False, -math.inf
         self._work = self._run_work()
@@ -149,12 +166,18 @@ class Xl330Turntable:
             raise HazardError(self._hazard)
 
     def turn_to(self, angle: float, speed: float) -> tuple[float, float]:
-        """See ``Turntable.turn_to``; the torque is switched on for the first motion."""
+        """See ``Turntable.turn_to``; the torque is switched on for the first motion.
+
+        Raises:
+            ConfigError: The angle is not finite, or the speed not positive.
+        """
+        if not (math.isfinite(angle) and math.isfinite(speed) and speed > 0):
+            raise ConfigError(f"a turntable turns to an angle at a speed > 0, got {angle}, {speed}")
         if self._hazard:
             raise HazardError(self._hazard)
         low, high = self.info.positions
         position = max(low, min(high, round(angle / model.COUNT) + model.MIDDLE))
-        velocity = max(1, min(self.info.max_velocity, round(abs(speed) / model.SPEED_UNIT)))
+        velocity = max(1, min(self.info.max_velocity, round(speed / model.SPEED_UNIT)))
         self._give(Order(position, velocity))
         return to_angle(position), velocity * model.SPEED_UNIT
 
@@ -278,12 +301,13 @@ class Xl330Turntable:
         self.info, self._place = info, Place(info.id, info.baud)
         self._is_on, self._is_armed = info.is_on, False
         self._angles.allow_jump()
+        self._is_first = True
         # What had been reached is held no more if the torque is off
         is_at_work = self._rest_since is None or not info.is_on
         self._is_pending = self._order is not None and is_at_work
         low, high = info.positions
         self.spec = replace(
-            model.SPEC,
+            SPEC,
             min_angle=to_angle(low),
             max_angle=to_angle(high),
             max_speed=info.max_velocity * model.SPEED_UNIT,
@@ -295,7 +319,7 @@ class Xl330Turntable:
         acceleration = max(1, round(model.ACCELERATION / model.ACCELERATION_UNIT))
         if not self._is_on:
             # Hold the present position first
-            here = acceleration, 1, self._position
+            here = acceleration, 1, self._position - self._whole_turns
             yield from link.write(servo, reg.BUS_WATCHDOG, 0)
             yield from link.write(servo, reg.PROFILE_ACCELERATION, *here)
             yield from link.write(servo, reg.TORQUE, 1)
@@ -310,7 +334,7 @@ class Xl330Turntable:
         # The order may have been changed or taken back meanwhile
         if (order := self._order) is None:
             return
-        profile = acceleration, order.velocity, order.position
+        profile = acceleration, order.velocity, order.position - self._whole_turns
         try:
             yield from link.write(servo, reg.PROFILE_ACCELERATION, *profile)
         except RefusedError:
@@ -347,11 +371,24 @@ class Xl330Turntable:
         tick = reg.REALTIME_TICK.find_in(answer.data, STATE[0])
         position = reg.PRESENT_POSITION.find_in(answer.data, STATE[0])
         stamp = clock.stamp(tick, answer.sent, answer.received)
+        position = self._count_turns(position)
         self._angles.add(TableAngle(stamp, to_angle(position)), self.spec.max_speed)
         self._position = position
         self._velocity = reg.PRESENT_VELOCITY.find_in(answer.data, STATE[0])
         self.stats.good += 1
         self.stats.problem = ""
+
+    def _count_turns(self, position: int) -> int:
+        """Return a ``position`` of the servo with the whole turns that it has forgotten.
+
+        It does when it loses its power. While it was away it cannot have been turned by more than
+        half a turn: its cable is fast.
+        """
+        if self._is_first and self._angles:
+            before = self._position - position
+            self._whole_turns = model.COUNTS * round(before / model.COUNTS)
+        self._is_first = False
+        return position + self._whole_turns
 
     def _follow(self, link: ServoLink, servo: int, answer: Answer) -> Steps[None]:
         """See to it that the servo does what it was told; take the guard off when it has."""
@@ -360,7 +397,7 @@ class Xl330Turntable:
             return
 
         # Goal and guard are as they were set, or the order is sent again
-        goal = reg.GOAL_POSITION.find_in(answer.data, STATE[0])
+        goal = reg.GOAL_POSITION.find_in(answer.data, STATE[0]) + self._whole_turns
         guard = reg.BUS_WATCHDOG.find_in(answer.data, STATE[0])
         has_expired = guard == model.WATCHDOG_EXPIRED
         if has_expired or goal != order.position:

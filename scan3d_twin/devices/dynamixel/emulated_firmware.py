@@ -95,6 +95,7 @@ class ServoFirmware:
         self._table = bytearray(reg.SIZE)
         self._registered: tuple[int, bytes] | None = None
         self._heard = 0.0
+        self._forgotten = 0
         self._handlers: dict[int, Callable[[Packet, float], bytes]] = {
             Instruction.PING: self._ping,
             Instruction.READ: self._read,
@@ -261,7 +262,12 @@ class ServoFirmware:
     def _clear(self, packet: Packet, now: float) -> bytes:
         if packet.params != CLEAR_KEY or self.get(reg.TORQUE):
             raise RefusedError(ErrorNumber.FAIL)
+        self._forget_turns(now)
         return b""
+
+    def _forget_turns(self, now: float) -> None:
+        """Know the position within one turn only, as after power-up."""
+        self._forgotten += self._position(now) // model.COUNTS * model.COUNTS
 
     def _reset(self, now: float) -> None:
         """Set all registers to what they are as shipped, and let go."""
@@ -271,6 +277,7 @@ class ServoFirmware:
             self.put(register, register.default)
         self.put(reg.MODEL_NUMBER, self.profile.model_number)
         self.put(reg.FIRMWARE_VERSION, self.profile.firmware)
+        self._forget_turns(now)
         self.put(reg.GOAL_POSITION, self._position(now))
 
     def _check_write(self, packet: Packet) -> list[tuple[Register, int]]:
@@ -353,13 +360,13 @@ class ServoFirmware:
         return -1 if self.get(reg.DRIVE_MODE) & model.REVERSED else 1
 
     def _to_angle(self, position: int) -> float:
-        offset = model.MIDDLE + self.get(reg.HOMING_OFFSET)
+        offset = model.MIDDLE + self.get(reg.HOMING_OFFSET) - self._forgotten
         return self._sign() * (position - offset) * model.COUNT
 
     def _position(self, now: float) -> int:
         """Return the position at ``now`` [counts]."""
         counts = self._sign() * self._motor.angle_at(now) / model.COUNT
-        return round(counts) + model.MIDDLE + self.get(reg.HOMING_OFFSET)
+        return round(counts) + model.MIDDLE + self.get(reg.HOMING_OFFSET) - self._forgotten
 
     def _refresh(self, now: float) -> None:
         """Store what the servo measures at ``now`` [s]."""

@@ -15,8 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from scan3d_twin.core.hal import TurntableSpec
-
 COUNTS = 4096
 """Counts of the angle sensor in a turn [manual]."""
 COUNT = math.tau / COUNTS
@@ -75,18 +73,15 @@ SERVICE_INTERVAL = 0.005
 """Interval at which the robot's clock services its drivers [s]; a reading takes at least one."""
 POLLED_BYTES = 63
 """Bytes on the line for one reading of its state: 14 to ask, 49 to answer."""
-SPEC = TurntableSpec(
-    name="xl330",
-    min_angle=-MIDDLE * COUNT,
-    max_angle=(COUNTS - 1 - MIDDLE) * COUNT,
-    max_speed=VELOCITY_LIMIT * SPEED_UNIT,
-    resolution=COUNT,
-    sample_period=SERVICE_INTERVAL,
-)
-"""The turntable as shipped, at 1000000 baud."""
-ACCELERATION = 6.0
+ACCELERATION = 2.0
 """Acceleration of the motions [rad/s^2], so that a lidar of some 200 g does not shake
 [assumption]; 0 in the register is a step to full speed, which jerks [manual]."""
+PLAY = math.radians(1.0)
+"""Play between the angle sensor and the horn [rad]: none found for it; a Feetech STS3215, of its
+class, has about 1 deg, and more under load [issue SO-ARM100#134]."""
+CABLE_LIMIT = math.radians(200.0)
+"""Largest turn to either side [rad]: a full turn and the run-ups of a sweep, and no more of the
+lidar's cable [assumption]; kept by the driver, as a servo for several turns knows no limits."""
 WATCHDOG = 0.3
 """Silence after which a moving servo stops by itself [s]: as the guard of a base; fifteen times
 the slowest reading."""

@@ -8,7 +8,7 @@ import pytest
 from virtual import VirtualClock
 from virtual_table import VirtualTable
 
-from scan3d_twin.core.errors import HazardError, LinkError, LinkTimeoutError
+from scan3d_twin.core.errors import ConfigError, HazardError, LinkError, LinkTimeoutError
 from scan3d_twin.devices.dynamixel import codec, model
 from scan3d_twin.devices.dynamixel import registers as reg
 from scan3d_twin.devices.dynamixel.codec import Instruction, Packet, PacketSplitter
@@ -131,6 +131,40 @@ def test_the_limits_are_those_set_in_the_servo(bench):
     assert driver.turn_to(-2.0, 1.0)[0] == driver.spec.min_angle
 
 
+def test_without_limits_it_turns_as_far_as_the_cable_allows(bench):
+    driver = bench.connect()
+    assert bench.firmware.get(reg.OPERATING_MODE) == model.MULTI_TURN_MODE
+    goal, _ = driver.turn_to(100.0, 3.0)
+    assert math.radians(199.9) < goal == pytest.approx(driver.spec.max_angle, abs=model.COUNT)
+    bench.run(3.5)
+    assert driver.angle().angle == pytest.approx(goal, abs=model.COUNT)
+
+
+@pytest.mark.parametrize("angle", [math.radians(195.0), math.radians(-195.0)])
+def test_a_servo_that_forgets_whole_turns_does_not_wind_up_the_cable(bench, angle):
+    driver = bench.connect()
+    driver.turn_to(angle, 3.0)
+    bench.run(3.0)
+    bench.servo.firmware = Xl330Emulator(
+        bench.table, ServoProfile(baud=1_000_000, tick_ms=-3500)
+    ).firmware
+    assert 0 <= bench.firmware.get(reg.GOAL_POSITION) < model.COUNTS
+    bench.run(2.0)
+    assert driver.stats.reconnects == 1
+    assert driver.angle().angle == pytest.approx(angle, abs=2 * model.COUNT)
+    driver.turn_to(0.0, 3.0)
+    bench.run(3.0)
+    assert driver.angle().angle == pytest.approx(0.0, abs=model.COUNT)
+    assert bench.table.at(bench.clock.now()) == pytest.approx(0.0, abs=model.COUNT)
+    assert bench.worst() < 0.51
+
+
+@pytest.mark.parametrize(("angle", "speed"), [(math.nan, 1.0), (0.0, 0.0), (0.0, -1.0)])
+def test_what_is_no_motion_is_refused(bench, angle, speed):
+    with pytest.raises(ConfigError, match="a turntable turns to an angle at a speed > 0"):
+        bench.connect().turn_to(angle, speed)
+
+
 @pytest.mark.parametrize("speed", [1e-6, 0.01, 0.023, 0.5, 3.0])
 def test_the_speed_is_rounded_but_never_to_none_which_is_the_fastest(bench, speed):
     driver = bench.connect()
@@ -144,21 +178,21 @@ def test_the_speed_is_rounded_but_never_to_none_which_is_the_fastest(bench, spee
 
 def test_the_order_is_torque_off_mode_delay_guard_profile_torque_goal():
     bench = Bench(ServoProfile(torque=True))
-    bench.firmware.put(reg.OPERATING_MODE, 4)
+    bench.firmware.put(reg.OPERATING_MODE, 1)
     bench.connect().turn_to(0.5, 1.0)
     bench.run(0.1)
     assert bench.writes() == [
         (reg.STATUS_RETURN_LEVEL.address, 2),
         (reg.TORQUE.address, 0),
-        (reg.OPERATING_MODE.address, model.POSITION_MODE),
+        (reg.OPERATING_MODE.address, model.MULTI_TURN_MODE),
         (reg.RETURN_DELAY.address, 0),
         (reg.BUS_WATCHDOG.address, 0),
         (reg.BUS_WATCHDOG.address, 0),
-        (reg.PROFILE_ACCELERATION.address, 16),
+        (reg.PROFILE_ACCELERATION.address, 5),
         (reg.TORQUE.address, 1),
         (reg.BUS_WATCHDOG.address, 0),
         (reg.BUS_WATCHDOG.address, 15),
-        (reg.PROFILE_ACCELERATION.address, 16),
+        (reg.PROFILE_ACCELERATION.address, 5),
     ]
 
 
@@ -209,7 +243,7 @@ def test_stop_ends_a_motion_and_takes_back_one_that_has_not_begun(bench):
     driver.stop()
     reached = bench.table.at(bench.clock.now())
     bench.run(1.0)
-    assert driver.angle().angle == pytest.approx(reached + 0.5**2 / 12, abs=0.02)
+    assert driver.angle().angle == pytest.approx(reached + 0.5**2 / 4, abs=0.02)
     assert len(bench.table.orders) == 2
     driver.stop()
     bench.run(0.5)

@@ -1,5 +1,6 @@
 """The emulated XL330, instruction by instruction."""
 
+import math
 import struct
 
 import pytest
@@ -29,7 +30,7 @@ class Bench:
     def __init__(self, **profile):
         self.clock = VirtualClock()
         self.clock.time = 1.0
-        self.table = VirtualTable(self.clock)
+        self.table = VirtualTable(self.clock, acceleration=6.0)
         self.servo = Xl330Emulator(self.table, ServoProfile(**profile))
 
     def exchange(self, data, wait=0.02):
@@ -270,7 +271,10 @@ def test_a_registered_write_waits_for_its_action(bench):
 
 
 def test_clearing_turns_needs_its_key(bench):
+    bench.table.turn_by_hand(2.0 * math.pi)
+    assert bench.read(reg.PRESENT_POSITION) == 2048 + 4096
     assert bench.ask(Instruction.CLEAR, CLEAR_KEY) == OK
+    assert bench.read(reg.PRESENT_POSITION) == 2048
     assert bench.ask(Instruction.CLEAR, b"\x01") == (ErrorNumber.FAIL, b"")
 
 
