@@ -5,26 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from scan3d_twin.core.errors import ConfigError, HazardError
+from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import Clock, Robot
 from scan3d_twin.devices.device import Wiring
 from scan3d_twin.devices.links.line_model import Wire
-from scan3d_twin.devices.registry import base_device, lidar_device
-from scan3d_twin.real.robot import open_over
+from scan3d_twin.devices.registry import (
+    base_device,
+    lidar_device,
+    turntable_device,
+    turntable_names,
+)
+from scan3d_twin.real.robot import CarriedTurntable, open_over
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.truth import Truth
 
-
-def refuse_turntable(config: TwinConfig, reason: str) -> None:
-    """Refuse a twin with a turntable, for a ``reason``.
-
-    Raises:
-        ConfigError: It has one.
-    """
-    if config.pattern != "yaw-base":
-        raise ConfigError(f"--pattern {config.pattern} needs a turntable, and {reason}")
+EMULATED_TURNTABLE = "xl330"
+"""Turntable whose bytes stand for one of the twin that is no device, such as ``ideal``."""
 
 
 class HazardFreeClock:
@@ -56,7 +54,6 @@ def open_wired(
         LinkError: The lidar's link cannot carry the lines asked for.
     """
     config = TwinConfig() if config is None else config
-    refuse_turntable(config, "the emulated devices have none")
     with open_sim(scene, seed, config) as (twin, truth):
         # Emulate the devices
         clock = HazardFreeClock(twin.clock)
@@ -67,5 +64,16 @@ def open_wired(
 
         # Connect the drivers
         links = Wire(base, clock), lambda: Wire(lidar, clock)
-        with open_over(*links, clock, config.devices) as robot:
+        carried = _emulate_turntable(twin, clock, config.turntable)
+        with open_over(*links, clock, config.devices, None, carried) as robot:
             yield robot, truth
+
+
+def _emulate_turntable(twin: Robot, clock: Clock, name: str) -> CarriedTurntable | None:
+    """Return the emulated turntable of the ``twin`` and where it is; None if there is none."""
+    if twin.turntable is None or twin.T_base_axis is None:
+        return None
+    name = name if name in turntable_names() else EMULATED_TURNTABLE
+    device = turntable_device(name).emulate(twin.turntable)
+    mount = twin.T_base_axis, twin.T_base_lidar
+    return CarriedTurntable(name, lambda: Wire(device, clock), *mount)

@@ -103,7 +103,18 @@ def sim_with_turntable(scene: str) -> Iterator[Robot]:
         yield opened
 
 
-TURNTABLE_BACKENDS: dict[str, Opener] = {"sim": sim_with_turntable}
+@contextmanager
+def wired_with_turntable(scene: str) -> Iterator[Robot]:
+    """Open the drivers on their emulators, that of the servo too."""
+    config = replace(TwinConfig.of(DEFAULT_WORLD), pattern="yaw")
+    with open_wired(scene, 7, config) as (opened, _):
+        yield opened
+
+
+TURNTABLE_BACKENDS: dict[str, Opener] = {
+    "sim": sim_with_turntable,
+    "wired": wired_with_turntable,
+}
 """What opens a robot with a turntable."""
 
 

@@ -136,7 +136,7 @@ class Xl330Turntable:
         self._order: Order | None = None
         self._is_pending = self._is_on = self._is_armed = False
         self._position, self._velocity = model.MIDDLE, 0
-        self._whole_turns, self._is_first = 0, True
+        self._whole_turns, self._is_first, self._has_expired = 0, True, False
         self._rest_since: float | None = None
         self._hazard, self._is_told, self._examined = "", False, -math.inf
         self._work = self._run_work()
@@ -267,7 +267,7 @@ class Xl330Turntable:
         self._link = link
         self._take_info((yield from prepare_servo(link, servo)))
 
-        # Carry out an order, if there is a new one, between two angles
+        # Carry out an order, if there is a new one, step by step between two angles
         clock, silent_since, refusals = TickClock(), math.inf, 0
         while True:
             bad = link.bad
@@ -299,7 +299,7 @@ class Xl330Turntable:
         """Keep what a servo says about itself; a motion that was interrupted goes on."""
         self.stats.reconnects += self._place is not None
         self.info, self._place = info, Place(info.id, info.baud)
-        self._is_on, self._is_armed = info.is_on, False
+        self._is_on, self._is_armed, self._has_expired = info.is_on, False, False
         self._angles.allow_jump()
         self._is_first = True
         # What had been reached is held no more if the torque is off
@@ -315,21 +315,23 @@ class Xl330Turntable:
         )
 
     def _carry_out(self, link: ServoLink, servo: int) -> Steps[None]:
-        """Send the pending order: guard, profile and goal."""
+        """Take the next step of the pending order: torque, guard, or profile and goal."""
         acceleration = max(1, round(model.ACCELERATION / model.ACCELERATION_UNIT))
         if not self._is_on:
             # Hold the present position first
             here = acceleration, 1, self._position - self._whole_turns
-            yield from link.write(servo, reg.BUS_WATCHDOG, 0)
             yield from link.write(servo, reg.PROFILE_ACCELERATION, *here)
             yield from link.write(servo, reg.TORQUE, 1)
             self._is_on, self._is_armed = True, False
+            return
         if not self._is_armed:
             # What has expired is cleared by 0
-            yield from link.write(servo, reg.BUS_WATCHDOG, 0)
+            if self._has_expired:
+                yield from link.write(servo, reg.BUS_WATCHDOG, 0)
             units = round(model.WATCHDOG / model.WATCHDOG_UNIT)
             yield from link.write(servo, reg.BUS_WATCHDOG, units)
-            self._is_armed = True
+            self._is_armed, self._has_expired = True, False
+            return
 
         # The order may have been changed or taken back meanwhile
         if (order := self._order) is None:
@@ -338,7 +340,7 @@ class Xl330Turntable:
         try:
             yield from link.write(servo, reg.PROFILE_ACCELERATION, *profile)
         except RefusedError:
-            self._is_armed = False
+            self._is_armed, self._has_expired = False, True
             raise
         if self._order is order:
             self._is_pending, self._rest_since = False, None
@@ -399,9 +401,9 @@ class Xl330Turntable:
         # Goal and guard are as they were set, or the order is sent again
         goal = reg.GOAL_POSITION.find_in(answer.data, STATE[0]) + self._whole_turns
         guard = reg.BUS_WATCHDOG.find_in(answer.data, STATE[0])
-        has_expired = guard == model.WATCHDOG_EXPIRED
-        if has_expired or goal != order.position:
-            if has_expired:
+        self._has_expired = guard == model.WATCHDOG_EXPIRED
+        if self._has_expired or goal != order.position:
+            if self._has_expired:
                 _log.warning("the turntable stopped, as this program was silent; it goes on")
             self._is_pending, self._is_armed = True, False
             return

@@ -88,6 +88,6 @@ the slowest reading."""
 
 
 def sample_period(baud: int) -> float:
-    """Return the time between two samples of the angle at a bit rate [s]."""
+    """Return the time between two samples at a bit rate, with an order between them [s]."""
     transfer = POLLED_BYTES * 10 / baud
-    return SERVICE_INTERVAL * math.ceil(transfer / SERVICE_INTERVAL)
+    return SERVICE_INTERVAL * (1 + math.ceil(transfer / SERVICE_INTERVAL))

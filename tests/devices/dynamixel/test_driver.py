@@ -187,10 +187,8 @@ def test_the_order_is_torque_off_mode_delay_guard_profile_torque_goal():
         (reg.OPERATING_MODE.address, model.MULTI_TURN_MODE),
         (reg.RETURN_DELAY.address, 0),
         (reg.BUS_WATCHDOG.address, 0),
-        (reg.BUS_WATCHDOG.address, 0),
         (reg.PROFILE_ACCELERATION.address, 5),
         (reg.TORQUE.address, 1),
-        (reg.BUS_WATCHDOG.address, 0),
         (reg.BUS_WATCHDOG.address, 15),
         (reg.PROFILE_ACCELERATION.address, 5),
     ]
@@ -212,7 +210,8 @@ def test_angles_come_as_often_as_the_spec_says(baud):
     bench.run(3.0)
     angles = driver.angles_since(start + 0.1)
     steps = [b.stamp - a.stamp for a, b in pairwise(angles)]
-    assert max(steps) <= driver.spec.sample_period + 1e-6
+    assert max(steps) <= driver.spec.sample_period
+    assert min(steps) > driver.spec.sample_period / 2 - 1e-3
     assert bench.worst() < 0.51
 
 
