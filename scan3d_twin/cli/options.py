@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from scan3d_twin.cli.defaults import PREFIX, default_text
+from scan3d_twin.core.config import Pattern
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.run.settings import Options, absolute_scene, merge_options, read_settings
 
@@ -110,12 +111,35 @@ class PortOptions:
     """Serial port of the base."""
     lidar_port: Annotated[str | None, env("LIDAR_PORT", "by its USB id")] = None
     """Serial port of the lidar."""
+    pattern: Annotated[
+        Literal["yaw-base", "yaw", "pitch", "roll"] | None,
+        env("PATTERN", "yaw-base; with a turntable yaw"),
+    ] = None
+    """What turns the lidar: the base, or a turntable about one of its axes."""
+    turntable: Annotated[str | None, env("TURNTABLE", "{twin.turntable}")] = None
+    """Name of the turntable (`twin devices`)."""
+    turntable_port: Annotated[str | None, env("TURNTABLE_PORT", "by its USB id")] = None
+    """Serial port of the turntable."""
 
 
 def stated_options(options: RunOptions, sections: Options) -> Options:
     """Return what the file, the dotted ``sections`` and the flat ``options`` state, merged."""
     file = {} if options.config is None else read_settings(options.config)
-    return merge_options([file, sections, _flat(options, sections)])
+    merged = merge_options([file, sections, _flat(options, sections)])
+    # A run that goes on knows its pattern
+    if "pattern" in merged or options.resume is not None or not names_turntable(options):
+        return merged
+    return {**merged, "pattern": TURNTABLE_PATTERN}
+
+
+TURNTABLE_PATTERN: Pattern = "yaw"
+"""Pattern of a turntable that is named without one."""
+
+
+def names_turntable(options: object) -> bool:
+    """Return whether ``options`` name a turntable or its port."""
+    named = (getattr(options, name, None) for name in ("turntable", "turntable_port"))
+    return any(each is not None for each in named)
 
 
 _RUN_OPTIONS = (

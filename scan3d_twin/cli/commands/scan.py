@@ -88,7 +88,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
 def _opening(
     options: OneScanOptions, devices: Devices
 ) -> AbstractContextManager[tuple[Robot, object]]:
-    from scan3d_twin.cli.commands.real import open_robot
+    from scan3d_twin.cli.commands.real import choose_turning, open_robot
 
     if options.scene is None:
         return open_robot(options, devices)
@@ -96,6 +96,8 @@ def _opening(
     from scan3d_twin.sim.robot import open_sim
 
     config = TwinConfig.of(DEFAULT_WORLD, devices.base, devices.lidar, devices.link)
+    turning = choose_turning(options)
+    config = replace(config, pattern=turning.pattern, turntable=turning.turntable)
     return open_sim(options.scene, options.seed, config)
 
 

@@ -3,7 +3,7 @@
 What guards it: while it moves, the servo's own bus watchdog is armed, so that it stops by itself
 0.3 s after this program has died or hangs. A program that goes on after that sends the goal again.
 At rest the watchdog is off, since nothing is asked while the program computes. On closing the
-torque is switched off.
+torque is switched off, unless nothing was to turn: then it stays as it was.
 """
 
 from __future__ import annotations
@@ -66,8 +66,13 @@ SPEC = TurntableSpec(
     play=model.PLAY,
 )
 """The turntable as shipped, but at 1000000 baud."""
+ACCELERATION = max(1, round(model.ACCELERATION / model.ACCELERATION_UNIT))
+"""Content of the register of that name while the torque is on."""
 STATE = reg.BUS_WATCHDOG.address, reg.PRESENT_POSITION.end
 """Part of the control table that is read each time: guard, profile, goal, timer and position."""
+LENGTHS = 3
+"""Number of lengths of that part, which take turns: an answer that comes late is not taken for that
+to the next question."""
 
 _log = logging.getLogger(__name__)
 
@@ -137,6 +142,7 @@ class Xl330Turntable:
         self._is_pending = self._is_on = self._is_armed = False
         self._position, self._velocity = model.MIDDLE, 0
         self._whole_turns, self._is_first, self._has_expired = 0, True, False
+        self._length = 0
         self._rest_since: float | None = None
         self._hazard, self._is_told, self._examined = "", False, -math.inf
         self._work = self._run_work()
@@ -203,13 +209,13 @@ class Xl330Turntable:
         return self._angles.since(stamp)
 
     def close(self) -> None:
-        """Stop, switch the torque off, and close the port."""
+        """Stop, switch the torque off if it was told to turn, and close the port."""
         self._work.close()
         transport, self._transport = self._transport, None
         if transport is None:
             return
         with suppress(LinkError):
-            if self._link is not None and self._is_on:
+            if self._link is not None and self._is_on and self._order is not None:
                 # Let the answer to the last question pass
                 self._link.pump(POLL)
                 for _ in self._let_go(self._link):
@@ -316,10 +322,9 @@ class Xl330Turntable:
 
     def _carry_out(self, link: ServoLink, servo: int) -> Steps[None]:
         """Take the next step of the pending order: torque, guard, or profile and goal."""
-        acceleration = max(1, round(model.ACCELERATION / model.ACCELERATION_UNIT))
         if not self._is_on:
             # Hold the present position first
-            here = acceleration, 1, self._position - self._whole_turns
+            here = ACCELERATION, 1, self._position - self._whole_turns
             yield from link.write(servo, reg.PROFILE_ACCELERATION, *here)
             yield from link.write(servo, reg.TORQUE, 1)
             self._is_on, self._is_armed = True, False
@@ -336,7 +341,7 @@ class Xl330Turntable:
         # The order may have been changed or taken back meanwhile
         if (order := self._order) is None:
             return
-        profile = acceleration, order.velocity, order.position - self._whole_turns
+        profile = ACCELERATION, order.velocity, order.position - self._whole_turns
         try:
             yield from link.write(servo, reg.PROFILE_ACCELERATION, *profile)
         except RefusedError:
@@ -348,7 +353,8 @@ class Xl330Turntable:
     def _read_state(self, link: ServoLink, servo: int, clock: TickClock) -> Steps[bool]:
         """Read the state of the servo and act on it; return whether it answered well."""
         try:
-            answer = yield from link.read(servo, *STATE, attempts=1)
+            self._length = (self._length + 1) % LENGTHS
+            answer = yield from link.read(servo, STATE[0], STATE[1] + self._length, attempts=1)
             self._keep_angle(answer, clock)
         except LinkTimeoutError:
             return False
@@ -393,7 +399,13 @@ class Xl330Turntable:
         return position + self._whole_turns
 
     def _follow(self, link: ServoLink, servo: int, answer: Answer) -> Steps[None]:
-        """See to it that the servo does what it was told; take the guard off when it has."""
+        """See to it that the servo does what it was told; take the guard off when it has.
+
+        Raises:
+            RestartedError: It has lost its power, and with it what it was told.
+        """
+        if reg.PROFILE_ACCELERATION.find_in(answer.data, STATE[0]) != ACCELERATION:
+            raise RestartedError
         order = self._order
         if order is None or (self._rest_since is not None and not self._is_armed):
             return

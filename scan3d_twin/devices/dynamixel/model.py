@@ -71,8 +71,8 @@ FIRMWARE = 52
 
 SERVICE_INTERVAL = 0.005
 """Interval at which the robot's clock services its drivers [s]; a reading takes at least one."""
-POLLED_BYTES = 63
-"""Bytes on the line for one reading of its state: 14 to ask, 49 to answer."""
+POLLED_BYTES = 65
+"""Bytes on the line for one reading of its state at most: 14 to ask, 51 to answer."""
 ACCELERATION = 2.0
 """Acceleration of the motions [rad/s^2], so that a lidar of some 200 g does not shake
 [assumption]; 0 in the register is a step to full speed, which jerks [manual]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 from scan3d_twin.core.errors import ProtocolError
 from scan3d_twin.devices.dynamixel.model import TICK, TICK_PERIOD
@@ -11,28 +12,55 @@ WINDOW = 10.0
 """Age up to which readings set the offset [s]: a skew of 0.01 % moves it by a tick meanwhile."""
 MAX_SKEW = 0.01
 """Largest clock skew [s/s]; assumption: the servo's oscillator may have no quartz."""
-TOLERANCE = 0.004
-"""Time by which a reading may lie outside of question and answer [s]; assumption."""
+MAX_EARLY, MAX_LATE = 0.6, 0.004
+"""Time by which a reading may lie before its question and after its answer [s]; assumption. An
+emulated servo on a busy computer answers from up to half a second ago."""
 MAX_IMPLAUSIBLE = 3
 """Implausible ticks in a row after which the servo must have started anew."""
 
 
 class RestartedError(ProtocolError):
-    """The servo's timer has started anew: it lost its power."""
+    """The servo has started anew: it lost its power."""
+
+    def __init__(self) -> None:
+        super().__init__("the servo has started anew: did its supply break down?")
+
+
+class _Extreme:
+    """The largest, or smallest, value of the last ``WINDOW`` seconds."""
+
+    def __init__(self, choose: Callable[[float, float], float]) -> None:
+        """Keep that of two values which ``choose`` returns."""
+        self._choose = choose
+        self._values: deque[tuple[float, float]] = deque()
+
+    def add(self, stamp: float, value: float) -> float:
+        """Add a ``value`` at ``stamp`` [s]; return the extreme."""
+        values = self._values
+        while values and self._choose(values[-1][1], value) == value:
+            values.pop()
+        values.append((stamp, value))
+        while values[0][0] < stamp - WINDOW:
+            values.popleft()
+        return values[0][1]
 
 
 class TickClock:
     """Maps the timer to the host's clock.
 
-    A reading is taken when the question has arrived: never before it is sent. The timer rounds down
-    to a tick. So the largest (time sent - timer) of the last seconds is the offset to within a
-    tick, whatever delays single questions, and each reading lies within the tick that ends there.
+    A reading is taken when the question has arrived: after it is sent and before the answer is
+    there. The timer rounds down to a tick. So the largest (time sent - timer) of the last seconds
+    is the offset to within a tick, whatever delays single questions, and the reading lies in the
+    tick that ends there.
+
+    Where some (time received - timer) is less than that, the servo answered from the past, as an
+    emulated one does on a busy computer: then that is the offset, as the drivers of lidars have it.
     """
 
     def __init__(self) -> None:
         self._last: tuple[float, int] | None = None
-        self._seconds = 0.0
-        self._offsets: deque[tuple[float, float]] = deque()
+        self._seconds = self._offset = 0.0
+        self._from_sent, self._from_received = _Extreme(max), _Extreme(min)
         self._implausible = 0
 
     def stamp(self, tick: int, sent: float, received: float) -> float:
@@ -49,24 +77,22 @@ class TickClock:
         """
         # Unwrap by the time that has passed
         seconds = self._unwrap(tick, sent)
-        while len(self._offsets) > 1 and self._offsets[0][0] < sent - WINDOW:
-            self._offsets.popleft()
-        offset = self._offsets[0][1] if self._offsets else None
-        slack = TOLERANCE + MAX_SKEW * (0.0 if self._last is None else sent - self._last[0])
-        if offset is not None and not sent - slack < seconds + offset < received + slack:
-            self._implausible += 1
-            if self._implausible >= MAX_IMPLAUSIBLE:
-                raise RestartedError("the servo has started anew: did its supply break down?")
-            raise ProtocolError(f"its timer, {tick} ms, does not fit the readings before")
+        if self._last is not None:
+            expected = seconds + self._offset
+            slack = MAX_SKEW * (sent - self._last[0])
+            if not sent - MAX_EARLY - slack < expected < received + MAX_LATE + slack:
+                self._implausible += 1
+                if self._implausible >= MAX_IMPLAUSIBLE:
+                    raise RestartedError
+                raise ProtocolError(f"its timer, {tick} ms, does not fit the readings before")
 
-        # Keep it for the offset: those that are the largest since their time
+        # Keep it for the offset
         self._implausible = 0
         self._last, self._seconds = (sent, tick), seconds
-        while self._offsets and self._offsets[-1][1] <= sent - seconds:
-            self._offsets.pop()
-        self._offsets.append((sent, sent - seconds))
-        latest = seconds + self._offsets[0][1]
-        return min(received, max(sent, latest - TICK))
+        earliest = self._from_sent.add(sent, sent - seconds)
+        self._offset = min(earliest, self._from_received.add(sent, received - seconds))
+        latest = seconds + self._offset
+        return min(latest, max(sent, latest - TICK))
 
     def _unwrap(self, tick: int, sent: float) -> float:
         """Return the timer, counted on from its first value [s]."""

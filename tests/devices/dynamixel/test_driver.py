@@ -14,7 +14,7 @@ from scan3d_twin.devices.dynamixel import registers as reg
 from scan3d_twin.devices.dynamixel.codec import Instruction, Packet, PacketSplitter
 from scan3d_twin.devices.dynamixel.device import describe_servo, inspect_servo
 from scan3d_twin.devices.dynamixel.driver import Xl330Turntable
-from scan3d_twin.devices.dynamixel.emulated_firmware import ServoProfile
+from scan3d_twin.devices.dynamixel.emulated_firmware import Reply, ServoProfile
 from scan3d_twin.devices.dynamixel.emulator import Xl330Emulator
 from scan3d_twin.devices.dynamixel.link import ServoLink
 from scan3d_twin.devices.links.line_model import Faults, Line, Wire
@@ -476,6 +476,23 @@ def test_a_slow_adapter_costs_readings_not_accuracy(latency):
     assert count > 150 if latency < 0.005 else 40 < count < 60
     assert bench.worst() < 0.51
     assert driver.bad == 0
+
+
+@pytest.mark.parametrize("delay", [0.035, 0.04, 0.05])
+def test_an_answer_that_comes_late_is_not_taken_for_the_next_one(bench, delay):
+    driver = bench.connect()
+    firmware, asked = bench.firmware, []
+
+    def answer(packet, now):
+        asked.append(now)
+        late = delay if len(asked) % 40 == 0 else 0.0
+        return [Reply(reply.data, reply.wait + late) for reply in answered(packet, now)]
+
+    answered, firmware.answer = firmware.answer, answer
+    driver.turn_to(2.0, 1.0)
+    bench.run(2.5)
+    assert driver.bad >= 4
+    assert bench.worst() < 0.51
 
 
 @pytest.mark.parametrize("rate", [0.001, 0.004])

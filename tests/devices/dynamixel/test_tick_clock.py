@@ -54,7 +54,7 @@ def test_a_garbled_timer_is_refused_and_a_new_one_is_noticed():
     for time in (1.0, 1.01, 1.02):
         clock.stamp(tick_at(time), time, time + 0.005)
     with pytest.raises(ProtocolError, match="does not fit"):
-        clock.stamp(tick_at(1.03) ^ 0x40, 1.03, 1.035)
+        clock.stamp(tick_at(1.03) ^ 0x400, 1.03, 1.035)
     assert clock.stamp(tick_at(1.04), 1.04, 1.045) == pytest.approx(1.04)
     for time in (1.05, 1.06):
         with pytest.raises(ProtocolError, match="does not fit"):
@@ -63,8 +63,24 @@ def test_a_garbled_timer_is_refused_and_a_new_one_is_noticed():
         clock.stamp(tick_at(1.07, 1.03), 1.07, 1.075)
 
 
-def test_an_old_answer_is_refused():
+def test_an_answer_of_the_future_is_refused():
     clock = TickClock()
-    clock.stamp(tick_at(1.0), 1.0, 1.005)
+    for time in (1.0, 1.01, 1.02):
+        clock.stamp(tick_at(time), time, time + 0.005)
     with pytest.raises(ProtocolError):
-        clock.stamp(tick_at(1.0), 1.035, 1.04)
+        clock.stamp(tick_at(1.1), 1.065, 1.07)
+
+
+def test_a_servo_that_lags_behind_at_times_is_stamped_as_without_lag():
+    """As a lidar is: the time that its least delay says."""
+    rng = np.random.default_rng(2)
+    times = np.arange(1.0, 30.0, 0.01)
+    lags = np.interp(times, np.arange(0, 31), rng.uniform(0.0, 0.3, 31) * (np.arange(31) % 3 > 0))
+    clock = TickClock()
+    stamps = np.array(
+        [
+            clock.stamp(tick_at(time - lag), time, time + 0.004)
+            for time, lag in zip(times, lags, strict=True)
+        ]
+    )
+    assert np.abs(stamps - (times - lags))[400:].max() < 0.004 + TICK
