@@ -46,9 +46,9 @@ class EmulateOptions:
     lidar: str = DEFAULT_LIDAR
     """Name of the lidar, see `twin devices`."""
     turntable: str | None = None
-    """Name of the turntable that turns the lidar, see `twin devices` (default: none)."""
+    """Name of the turntable, see `twin devices`."""
     pattern: Literal["yaw", "pitch", "roll"] | None = None
-    """About which axis a turntable turns the lidar (default: yaw, if there is one)."""
+    """How it turns the lidar (default: yaw)."""
     lidar_cable: Literal["usb", "serial"] = "usb"
     """How the lidar is connected: over usb bit rates do not matter, over serial they do."""
     lidar_baud: int | None = None
@@ -64,14 +64,13 @@ class EmulateOptions:
     tcp_base_port: int | None = None
     """Number of the base's TCP port (default: any that is free); implies --tcp."""
     tcp_lidar_port: int | None = None
-    """Number of the lidar's TCP port (default: any that is free); implies --tcp."""
+    """Likewise of the lidar's."""
     tcp_turntable_port: int | None = None
-    """Number of the turntable's TCP port (default: any that is free); implies --tcp."""
+    """Likewise of the turntable's."""
     link: Path | None = None
-    """Folder for the links `base`, `lidar` and `turntable` to the terminals, whose own names
-    change."""
+    """Folder for the links `base`, `lidar` and `turntable` to the terminals."""
     json: bool = False
-    """Print one line of JSON with base_port, lidar_port and turntable_port."""
+    """Print one line of JSON with the ports."""
 
 
 def emulate(*, options: Annotated[EmulateOptions, Parameter(name="*")] = EmulateOptions()) -> None:
