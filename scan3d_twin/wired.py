@@ -9,6 +9,7 @@ from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import Clock, Robot
 from scan3d_twin.devices.device import Wiring
 from scan3d_twin.devices.links.line_model import Wire
+from scan3d_twin.devices.links.no_line import NoLine
 from scan3d_twin.devices.registry import (
     base_device,
     lidar_device,
@@ -57,13 +58,15 @@ def open_wired(
     with open_sim(scene, seed, config) as (twin, truth):
         # Emulate the devices
         clock = HazardFreeClock(twin.clock)
-        base = base_device(config.robot).emulate(twin.base)
+        own_base = base_device(config.robot)
+        is_stand = own_base.spec.is_stand
+        base_link = NoLine() if is_stand else Wire(own_base.emulate(twin.base), clock)
         device = lidar_device(config.lidar_model)
         wiring = Wiring(usb=config.lidar_link in device.usb_links)
         lidar = device.emulate(twin.lidar, wiring)
 
         # Connect the drivers
-        links = Wire(base, clock), lambda: Wire(lidar, clock)
+        links = base_link, lambda: Wire(lidar, clock)
         carried = _emulate_turntable(twin, clock, config.turntable)
         with open_over(*links, clock, config.devices, None, carried) as robot:
             yield robot, truth

@@ -7,11 +7,12 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from scan3d_twin.core.errors import LinkTimeoutError
+from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
 from scan3d_twin.core.hal import Clock, Robot
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.devices.device import LidarDriver
 from scan3d_twin.devices.links.guard import Guard, PortGuard
+from scan3d_twin.devices.links.no_line import NoLine
 from scan3d_twin.devices.links.transport import Reopening, SerialTransport, Tapped, Transport
 from scan3d_twin.devices.registry import (
     DEFAULT_BASE,
@@ -105,7 +106,7 @@ def open_over(
     """Open the drivers on their lines; on every exit the wheels are stopped first.
 
     Args:
-        base_link: The line to the base; stays open.
+        base_link: The line to the base, ``NoLine`` for a stand; stays open.
         open_lidar_link: Opens the line to the lidar; called again after it was unplugged.
         clock: A clock that services no drivers.
         devices: Devices on the lines; None is the robot of the paper.
@@ -162,7 +163,7 @@ def identify_base(link: Transport, clock: Clock, base: str | None) -> None:
 
 @contextmanager
 def open_real(
-    base_port: str,
+    base_port: str | None,
     lidar_port: str,
     *,
     base: str | None = None,
@@ -174,7 +175,7 @@ def open_real(
     """Open the robot on its serial ports; it does not move, and is stopped on every exit.
 
     Args:
-        base_port: Port of the base, such as ``/dev/ttyUSB0``.
+        base_port: Port of the base, such as ``/dev/ttyUSB0``; None for a stand, which has none.
         lidar_port: Port of the lidar, such as ``/dev/ttyACM0``.
         base: Name of the base (``twin devices`` lists them); None finds out if it is a Create 1 or
             a Create 2.
@@ -193,26 +194,35 @@ def open_real(
     Traceback (most recent call last):
     scan3d_twin.core.errors.LinkError: ...
     """
-    # Clock and guard
+    # Devices and clock
     devices = Devices(
         base or DEFAULT_BASE,
         lidar,
         link or lidar_device(lidar).links[0],
         is_base_stated=base is not None,
     )
-    refuse_same_port(base_port, lidar_port)
     device, clock = base_device(devices.base), RealClock()
-    stack = ExitStack()
-    guard = PortGuard(device.farewell, clock, stack.enter_context(count_continuations()))
-
-    def open_base_link() -> Transport:
-        port = SerialTransport(base_port)
-        guard.watch(port.fileno())
-        return port if taps is None else Tapped(port, clock, taps.base)
 
     def open_lidar_link() -> Transport:
         line = SerialTransport(lidar_port)
         return line if taps is None else Tapped(line, clock, taps.lidar)
+
+    # A stand has neither port nor wheels
+    if device.spec.is_stand:
+        with open_over(NoLine(), open_lidar_link, clock, devices, None, turntable) as robot:
+            yield robot
+        return
+    if base_port is None:
+        raise ConfigError(f"the base {devices.base} has a port, and none is given")
+    port = base_port
+    refuse_same_port(port, lidar_port)
+    stack = ExitStack()
+    guard = PortGuard(device.farewell, clock, stack.enter_context(count_continuations()))
+
+    def open_base_link() -> Transport:
+        line = SerialTransport(port)
+        guard.watch(line.fileno())
+        return line if taps is None else Tapped(line, clock, taps.base)
 
     # Open the ports, then the drivers
     with stack:
@@ -222,5 +232,5 @@ def open_real(
         )
         if turntable is not None or not lidar_device(lidar).sends_text:
             identify_base(base_link, clock, base)
-        robot = open_over(base_link, open_lidar_link, clock, devices, guard, turntable)
-        yield stack.enter_context(robot)
+        opening = open_over(base_link, open_lidar_link, clock, devices, guard, turntable)
+        yield stack.enter_context(opening)

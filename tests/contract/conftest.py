@@ -103,17 +103,22 @@ def sim_with_turntable(scene: str) -> Iterator[Robot]:
         yield opened
 
 
-@contextmanager
-def wired_with_turntable(scene: str) -> Iterator[Robot]:
-    """Open the drivers on their emulators, that of the servo too."""
-    config = replace(TwinConfig.of(DEFAULT_WORLD), pattern="yaw")
-    with open_wired(scene, 7, config) as (opened, _):
-        yield opened
+def wired_with_turntable(robot: str, pattern: str) -> Opener:
+    """Return what opens the drivers on their emulators, that of the servo too."""
+
+    @contextmanager
+    def wired(scene: str) -> Iterator[Robot]:
+        config = replace(TwinConfig.of(DEFAULT_WORLD, robot), pattern=pattern)
+        with open_wired(scene, 7, config) as (opened, _):
+            yield opened
+
+    return wired
 
 
 TURNTABLE_BACKENDS: dict[str, Opener] = {
     "sim": sim_with_turntable,
-    "wired": wired_with_turntable,
+    "wired": wired_with_turntable(DEFAULT_BASE, "yaw"),
+    "wired_stand": wired_with_turntable("stand", "pitch"),
 }
 """What opens a robot with a turntable."""
 

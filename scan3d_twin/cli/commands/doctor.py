@@ -129,11 +129,14 @@ def examine(options: PortOptions) -> Iterator[Finding]:
     devices, clock = Devices(base.name, lidar.name, lidar.links[0]), RealClock()
     open_base = base.opener(is_stated=options.robot is not None)
     looks: tuple[Look, ...] = (partial(_base, base, open_base), partial(_lidar, lidar))
-    base_port, is_base_known = "-", False
+    base_port, is_base_known = "-", base.spec.is_stand
     turning, taken = choose_turning(options), options.turntable_port
     free = None if taken is None else ports_but(taken)
     for what, index, look in (("base", 0, looks[0]), ("lidar", 1, looks[1])):
         given = (options.port, options.lidar_port)[index]
+        if what == "base" and base.spec.is_stand:
+            yield Finding("base", True, base.summary)
+            continue
         try:
             # The lidar's name does not matter to the base, so it is made up.
             names = (given, options.lidar_port or "-") if index == 0 else (base_port, given)

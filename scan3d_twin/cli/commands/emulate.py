@@ -31,6 +31,10 @@ holds bytes back for 1 ms or more. A client that flushes its input right after i
 no reply."""
 
 
+ROLES = ("base", "lidar", "turntable")
+"""What is served, each on a port of its own."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class EmulateOptions:
     """What is emulated."""
@@ -196,7 +200,7 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, dict[str, Port]]]:
     numbers = _tcp_ports(options)
 
     def port(device: Device, role: str) -> PtyPort | TcpPort:
-        line = Line(device, faults, options.seed + len(served), ADAPTER_LATENCY)
+        line = Line(device, faults, options.seed + ROLES.index(role), ADAPTER_LATENCY)
         opened = PtyPort(line) if numbers is None else TcpPort(line, port=numbers[role])
         return stack.enter_context(closing(opened))
 
@@ -204,7 +208,8 @@ def ports(options: EmulateOptions) -> Iterator[tuple[Clock, dict[str, Port]]]:
     scene = load_scene(options.scene, options.mesh_scale, mesh_up=options.mesh_up)
     served: dict[str, Port] = {}
     with open_robot(scene, options.seed, _twin(options, models)) as robot, ExitStack() as stack:
-        served["base"] = port(models.base.emulate(robot.base), "base")
+        if not models.base.spec.is_stand:
+            served["base"] = port(models.base.emulate(robot.base), "base")
         served["lidar"] = port(models.lidar.emulate(robot.lidar, wiring), "lidar")
         if models.turntable is not None and robot.turntable is not None:
             served["turntable"] = port(models.turntable.emulate(robot.turntable), "turntable")

@@ -157,7 +157,7 @@ def name_lidar(options: RealOptions) -> RealOptions:
     if options.lidar != AUTO:
         return options
     from scan3d_twin.devices.links.transport import SerialTransport
-    from scan3d_twin.devices.registry import DEFAULT_BASE, Devices
+    from scan3d_twin.devices.registry import DEFAULT_BASE, Devices, base_device
     from scan3d_twin.real.clock import RealClock
     from scan3d_twin.real.ports import choose_lidar_port, choose_ports
     from scan3d_twin.real.probe import find_lidar
@@ -166,9 +166,10 @@ def name_lidar(options: RealOptions) -> RealOptions:
     # A question to a lidar may be a command to a base: first see where that is
     port = choose_lidar_port(options.port, options.lidar_port)
     devices = Devices(options.robot or DEFAULT_BASE)
-    base_port, _ = choose_ports(options.port, port, devices)
-    with closing(SerialTransport(base_port)) as link:
-        identify_base(link, RealClock(), options.robot)
+    if not base_device(devices.base).spec.is_stand:
+        base_port, _ = choose_ports(options.port, port, devices)
+        with closing(SerialTransport(base_port)) as link:
+            identify_base(link, RealClock(), options.robot)
     name = find_lidar(lambda: SerialTransport(port), RealClock())
     print(f"lidar on {port}: {name}", file=sys.stderr)
     return replace(options, lidar=name, lidar_port=port)
@@ -203,6 +204,7 @@ def open_robot(
     turning: Turning | None = None,
 ) -> AbstractContextManager[tuple[Robot, None]]:
     """Return what opens the robot on the ports that are given or found; nobody knows the truth."""
+    from scan3d_twin.devices.registry import base_device
     from scan3d_twin.real.ports import choose_ports, ports_but, refuse_same_port
     from scan3d_twin.real.robot import open_real
 
@@ -211,13 +213,18 @@ def open_robot(
         # The port of a turntable may look like one of a base
         port, carried = carry_turntable(options, turning or choose_turning(options))
         free = None if port is None else ports_but(port)
-        ports = choose_ports(options.port, options.lidar_port, devices, free)
+        is_stand = base_device(devices.base).spec.is_stand
+        if is_stand and options.port is not None:
+            raise ConfigError("a stand has no port: leave out --port")
+        own = "-" if is_stand else options.port
+        ports = choose_ports(own, options.lidar_port, devices, free)
         for role, other in zip(("base", "lidar"), ports, strict=True):
             if port is not None:
                 refuse_same_port(other, port, (role, "turntable"))
         base = devices.base if devices.is_base_stated else None
         with open_real(
-            *ports,
+            None if is_stand else ports[0],
+            ports[1],
             base=base,
             lidar=devices.lidar,
             link=devices.link,
