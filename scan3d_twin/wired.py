@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import Clock, Robot
@@ -69,7 +70,7 @@ def open_wired(
         links = base_link, lambda: Wire(lidar, clock)
         carried = _emulate_turntable(twin, clock, config.turntable)
         with open_over(*links, clock, config.devices, None, carried) as robot:
-            yield robot, truth
+            yield replace(robot, T_base_lidar=twin.T_base_lidar), truth
 
 
 def _emulate_turntable(twin: Robot, clock: Clock, name: str) -> CarriedTurntable | None:

@@ -50,3 +50,17 @@ def test_one_seed_gives_the_same_bytes():
         with open_wired("three_boxes", 3, config) as (robot, _):
             images.append(image_bytes(sweep(robot, 0.0, quick, lambda line: None)))
     assert images[0] == images[1]
+
+
+@pytest.mark.parametrize("pattern", ["yaw-base", "roll"])
+def test_the_wired_robot_knows_how_its_lidar_is_mounted(pattern):
+    config = replace(TwinConfig.of("ideal"), pattern=pattern)
+    config = replace(config, lidar_roll=0.3 if pattern == "yaw-base" else 0.0)
+    mounts = []
+    for opener in (open_sim, open_wired):
+        with opener("plain_wall", 0, config) as (robot, _):
+            mounts.append((robot.T_base_lidar, robot.T_base_axis))
+    (lidar, axis), (wired_lidar, wired_axis) = mounts
+    assert np.array_equal(lidar, wired_lidar)
+    assert (axis is None) == (wired_axis is None) == (pattern == "yaw-base")
+    assert axis is None or np.array_equal(axis, wired_axis)

@@ -9,10 +9,10 @@ import math
 from dataclasses import dataclass
 
 from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.devices.dynamixel import model as servo
 
-CABLE_LIMIT = math.radians(200.0)
-"""Largest turn to either side [rad]: a full turn and the run-ups of a sweep, and no more of the
-lidar's cable; an assumption. An XL330 in multi-turn mode has no limit of its own."""
+CABLE_LIMIT = servo.CABLE_LIMIT
+"""Largest turn to either side [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,17 +67,17 @@ IDEAL = TurntableModel(
 XL330 = TurntableModel(
     name="xl330",
     max_speed=103 * math.tau / 60,  # manual: 103 rev/min at 5 V
-    speed_step=0.229 * math.tau / 60,  # manual: profile velocity in 0.229 rev/min
-    acceleration=2.0,  # profile acceleration that a driver chooses; an assumption
-    resolution=math.tau / 4096,  # manual: 12 bit absolute
-    noise=0.3 * math.tau / 4096,  # a third of a count; an assumption
+    speed_step=servo.SPEED_UNIT,
+    acceleration=servo.ACCELERATION,
+    resolution=servo.COUNT,
+    noise=0.3 * servo.COUNT,  # a third of a count; an assumption
     sample_period=0.02,  # 50 Hz, as one servo can be polled at 57600 baud
     clock_offset=0.001,  # USB latency timer set to 1 ms
-    clock_step=0.001,  # manual: its tick counts milliseconds
-    play=math.radians(1.0),  # none found for it; a servo of its class (STS3215): about 1 deg
+    clock_step=servo.TICK,
+    play=servo.PLAY,
     play_spread=0.1,  # units of a batch differ by this; an assumption
 )
-"""Dynamixel XL330-M288."""
+"""Dynamixel XL330-M288; numbers without a word here are explained in ``devices/dynamixel``."""
 
 TURNTABLES = {model.name: model for model in (IDEAL, XL330)}
 DEFAULT_TURNTABLE = XL330.name
