@@ -5,7 +5,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 from scan3d_twin.core.types import TableAngle
-from scan3d_twin.devices.dynamixel.driver import SPEC
+from scan3d_twin.devices.dynamixel.spec import SPEC
 
 
 @dataclass(frozen=True)

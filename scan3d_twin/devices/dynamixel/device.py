@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from scan3d_twin.core.hal import Turntable
 from scan3d_twin.devices.device import Finding, TurntableDevice
 from scan3d_twin.devices.dynamixel import model
-from scan3d_twin.devices.dynamixel.driver import SPEC, Xl330Turntable
+from scan3d_twin.devices.dynamixel.driver import Xl330Turntable
 from scan3d_twin.devices.dynamixel.emulated_firmware import ServoProfile
 from scan3d_twin.devices.dynamixel.emulator import Xl330Emulator
+from scan3d_twin.devices.dynamixel.spec import SPEC
 
 
 def describe_servo(turntable: Xl330Turntable) -> str:

@@ -37,6 +37,7 @@ from scan3d_twin.devices.dynamixel.connect import (
     read_health,
 )
 from scan3d_twin.devices.dynamixel.link import Answer, RefusedError, ServoLink, Steps
+from scan3d_twin.devices.dynamixel.spec import limit_spec, to_angle
 from scan3d_twin.devices.dynamixel.tick_clock import RestartedError, TickClock
 from scan3d_twin.devices.links.transport import Transport
 
@@ -56,16 +57,6 @@ EXAMINED_AGAIN = 1.0
 """Time after which a servo that reports an error, but works, is asked again what it has [s]."""
 MAX_REFUSALS = 3
 """Refused goals in a row after which the servo is set up anew."""
-SPEC = TurntableSpec(
-    name="xl330",
-    min_angle=-model.CABLE_LIMIT,
-    max_angle=model.CABLE_LIMIT,
-    max_speed=model.VELOCITY_LIMIT * model.SPEED_UNIT,
-    resolution=model.COUNT,
-    sample_period=model.sample_period(1_000_000),
-    play=model.PLAY,
-)
-"""The turntable as shipped, but at 1000000 baud."""
 ACCELERATION = max(1, round(model.ACCELERATION / model.ACCELERATION_UNIT))
 """Content of the register of that name while the torque is on."""
 STATE = reg.BUS_WATCHDOG.address, reg.PRESENT_POSITION.end
@@ -140,9 +131,8 @@ class Xl330Turntable:
         self._angles = AngleHistory()
         self._order: Order | None = None
         self._is_pending = self._is_on = self._is_armed = False
-        self._position, self._velocity = model.MIDDLE, 0
-        self._whole_turns, self._is_first, self._has_expired = 0, True, False
-        self._length = 0
+        self._has_expired = False
+        self._velocity = self._length = 0
         self._rest_since: float | None = None
         self._hazard, self._is_told, self._examined = "", False, -math.inf
         self._work = self._run_work()
@@ -197,7 +187,7 @@ class Xl330Turntable:
         speed = self._velocity * model.SPEED_UNIT
         way = math.copysign(speed**2 / (2 * model.ACCELERATION), speed)
         low, high = self.info.positions
-        position = max(low, min(high, round(self._position + way / model.COUNT)))
+        position = max(low, min(high, round(self._angles.position + way / model.COUNT)))
         self._give(replace(self._order, position=position))
 
     def angle(self) -> TableAngle:
@@ -215,7 +205,7 @@ class Xl330Turntable:
         if transport is None:
             return
         with suppress(LinkError):
-            if self._link is not None and self._is_on and self._order is not None:
+            if self._link is not None and self._is_on:
                 # Let the answer to the last question pass
                 self._link.pump(POLL)
                 for _ in self._let_go(self._link):
@@ -305,26 +295,20 @@ class Xl330Turntable:
         """Keep what a servo says about itself; a motion that was interrupted goes on."""
         self.stats.reconnects += self._place is not None
         self.info, self._place = info, Place(info.id, info.baud)
-        self._is_on, self._is_armed, self._has_expired = info.is_on, False, False
-        self._angles.allow_jump()
-        self._is_first = True
+        # A torque that others have left on is not ours, nor is its profile
+        self._is_on = info.is_on and self._order is not None
+        self._is_armed = self._has_expired = False
+        self._angles.begin()
         # What had been reached is held no more if the torque is off
         is_at_work = self._rest_since is None or not info.is_on
         self._is_pending = self._order is not None and is_at_work
-        low, high = info.positions
-        self.spec = replace(
-            SPEC,
-            min_angle=to_angle(low),
-            max_angle=to_angle(high),
-            max_speed=info.max_velocity * model.SPEED_UNIT,
-            sample_period=model.sample_period(info.baud),
-        )
+        self.spec = limit_spec(info.positions, info.max_velocity, info.baud)
 
     def _carry_out(self, link: ServoLink, servo: int) -> Steps[None]:
         """Take the next step of the pending order: torque, guard, or profile and goal."""
         if not self._is_on:
             # Hold the present position first
-            here = ACCELERATION, 1, self._position - self._whole_turns
+            here = ACCELERATION, 1, self._angles.position - self._angles.whole_turns
             yield from link.write(servo, reg.PROFILE_ACCELERATION, *here)
             yield from link.write(servo, reg.TORQUE, 1)
             self._is_on, self._is_armed = True, False
@@ -341,7 +325,7 @@ class Xl330Turntable:
         # The order may have been changed or taken back meanwhile
         if (order := self._order) is None:
             return
-        profile = ACCELERATION, order.velocity, order.position - self._whole_turns
+        profile = ACCELERATION, order.velocity, order.position - self._angles.whole_turns
         try:
             yield from link.write(servo, reg.PROFILE_ACCELERATION, *profile)
         except RefusedError:
@@ -379,24 +363,10 @@ class Xl330Turntable:
         tick = reg.REALTIME_TICK.find_in(answer.data, STATE[0])
         position = reg.PRESENT_POSITION.find_in(answer.data, STATE[0])
         stamp = clock.stamp(tick, answer.sent, answer.received)
-        position = self._count_turns(position)
-        self._angles.add(TableAngle(stamp, to_angle(position)), self.spec.max_speed)
-        self._position = position
+        self._angles.add(stamp, position, self.spec.max_speed)
         self._velocity = reg.PRESENT_VELOCITY.find_in(answer.data, STATE[0])
         self.stats.good += 1
         self.stats.problem = ""
-
-    def _count_turns(self, position: int) -> int:
-        """Return a ``position`` of the servo with the whole turns that it has forgotten.
-
-        It does when it loses its power. While it was away it cannot have been turned by more than
-        half a turn: its cable is fast.
-        """
-        if self._is_first and self._angles:
-            before = self._position - position
-            self._whole_turns = model.COUNTS * round(before / model.COUNTS)
-        self._is_first = False
-        return position + self._whole_turns
 
     def _follow(self, link: ServoLink, servo: int, answer: Answer) -> Steps[None]:
         """See to it that the servo does what it was told; take the guard off when it has.
@@ -411,7 +381,7 @@ class Xl330Turntable:
             return
 
         # Goal and guard are as they were set, or the order is sent again
-        goal = reg.GOAL_POSITION.find_in(answer.data, STATE[0]) + self._whole_turns
+        goal = reg.GOAL_POSITION.find_in(answer.data, STATE[0]) + self._angles.whole_turns
         guard = reg.BUS_WATCHDOG.find_in(answer.data, STATE[0])
         self._has_expired = guard == model.WATCHDOG_EXPIRED
         if self._has_expired or goal != order.position:
@@ -444,8 +414,3 @@ class Xl330Turntable:
         yield from link.write(servo, reg.TORQUE, 0)
         yield from link.write(servo, reg.BUS_WATCHDOG, 0)
         self._is_on = False
-
-
-def to_angle(position: int) -> float:
-    """Return the angle of a ``position`` [counts] from the middle [rad]."""
-    return (position - model.MIDDLE) * model.COUNT

@@ -104,7 +104,19 @@ def test_it_connects_from_any_state_without_moving_and_turns(state):
     bench.run(1.0)
     assert driver.angle().angle == pytest.approx(0.6, abs=model.COUNT)
     assert bench.worst() < 0.51
-    assert driver.bad == 0
+    assert (driver.bad, driver.stats.reconnects) == (0, 0)
+
+
+def test_a_torque_that_others_left_on_stays_on_where_nothing_is_to_turn():
+    bench = Bench(ServoProfile(torque=True))
+    bench.firmware.put(reg.OPERATING_MODE, model.MULTI_TURN_MODE)
+    bench.firmware.put(reg.RETURN_DELAY, 0)
+    bench.connect()
+    bench.run(1.0)
+    bench.driver.close()
+    assert bench.driver.stats.reconnects == 0
+    assert bench.firmware.get(reg.TORQUE) == 1
+    assert bench.table.orders == []
 
 
 def test_as_it_is_found_so_it_is_described(bench):
