@@ -10,7 +10,7 @@ from scan3d_twin.core.errors import (
     LinkError,
     LinkTimeoutError,
 )
-from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar
+from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar, Turntable, TurntableSpec
 from scan3d_twin.core.line_grid import arrange_line, make_full_circle
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.navigation.odometry import DeadReckoning
@@ -26,6 +26,7 @@ from scan3d_twin.core.types import (
     LidarSpec,
     Odometry,
     ScanLine,
+    TableAngle,
     read_only,
 )
 from scan3d_twin.devices.device import (
@@ -37,6 +38,8 @@ from scan3d_twin.devices.device import (
     LidarDriver,
     LidarProbe,
     LidarSensor,
+    TurntableDevice,
+    TurntableDriver,
     Wiring,
 )
 from scan3d_twin.devices.links.guard import Guard
@@ -81,7 +84,12 @@ __all__ = [
     "RecordingFormat",
     "Revolutions",
     "ScanLine",
+    "TableAngle",
     "Transport",
+    "Turntable",
+    "TurntableDevice",
+    "TurntableDriver",
+    "TurntableSpec",
     "Wiring",
     "arrange_line",
     "make_full_circle",

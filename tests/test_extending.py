@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from scan3d_twin import extend
-from scan3d_twin.devices.registry import base_names, lidar_names
+from scan3d_twin.devices.registry import base_names, lidar_names, turntable_names
 from scan3d_twin.recording.load import load_session
 
 ROOT = Path(__file__).parents[1]
@@ -137,7 +137,8 @@ def test_the_planner_and_its_option_are_listed_and_checked(twin):
 
 def test_the_devices_are_listed_and_chosen_by_name(twin):
     listed = json.loads(twin("devices", "--json"))
-    assert {*base_names(), *lidar_names(), "pico", "rover"} == set(listed)
+    own = {*base_names(), *lidar_names(), *turntable_names()}
+    assert own | {"pico", "rover"} == set(listed)
     with pytest.raises(AssertionError, match=r"no lidar 'sick'; known: .*, pico, .*, urg04lx"):
         twin("sim", "--lidar", "sick")
     with pytest.raises(

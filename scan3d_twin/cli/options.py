@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from scan3d_twin.cli.defaults import PREFIX, default_text
+from scan3d_twin.core.config import Pattern
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.run.settings import Options, absolute_scene, merge_options, read_settings
 
@@ -29,7 +30,19 @@ def env(name: str, default: str | None = None) -> Parameter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneOptions:
+class TurntableOptions:
+    """What turns the lidar; None is not stated."""
+
+    pattern: Annotated[Pattern | None, env("PATTERN")] = None
+    """Base or table turns the lidar."""
+    turntable: Annotated[str | None, env("TURNTABLE"), Parameter(show=False)] = None
+    """Name of the turntable: xl330 or ideal."""
+    base: Annotated[str | None, Parameter(show=False)] = None
+    """Another name of ``--robot``: a stand is none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions(TurntableOptions):
     """What only the twin has a choice of; None is not stated."""
 
     scene: Annotated[str | None, env("SCENE", "{run.scene}")] = None
@@ -59,8 +72,7 @@ class RunOptions:
     tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front or scene's")] = None
     """Front or all round."""
     lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
-    """Link of the lidar; of urg04lx: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or
-    115200-full (682 steps, 5 Hz)."""
+    """Link of the lidar; of urg04lx: usb, 115200 or 115200-full."""
     preset: Annotated[str | None, env("PRESET", "{run.preset}")] = None
     """Named set of options: paper or best."""
     planner: Annotated[str | None, env("PLANNER", "the preset's, {config.planner}")] = None
@@ -96,26 +108,50 @@ class RunOptions:
 class PortOptions:
     """What the robot is made of, and where it is plugged in."""
 
-    robot: Annotated[str | None, env("ROBOT", "create1 or create2, by its answers")] = None
+    robot: Annotated[str | None, env("ROBOT", "by its answers")] = None
     """Name of the base (`twin devices`)."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
-    """Name of the lidar (`twin devices`); twin real also takes auto: the one that is plugged in."""
+    """Name of the lidar (`twin devices`); twin real: or auto."""
     port: Annotated[str | None, env("PORT", "by its USB id")] = None
     """Serial port of the base."""
     lidar_port: Annotated[str | None, env("LIDAR_PORT", "by its USB id")] = None
     """Serial port of the lidar."""
+    pattern: Annotated[Pattern | None, env("PATTERN", "yaw-base")] = None
+    """Base or table turns the lidar."""
+    turntable: Annotated[str | None, env("TURNTABLE", "none")] = None
+    """Name of the turntable (`twin devices`)."""
+    turntable_port: Annotated[str | None, env("TURNTABLE_PORT", "by its USB id")] = None
+    """Its serial port."""
 
 
 def stated_options(options: RunOptions, sections: Options) -> Options:
     """Return what the file, the dotted ``sections`` and the flat ``options`` state, merged."""
     file = {} if options.config is None else read_settings(options.config)
-    return merge_options([file, sections, _flat(options, sections)])
+    merged = merge_options([file, sections, _flat(options, sections)])
+    # A run that goes on knows its pattern
+    if "pattern" in merged or options.resume is not None or not names_turntable(options):
+        return merged
+    return {**merged, "pattern": TURNTABLE_PATTERN}
+
+
+TURNTABLE_PATTERN: Pattern = "yaw"
+"""Pattern of a turntable that is named without one."""
+
+
+def names_turntable(options: object) -> bool:
+    """Return whether ``options`` name a turntable or its port."""
+    named = (getattr(options, name, None) for name in ("turntable", "turntable_port"))
+    return any(each is not None for each in named)
 
 
 _RUN_OPTIONS = (
     "seed", "preset", "world", "target", "mesh_scale", "mesh_up", "room", "keyframe",
 )  # fmt: skip
 """Options that are fields of the table ``run``."""
+_TOP_OPTIONS = (
+    "tour", "planner", "max_views", "optimize_for", "robot", "pattern", "turntable", "lidar_link",
+)  # fmt: skip
+"""Options that are fields of ``Config`` or ``TwinConfig``."""
 
 
 def _flat(options: RunOptions, sections: Options) -> Options:
@@ -126,16 +162,29 @@ def _flat(options: RunOptions, sections: Options) -> Options:
             run[name] = absolute_scene(value)
         elif name in _RUN_OPTIONS:
             run[name] = value
-        elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
+        elif name in _TOP_OPTIONS:
             top[name] = value
         elif name == "lidar":
             top["lidar_model"] = value
+        elif name == "base":
+            top["robot"] = choose_base(top.get("robot"), value)
     planning = {}
     if options.epsilon is not None:
         if "epsilon" in sections.get("planning", {}):
             raise ConfigError("--epsilon [mm] and --planning.epsilon [m] are the same; give one")
         planning["epsilon"] = options.epsilon / 1e3
     return {**top, "run": run, "planning": planning}
+
+
+def choose_base(robot: str | None, base: str | None) -> str | None:
+    """Return the base that ``--robot`` or ``--base`` names; None where neither does.
+
+    Raises:
+        ConfigError: They name two.
+    """
+    if robot is not None and base is not None and robot != base:
+        raise ConfigError(f"--robot {robot} and --base {base} are the same; give one")
+    return robot if base is None else base
 
 
 def _given(options: RunOptions) -> Iterator[tuple[str, Any]]:

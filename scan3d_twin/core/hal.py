@@ -13,7 +13,15 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from scan3d_twin.core.types import Beams, FloatArray, Hazards, LidarSpec, Odometry, ScanLine
+from scan3d_twin.core.types import (
+    Beams,
+    FloatArray,
+    Hazards,
+    LidarSpec,
+    Odometry,
+    ScanLine,
+    TableAngle,
+)
 
 LIDAR_HEIGHT = 0.30
 """Height of the lidar above the floor [m], where it is not measured."""
@@ -66,6 +74,11 @@ class BaseSpec:
     max_wheel_speed: float
     sample_period: float
     min_wheel_speed: float = 0.0
+
+    @property
+    def is_stand(self) -> bool:
+        """Whether it has no wheels that turn."""
+        return self.max_wheel_speed == 0.0
 
 
 class DriveBase(Protocol):
@@ -146,8 +159,73 @@ class BeamStream(Lidar, Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class TurntableSpec:
+    """Limits of a turntable.
+
+    Attributes:
+        name: Model, such as ``xl330``.
+        min_angle: Smallest angle it turns to [rad].
+        max_angle: Largest angle it turns to [rad].
+        max_speed: [rad/s].
+        resolution: Step of its commands and of its angle sensor [rad].
+        sample_period: Time between two samples of its angle [s].
+        play: Nominal play between its angle sensor and what it carries [rad].
+    """
+
+    name: str
+    min_angle: float
+    max_angle: float
+    max_speed: float
+    resolution: float
+    sample_period: float
+    play: float = 0.0
+
+
+@runtime_checkable
+class Turntable(Protocol):
+    """A servo that turns the lidar about one axis, between the base and the lidar."""
+
+    @property
+    def spec(self) -> TurntableSpec:
+        """The turntable's model."""
+        ...
+
+    def turn_to(self, angle: float, speed: float) -> tuple[float, float]:
+        """Begin to turn to ``angle`` [rad] at ``speed`` [rad/s], until the next command.
+
+        Returns:
+            The (angle, speed) that was sent, after clipping to the limits and rounding to the
+            turntable's resolution.
+
+        Raises:
+            HazardError: It switched its torque off, as on overload or heat.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stay at the angle that is reached."""
+        ...
+
+    def angle(self) -> TableAngle:
+        """Return the latest angle."""
+        ...
+
+    def angles_since(self, stamp: float) -> tuple[TableAngle, ...]:
+        """Return the recorded angles, oldest first, from the last sample before ``stamp`` on."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
 class Robot:
     """A base that carries a lidar, with the clock that stamps the data of both.
+
+    Attributes:
+        base: What carries the lidar; a stand does not drive.
+        lidar: It sees the scene.
+        clock: Stamps the data of all.
+        T_base_lidar: Extrinsics of the lidar (4, 4), with a turntable at its angle 0.
+        turntable: What turns the lidar; None where the base does.
+        T_base_axis: Pose of the turntable's axis, its z (4, 4); None without a turntable.
 
     >>> with s3d.open_sim("three_boxes") as (robot, truth):
     ...     line = robot.lidar.read_line(1.0)
@@ -159,3 +237,5 @@ class Robot:
     lidar: Lidar
     clock: Clock
     T_base_lidar: FloatArray = field(default_factory=default_mount)
+    turntable: Turntable | None = None
+    T_base_axis: FloatArray | None = None

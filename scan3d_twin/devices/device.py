@@ -1,4 +1,4 @@
-"""Descriptions of lidars and bases: all that the rest of the package knows about a device.
+"""Descriptions of devices: all that the rest of the package knows about a lidar, base or turntable.
 
 Each family of devices is one folder with the same files: ``model.py`` (the numbers of the data
 sheet, with their sources), ``codec.py`` (bytes to values and back), ``driver.py``, ``emulator.py``,
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar
+from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar, Turntable, TurntableSpec
 from scan3d_twin.core.types import LidarSpec
 
 if TYPE_CHECKING:
@@ -60,6 +60,27 @@ class BaseDriver(DriveBase, Protocol):
 
     def close(self) -> None:
         """Stop the wheels and leave the base at rest; the line stays open."""
+        ...
+
+
+class TurntableDriver(Turntable, Protocol):
+    """A ``Turntable`` over a serial line."""
+
+    @property
+    def bad(self) -> int:
+        """Number of angles that are missing or arrived damaged."""
+        ...
+
+    def service(self, now: float) -> None:
+        """Take in what has arrived by ``now`` [s], without waiting.
+
+        Raises:
+            HazardError: The turntable has switched its torque off.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop the turntable, leave it at rest, and close its port."""
         ...
 
 
@@ -260,3 +281,33 @@ class BaseDevice:
     def opener(self, *, is_stated: bool) -> BaseOpener:
         """Return what opens this base where the user has stated it, or has not."""
         return self.open_stated if is_stated and self.open_stated else self.open_driver
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurntableDevice:
+    """One turntable: its data sheet, its driver, its emulator.
+
+    Attributes:
+        name: Name by which it is chosen, such as ``xl330``; also that of its entry point and of
+            ``spec``.
+        summary: One-line description.
+        spec: The data sheet.
+        open_driver: Opens the turntable, which does not move. Its arguments are a function that
+            opens the line, called again after it was unplugged, and a clock. Raises ``LinkError``
+            if there is no such turntable.
+        emulate: Returns an emulated device that moves a ``Turntable``.
+        usb_ids: Makers by USB id, to find its port: ``0403:6014``.
+        describe: Returns a one-line description of the device behind an open driver.
+        inspect: Yields further findings about the device behind an open driver.
+        options: Defaults of the configuration for this turntable, by section.
+    """
+
+    name: str
+    summary: str
+    spec: TurntableSpec
+    open_driver: Callable[[Callable[[], Transport], Clock], TurntableDriver]
+    emulate: Callable[[Turntable], Device]
+    usb_ids: Mapping[str, str] = field(default_factory=dict)
+    describe: Callable[[Any], str] | None = None
+    inspect: Callable[[Any], Iterator[Finding]] | None = None
+    options: ConfigTables = field(default_factory=dict)

@@ -2,8 +2,9 @@
 
 Each folder of ``devices`` is a family, whose ``__init__`` names its devices.
 
-Other packages add devices through the entry point groups ``scan3d_twin.lidars`` and
-``scan3d_twin.bases``: a name, and a ``LidarDevice`` or ``BaseDevice`` (docs/extending.md).
+Other packages add devices through the entry point groups ``scan3d_twin.lidars``,
+``scan3d_twin.bases`` and ``scan3d_twin.turntables``: a name, and a ``LidarDevice``, a
+``BaseDevice`` or a ``TurntableDevice`` (docs/extending.md).
 Importing this module is cheap (no numpy).
 """
 
@@ -23,12 +24,13 @@ from scan3d_twin.core.plugins import PluginError, load_plugin
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from scan3d_twin.devices.device import BaseDevice, LidarDevice, LidarProbe
+    from scan3d_twin.devices.device import BaseDevice, LidarDevice, LidarProbe, TurntableDevice
 
-D = TypeVar("D", "BaseDevice", "LidarDevice")
+D = TypeVar("D", "BaseDevice", "LidarDevice", "TurntableDevice")
 LIDARS, BASES = "scan3d_twin.lidars", "scan3d_twin.bases"
+TURNTABLES = "scan3d_twin.turntables"
 """Entry point groups in which other packages offer devices."""
-_STATED_IN = {LIDARS: "LIDARS", BASES: "BASES"}
+_STATED_IN = {LIDARS: "LIDARS", BASES: "BASES", TURNTABLES: "TURNTABLES"}
 """Attribute of a family's package that states its devices, by group."""
 DEFAULT_LIDAR, DEFAULT_BASE, DEFAULT_LINK = "urg04lx", "create2", "usb"
 """The devices of the paper's robot."""
@@ -70,6 +72,11 @@ def base_names() -> tuple[str, ...]:
     return _names(BASES)
 
 
+def turntable_names() -> tuple[str, ...]:
+    """Return the names that ``turntable_device`` knows."""
+    return _names(TURNTABLES)
+
+
 def lidar_device(name: str) -> LidarDevice:
     """Return the lidar called ``name``.
 
@@ -98,18 +105,33 @@ def base_device(name: str) -> BaseDevice:
     from scan3d_twin.devices.device import BaseDevice
 
     device = _load("robot", name, BASES, BaseDevice)
-    if device.spec.name != name:
-        place = _place("robot", name, BASES)
-        raise PluginError("robot", name, place, f"its spec's name is {device.spec.name!r}")
+    _check_spec("robot", name, device.spec.name, BASES)
     return device
+
+
+def turntable_device(name: str) -> TurntableDevice:
+    """Return the turntable called ``name``; raises the errors of ``lidar_device``."""
+    from scan3d_twin.devices.device import TurntableDevice
+
+    device = _load("turntable", name, TURNTABLES, TurntableDevice)
+    _check_spec("turntable", name, device.spec.name, TURNTABLES)
+    return device
+
+
+def _check_spec(kind: str, name: str, spec_name: str, group: str) -> None:
+    """Refuse a device whose spec has another name."""
+    if spec_name != name:
+        raise PluginError(
+            kind, name, _place(kind, name, group), f"its spec's name is {spec_name!r}"
+        )
 
 
 @cache
 def _own(group: str) -> dict[str, str]:
     """Return the place of each built-in device of a ``group``: module and attribute.
 
-    The package of each family states its devices in ``LIDARS`` and ``BASES``: by name, what they
-    are called in its module ``device``.
+    The package of each family states its devices in ``LIDARS``, ``BASES`` and ``TURNTABLES``: by
+    name, what they are called in its module ``device``.
     """
     own = {}
     for family in _families():

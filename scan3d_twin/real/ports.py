@@ -13,6 +13,7 @@ from scan3d_twin.devices.registry import (
     base_names,
     lidar_device,
     lidar_names,
+    turntable_device,
 )
 
 
@@ -80,20 +81,51 @@ def choose_ports(
     )
 
 
-def refuse_same_port(base: str, lidar: str) -> None:
-    """Refuse one port for both devices, also under two names.
+def choose_turntable_port(turntable: str | None, name: str, ports: list[Port] | None = None) -> str:
+    """Return the port of the turntable called ``name``; where it is not given, found by USB ids.
+
+    Args:
+        turntable: Its port; None to find it.
+        name: Its name.
+        ports: Ports to search; None is all serial ports on USB.
 
     Raises:
-        LinkError: Base and lidar are on the same port.
+        LinkError: No port matches, or more than one does.
+    """
+    if turntable is not None:
+        return turntable
+    free = usb_ports() if ports is None else ports
+    return _choose_only(free, turntable_device(name).usb_ids, "turntable", "--turntable-port")
+
+
+def ports_but(taken: str, ports: list[Port] | None = None) -> list[Port]:
+    """Return the serial ports on USB, or ``ports``, other than one that is ``taken``."""
+    found = usb_ports() if ports is None else ports
+    return [port for port in found if not _is_same(port.path, taken)]
+
+
+def refuse_same_port(base: str, lidar: str, roles: tuple[str, str] = ("base", "lidar")) -> None:
+    """Refuse one port for two devices, also under two names.
+
+    Args:
+        base: Port of the first.
+        lidar: Port of the second.
+        roles: What they are.
+
+    Raises:
+        LinkError: Both are on the same port.
     """
     # That there is no such port is said when it is opened
     if _is_same(base, lidar) and ("://" in base or Path(base).exists()):
-        raise _same_port_error(base, lidar)
+        raise _same_port_error(base, lidar, roles)
 
 
-def _same_port_error(base: str, lidar: str) -> LinkError:
+def _same_port_error(
+    base: str, lidar: str, roles: tuple[str, str] = ("base", "lidar")
+) -> LinkError:
     names = base if base == lidar else f"{base}, which is {lidar},"
-    return LinkError(f"{names} cannot be the port of both base and lidar: name another for one")
+    both = " and ".join(roles)
+    return LinkError(f"{names} cannot be the port of both {both}: name another for one")
 
 
 def _is_same(a: str, b: str | None) -> bool:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from scan3d_twin.core.errors import LinkTimeoutError
+from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
 from scan3d_twin.core.hal import Clock, Robot
+from scan3d_twin.core.types import FloatArray
 from scan3d_twin.devices.device import LidarDriver
 from scan3d_twin.devices.links.guard import Guard, PortGuard
+from scan3d_twin.devices.links.no_line import NoLine
 from scan3d_twin.devices.links.transport import Reopening, SerialTransport, Tapped, Transport
 from scan3d_twin.devices.registry import (
     DEFAULT_BASE,
@@ -17,6 +20,7 @@ from scan3d_twin.devices.registry import (
     Devices,
     base_device,
     lidar_device,
+    turntable_device,
 )
 from scan3d_twin.real.clock import RealClock
 from scan3d_twin.real.ports import refuse_same_port
@@ -73,6 +77,23 @@ class Taps(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class CarriedTurntable:
+    """A turntable between base and lidar.
+
+    Attributes:
+        name: Its name, see ``turntable_device``.
+        open_line: Opens the line to it; called again after it was unplugged.
+        T_base_axis: Pose of its axis, its z (4, 4).
+        T_base_lidar: Pose of the lidar at its angle 0 (4, 4).
+    """
+
+    name: str
+    open_line: Callable[[], Transport]
+    T_base_axis: FloatArray
+    T_base_lidar: FloatArray
+
+
 @contextmanager
 def open_over(
     base_link: Transport,
@@ -80,15 +101,17 @@ def open_over(
     clock: Clock,
     devices: Devices | None = None,
     guard: Guard | None = None,
+    carried: CarriedTurntable | None = None,
 ) -> Iterator[Robot]:
-    """Open the drivers on two lines; on every exit the wheels are stopped first.
+    """Open the drivers on their lines; on every exit the wheels are stopped first.
 
     Args:
-        base_link: The line to the base; stays open.
+        base_link: The line to the base, ``NoLine`` for a stand; stays open.
         open_lidar_link: Opens the line to the lidar; called again after it was unplugged.
         clock: A clock that services no drivers.
         devices: Devices on the lines; None is the robot of the paper.
         guard: Stops the wheels if this process cannot.
+        carried: The turntable that turns the lidar; None if the base does.
 
     Raises:
         LinkError: A device does not answer, or cannot deliver the lines wanted.
@@ -101,10 +124,19 @@ def open_over(
         # Open the base last, so that it is closed first.
         lidar = stack.enter_context(closing(open_lidar(open_lidar_link, serviced, devices.link)))
         serviced.attach(lidar)
+        table = None
+        if carried is not None:
+            open_table = turntable_device(carried.name).open_driver
+            table = stack.enter_context(closing(open_table(carried.open_line, serviced)))
+            serviced.attach(table)
         base = stack.enter_context(closing(open_base(base_link, serviced, guard)))
         serviced.attach(base)
         _forget_lines(lidar)
-        yield Robot(base, lidar, serviced)
+        if carried is None:
+            yield Robot(base, lidar, serviced)
+        else:
+            mount = carried.T_base_lidar, table, carried.T_base_axis
+            yield Robot(base, lidar, serviced, *mount)
 
 
 def _forget_lines(lidar: LidarDriver) -> None:
@@ -131,24 +163,26 @@ def identify_base(link: Transport, clock: Clock, base: str | None) -> None:
 
 @contextmanager
 def open_real(
-    base_port: str,
+    base_port: str | None,
     lidar_port: str,
     *,
     base: str | None = None,
     lidar: str = DEFAULT_LIDAR,
     link: str | None = None,
     taps: Taps | None = None,
+    turntable: CarriedTurntable | None = None,
 ) -> Iterator[Robot]:
-    """Open the robot on two serial ports; it does not move, and is stopped on every exit.
+    """Open the robot on its serial ports; it does not move, and is stopped on every exit.
 
     Args:
-        base_port: Port of the base, such as ``/dev/ttyUSB0``.
+        base_port: Port of the base, such as ``/dev/ttyUSB0``; None for a stand, which has none.
         lidar_port: Port of the lidar, such as ``/dev/ttyACM0``.
         base: Name of the base (``twin devices`` lists them); None finds out if it is a Create 1 or
             a Create 2.
         lidar: Name of the lidar.
         link: How the lidar is connected, one of its links; None is the first of them.
-        taps: Receive every byte sent and received.
+        taps: Receive every byte sent to base and lidar, and received.
+        turntable: What turns the lidar; None if the base does.
 
     Raises:
         UnknownNameError: There is no such device or link.
@@ -160,26 +194,35 @@ def open_real(
     Traceback (most recent call last):
     scan3d_twin.core.errors.LinkError: ...
     """
-    # Clock and guard
+    # Devices and clock
     devices = Devices(
         base or DEFAULT_BASE,
         lidar,
         link or lidar_device(lidar).links[0],
         is_base_stated=base is not None,
     )
-    refuse_same_port(base_port, lidar_port)
     device, clock = base_device(devices.base), RealClock()
-    stack = ExitStack()
-    guard = PortGuard(device.farewell, clock, stack.enter_context(count_continuations()))
-
-    def open_base_link() -> Transport:
-        port = SerialTransport(base_port)
-        guard.watch(port.fileno())
-        return port if taps is None else Tapped(port, clock, taps.base)
 
     def open_lidar_link() -> Transport:
         line = SerialTransport(lidar_port)
         return line if taps is None else Tapped(line, clock, taps.lidar)
+
+    # A stand has neither port nor wheels
+    if device.spec.is_stand:
+        with open_over(NoLine(), open_lidar_link, clock, devices, None, turntable) as robot:
+            yield robot
+        return
+    if base_port is None:
+        raise ConfigError(f"the base {devices.base} has a port, and none is given")
+    port = base_port
+    refuse_same_port(port, lidar_port)
+    stack = ExitStack()
+    guard = PortGuard(device.farewell, clock, stack.enter_context(count_continuations()))
+
+    def open_base_link() -> Transport:
+        line = SerialTransport(port)
+        guard.watch(line.fileno())
+        return line if taps is None else Tapped(line, clock, taps.base)
 
     # Open the ports, then the drivers
     with stack:
@@ -187,6 +230,7 @@ def open_real(
         base_link = stack.enter_context(
             closing(Reopening(open_base_link, clock, device.halt, guard.close))
         )
-        if not lidar_device(lidar).sends_text:
+        if turntable is not None or not lidar_device(lidar).sends_text:
             identify_base(base_link, clock, base)
-        yield stack.enter_context(open_over(base_link, open_lidar_link, clock, devices, guard))
+        opening = open_over(base_link, open_lidar_link, clock, devices, guard, turntable)
+        yield stack.enter_context(opening)

@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from scan3d_twin.core.digitize import STAND_REASON
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
+from scan3d_twin.core.scanning.sphere_density import measure_density
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, wrap
 from scan3d_twin.run.run_warnings import find_warnings
@@ -117,7 +119,23 @@ def build_report(
         "peak_memory_mb": _number(effort.peak_memory / 1e6, 1),
         "points": points,
         "mesh_accuracy_mm": _distances(mesh_accuracy) if mesh_accuracy else None,
+        **_density(session),
         "warnings": find_warnings(session, evaluation, notes),
+    }
+
+
+def _density(session: Session) -> Report:
+    """Return the density of the first view over the sphere, where a turntable took it."""
+    if not session.views or session.views[0].observation.image.T_scan_axis is None:
+        return {}
+    density = measure_density(session.views[0].observation.image)
+    return {
+        "density": {
+            "seen_share": _number(density.seen, 4),
+            "low_per_deg2": _number(density.low, 2),
+            "median_per_deg2": _number(density.median, 2),
+            "high_per_deg2": _number(density.high, 2),
+        }
     }
 
 
@@ -140,11 +158,12 @@ def report_schema() -> dict[str, Any]:
 def failure_reason(session: Session) -> str:
     """Return why ``session`` failed as a scan; an empty string when it did not.
 
-    A scan fails when fewer than two views are registered, unless only one was wanted. An accuracy
+    A scan fails when fewer than two views are registered, unless only one was wanted or can be had.
+    An accuracy
     that was not expected to be met is a warning.
     """
     registered = sum(v.registration is None or v.registration.converged for v in session.views)
-    needed = min(2, session.config.max_views)
+    needed = 1 if session.stop_reason == STAND_REASON else min(2, session.config.max_views)
     if registered < needed:
         return (
             f"{registered} of {len(session.views)} views registered, a model needs {needed}; "

@@ -6,10 +6,12 @@ Default is the `typical` robot: each seed draws its own errors from these distri
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from scan3d_twin.core.config import MountConfig, Pattern
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import check_options, number, repr_options
 from scan3d_twin.devices.registry import (
@@ -25,6 +27,7 @@ from scan3d_twin.sim.lidar.config import (
     UNFILTERED_LIDAR,
     LidarModelConfig,
 )
+from scan3d_twin.sim.turntable.model import DEFAULT_TURNTABLE, find_turntable
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
 
@@ -126,6 +129,18 @@ class TwinConfig:
     """Name of the lidar."""
     lidar_link: str = ""
     """How the lidar is connected: one of its links; where it is given empty, the first."""
+    pattern: Pattern = "yaw-base"
+    """What turns the plane of the lidar: the base about the vertical (yaw-base, as in the paper),
+    or a turntable about the vertical (yaw), the axis to the left (pitch) or that ahead (roll)."""
+    turntable: str = DEFAULT_TURNTABLE
+    """Name of the turntable: xl330 or ideal. With the pattern yaw-base there is none."""
+    lidar_yaw: float = number(0.0, -math.pi, math.pi)
+    """Turn of the lidar to the left on its mount, which the robot knows, unlike errors.mount_roll
+    [rad]; then lidar_pitch, then lidar_roll."""
+    lidar_pitch: float = number(0.0, -math.pi, math.pi)
+    """Turn of the lidar downwards on its mount [rad]."""
+    lidar_roll: float = number(0.0, -math.pi, math.pi)
+    """Turn of the lidar to its right on its mount [rad]."""
     lidar: LidarModelConfig = field(default_factory=LidarModelConfig)
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
 
@@ -133,7 +148,13 @@ class TwinConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
+        find_turntable(self.turntable)
         object.__setattr__(self, "lidar_link", self.devices.link)
+
+    @property
+    def turn(self) -> MountConfig:
+        """How the lidar is turned on its mount."""
+        return MountConfig(roll=self.lidar_roll, pitch=self.lidar_pitch, yaw=self.lidar_yaw)
 
     @property
     def devices(self) -> Devices:
@@ -170,11 +191,11 @@ class TwinConfig:
         stated = [base_device(devices.base).options, lidar_device(devices.lidar).options]
         lidar_errors, robot_errors = WORLDS[world]
         return cls(
-            devices.base,
-            devices.lidar,
-            devices.link,
-            _apply_stated("lidar", stated, lidar_errors),
-            _apply_stated("errors", stated, robot_errors),
+            robot=devices.base,
+            lidar_model=devices.lidar,
+            lidar_link=devices.link,
+            lidar=_apply_stated("lidar", stated, lidar_errors),
+            errors=_apply_stated("errors", stated, robot_errors),
         )
 
 

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from enum import IntEnum
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.hal import Robot
-from scan3d_twin.core.types import LidarSpec
+from scan3d_twin.core.hal import Robot, default_mount
+from scan3d_twin.core.scanning.extrinsics import apply_mount
+from scan3d_twin.core.scanning.patterns import TableMount, find_mount
+from scan3d_twin.core.types import FloatArray, LidarSpec
 from scan3d_twin.devices.registry import base_device, lidar_device
 from scan3d_twin.sim.base.drive_base import SimBase
+from scan3d_twin.sim.base.stand import SimStand
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.lidar.lidar import SimLidar
@@ -26,7 +31,9 @@ from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.start_check import check_place, check_stand
 from scan3d_twin.sim.trace import PoseTrace
 from scan3d_twin.sim.truth import Truth
-from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
+from scan3d_twin.sim.turntable.model import find_turntable
+from scan3d_twin.sim.turntable.turntable import SimTurntable
+from scan3d_twin.sim.world import Carriage, RobotErrors, Solver, World, build_model
 
 MANY_MESHES = 8
 """Number of mesh geoms from which exact rays take too long: a robot arm of 58 was evaluated for
@@ -39,6 +46,13 @@ class Stream(IntEnum):
     ROBOT = 0
     LIDAR = 1
     SURFACE = 2
+    TURNTABLE = 3
+
+
+Table = tuple[TableMount, SimTurntable]
+"""A turntable and where it is."""
+Parts = tuple[World, SimBase | SimStand, SimLidar, SimClock, Table | None]
+"""The parts of the twin."""
 
 
 def stream(seed: int, which: Stream) -> np.random.Generator:
@@ -83,11 +97,13 @@ def open_sim(
     True
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
-    with _open_twin(scene, seed, config, solver, spec) as (world, base, lidar, clock, caster):
+    with _open_twin(scene, seed, config, solver, spec) as (
+        (world, base, lidar, clock, table), caster,
+    ):  # fmt: skip
         trace = PoseTrace(world)
         clock.attach(trace)
         truth = Truth(scene, trace, _reference(scene.model, caster), lidar.evidence)
-        yield Robot(base, lidar, clock), truth
+        yield _assemble(base, lidar, clock, table, config), truth
 
 
 def _reference(model: Any, caster: RayCaster) -> RayCaster:
@@ -107,8 +123,23 @@ def open_robot(scene: Scene | str, seed: int, config: TwinConfig | None = None) 
         ConfigError, SceneError: See ``open_sim``.
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
-    with _open_twin(scene, seed, config, None, None) as (_, base, lidar, clock, _):
-        yield Robot(base, lidar, clock)
+    with _open_twin(scene, seed, config, None, None) as (parts, _):
+        yield _assemble(*parts[1:], config)
+
+
+def _assemble(
+    base: SimBase | SimStand,
+    lidar: SimLidar,
+    clock: SimClock,
+    table: Table | None,
+    config: TwinConfig | None,
+) -> Robot:
+    """Return the robot of these parts; it knows how its lidar is turned on its mount."""
+    turn = MountConfig() if config is None else config.turn
+    if table is None:
+        return Robot(base, lidar, clock, _turn_mount(turn))
+    mount, turntable = table
+    return Robot(base, lidar, clock, mount.T_base_lidar, turntable, mount.T_base_axis)
 
 
 @contextmanager
@@ -118,7 +149,7 @@ def _open_twin(
     config: TwinConfig | None,
     solver: Solver | None,
     spec: LidarSpec | None,
-) -> Iterator[tuple[World, SimBase, SimLidar, SimClock, RayCaster]]:
+) -> Iterator[tuple[Parts, RayCaster]]:
     """Open the parts of the twin; see ``open_sim``."""
     config = TwinConfig() if config is None else config
     if not isinstance(config, TwinConfig):
@@ -126,11 +157,21 @@ def _open_twin(
     if seed < 0:
         raise ConfigError(f"seed must be >= 0, got {seed}")
     errors = draw_robot(scene, seed, config.errors)
-    model, start = build_model(scene, config.robot, errors, solver), (scene.spawn.x, scene.spawn.y)
+    turn = None if config.turn == MountConfig() else apply_mount(np.eye(4), config.turn)[:3, :3]
+    model = build_model(scene, config.robot, errors, solver, config.pattern, turn)
+    start = (scene.spawn.x, scene.spawn.y)
     check_place(model, scene.name, start)
     world = World(scene, model)
     clock = SimClock(world)
-    base = SimBase(world, base_device(config.robot), config.errors)
+    own_base = base_device(config.robot)
+    base: SimBase | SimStand
+    if own_base.spec.is_stand:
+        if find_mount(config.pattern) is None:
+            raise ConfigError("a stand does not turn: choose --pattern yaw, pitch or roll")
+        base = SimStand(world, own_base.spec)
+    else:
+        base = SimBase(world, own_base, config.errors)
+    table = _open_turntable(world, seed, config)
     check_stand(world, scene.name, start, base.sense())
     caster = choose_caster(scene.model)
     surfaces = stream(seed, Stream.SURFACE)
@@ -138,8 +179,9 @@ def _open_twin(
     fixed_angles = spec is not None
     spec = device.spec(config.lidar_link) if spec is None else spec
     scanner = Scanner(
-        scene.model, config.robot, spec, config.lidar, caster, surfaces, device.sensor
-    )
+        scene.model, config.robot, spec, config.lidar, caster, surfaces, device.sensor,
+        config.pattern, turn,
+    )  # fmt: skip
     own = [seed, Stream.LIDAR]
     if fixed_angles or device.sample_rate is None:
         lidar = SimLidar(world, clock, scanner, own)
@@ -147,7 +189,29 @@ def _open_twin(
         rate = device.sample_rate(config.lidar_link)
         lidar = RotatingLidar(world, clock, scanner, own, rate)
     clock.attach(lidar, base)
+    if table is not None:
+        clock.attach(table[1])
     try:
-        yield world, base, lidar, clock, caster
+        yield (world, base, lidar, clock, table), caster
     finally:
         base.stop()
+
+
+def _turn_mount(turn: MountConfig) -> FloatArray:
+    """Return ``T_base_lidar`` of a lidar without a turntable, turned on its mount by ``turn``."""
+    return default_mount() if turn == MountConfig() else apply_mount(default_mount(), turn)
+
+
+def _open_turntable(world: World, seed: int, config: TwinConfig) -> Table | None:
+    """Return the turntable of ``config`` and its mount, in ``world``; None if the base turns."""
+    mount = find_mount(config.pattern)
+    if mount is None:
+        return None
+    model = find_turntable(config.turntable)
+    turntable = SimTurntable(world, model, stream(seed, Stream.TURNTABLE))
+    errors = config.errors
+    mount = replace(mount, T_base_lidar=apply_mount(mount.T_base_lidar, config.turn))
+    error = MountConfig(errors.mount_lateral, errors.mount_roll, errors.mount_pitch)
+    T_axis_lidar = apply_mount(mount.T_axis_lidar, error)
+    world.carriage = Carriage(turntable.carried_at, T_axis_lidar)
+    return mount, turntable

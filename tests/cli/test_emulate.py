@@ -83,7 +83,8 @@ def test_a_link_of_another_emulator_stays_and_a_file_is_not_replaced(tmp_path):
 
 def test_a_reply_takes_the_time_of_a_usb_adapter():
     """A client that flushes its input after writing loses no reply that was too fast."""
-    with ports(EmulateOptions()) as (clock, base, _):
+    with ports(EmulateOptions()) as (clock, served):
+        base = served["base"]
         line = base._line
         line.send(bytes([128, 142, 35]), clock.now(), 115200)
         asked, heard = clock.now(), b""

@@ -16,6 +16,8 @@ from scan3d_twin.devices.registry import (
     base_names,
     lidar_device,
     lidar_names,
+    turntable_device,
+    turntable_names,
 )
 from scan3d_twin.run.settings import build_settings, device_options, world_options
 from scan3d_twin.sim.config import TwinConfig
@@ -35,6 +37,7 @@ def others(monkeypatch):
     package.COLOURED = replace(package.COPY, name="coloured", options={"lidar": {"colour": 1}})
     package.TABLE = {"name": "table"}
     package.DRIFT = replace(create, name="drift")
+    package.TILT = replace(turntable_device("xl330"), name="tilt")
     monkeypatch.setitem(sys.modules, "others", package)
     points = EntryPoints(
         [
@@ -50,6 +53,9 @@ def others(monkeypatch):
             EntryPoint("table", "others:TABLE", registry.BASES),
             EntryPoint("drift", "others:DRIFT", registry.BASES),
             EntryPoint("alias", "others:DRIFT", registry.BASES),
+            EntryPoint("tilt", "others:TILT", registry.TURNTABLES),
+            EntryPoint("alias", "others:TILT", registry.TURNTABLES),
+            EntryPoint("table", "others:TABLE", registry.TURNTABLES),
             EntryPoint("broken", "scan3d_twin.no_such_module:BASE", registry.BASES),
         ]
     )
@@ -67,6 +73,10 @@ def test_every_device_has_its_own_name_and_one_line():
             assert 1000 * device.spec(link).max_range == pytest.approx(device.sensor.max_range_mm)
     for name in base_names():
         assert base_device(name).name == base_device(name).spec.name == name
+    for name in turntable_names():
+        turntable = turntable_device(name)
+        assert turntable.name == turntable.spec.name == name
+        assert "\n" not in turntable.summary
 
 
 @pytest.mark.usefixtures("others")
@@ -89,6 +99,9 @@ def test_other_packages_add_devices_and_replace_none():
         (base_device, "table", "it is no BaseDevice but {'name': 'table'}"),
         (base_device, "alias", "its own name is 'drift'"),
         (base_device, "drift", "its spec's name is 'create2'"),
+        (turntable_device, "table", "it is no TurntableDevice but {'name': 'table'}"),
+        (turntable_device, "alias", "its own name is 'tilt'"),
+        (turntable_device, "tilt", "its spec's name is 'xl330'"),
     ],
 )
 def test_what_is_no_device_of_its_name_is_refused(find, name, reason):
@@ -153,6 +166,8 @@ def test_the_device_says_which_links_are_usb(monkeypatch):
 def test_what_nobody_knows_lists_what_is_known():
     with pytest.raises(UnknownNameError, match=r"no lidar 'sick'; known: .*urg04lx"):
         lidar_device("sick")
+    with pytest.raises(UnknownNameError, match=r"no turntable 'mx28'; known: .*xl330"):
+        turntable_device("mx28")
     with pytest.raises(UnknownNameError, match="no robot 'turtlebot'; known: create1, create2"):
         Devices(base="turtlebot")
     with pytest.raises(UnknownNameError, match="no lidar link 'wifi'; known: 115200, "):

@@ -51,7 +51,7 @@ def test_the_named_devices_are_opened(monkeypatch):
     """The lidar's first link is taken where none is named."""
     opened = []
 
-    def open_over(base_link, open_lidar_link, clock, devices, guard):
+    def open_over(base_link, open_lidar_link, clock, devices, guard, turntable):
         opened.append(devices)
         raise LinkError("far enough")
 

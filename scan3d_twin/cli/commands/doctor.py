@@ -5,6 +5,7 @@ from __future__ import annotations
 import grp
 import importlib
 import json as json_module
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -24,6 +25,7 @@ from scan3d_twin.devices.registry import (
     Devices,
     base_device,
     lidar_device,
+    turntable_device,
 )
 
 if TYPE_CHECKING:
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
         BaseOpener,
         LidarDevice,
         LidarDriver,
+        TurntableDevice,
+        TurntableDriver,
     )
 
 LIBRARIES = ("numpy", "scipy", "serial", "mujoco", "trimesh")
@@ -44,6 +48,10 @@ LINES = 20
 MAX_DAMAGE = 1 / 20000
 """Damaged blocks for each byte from the lidar above which the cable is called bad, whether a block
 is a line of 2137 bytes or a node of 5: nearly each damaged byte spoils one; assumption."""
+SEEN_SHARE = 0.6
+"""Share of the angles of a turntable below which its adapter is called slow; assumption."""
+MAX_LATENCY = 1
+"""Time for which an adapter may hold bytes back [ms]."""
 LOW_BATTERY = 0.25
 """Below this the base should be charged before a run of some 20 minutes."""
 
@@ -55,6 +63,14 @@ NOT_ASKED = Finding(
     "a base is first to be found on the other port: what this lidar is sent may make a base drive",
 )
 """Said of a lidar whose requests may be commands to a base, as long as the base is not known."""
+
+TURNTABLE_NOT_ASKED = Finding(
+    "turntable",
+    False,
+    "not asked",
+    "a base is first to be found on the other port: what it is sent may make a base drive",
+)
+"""The same of a turntable."""
 
 Look = Callable[[str, "Clock"], Iterator[Finding]]
 """Yields what there is to say about the device on a port."""
@@ -69,7 +85,7 @@ class DoctorOptions(PortOptions):
 
 
 def doctor(*, options: Annotated[DoctorOptions, Parameter(name="*")] = DoctorOptions()) -> None:
-    """Check ports, permissions, base, lidar and libraries; nothing moves.
+    """Check ports, permissions, base, lidar, turntable and libraries; nothing moves.
 
     Raises:
         LinkError: A check failed; all findings have been printed.
@@ -95,8 +111,9 @@ def words(finding: Finding) -> str:
 
 def examine(options: PortOptions) -> Iterator[Finding]:
     """Yield the result of each check, the simplest first."""
+    from scan3d_twin.cli.commands.real import choose_turning
     from scan3d_twin.real.clock import RealClock
-    from scan3d_twin.real.ports import choose_ports, refuse_same_port, usb_ports
+    from scan3d_twin.real.ports import choose_ports, ports_but, refuse_same_port, usb_ports
 
     yield _libraries()
     yield from _modem_manager()
@@ -113,13 +130,18 @@ def examine(options: PortOptions) -> Iterator[Finding]:
     devices, clock = Devices(base.name, lidar.name, lidar.links[0]), RealClock()
     open_base = base.opener(is_stated=options.robot is not None)
     looks: tuple[Look, ...] = (partial(_base, base, open_base), partial(_lidar, lidar))
-    base_port, is_base_known = "-", False
+    base_port, is_base_known = "-", base.spec.is_stand
+    turning, taken = choose_turning(options), options.turntable_port
+    free = None if taken is None else ports_but(taken)
     for what, index, look in (("base", 0, looks[0]), ("lidar", 1, looks[1])):
         given = (options.port, options.lidar_port)[index]
+        if what == "base" and base.spec.is_stand:
+            yield Finding("base", True, base.summary)
+            continue
         try:
             # The lidar's name does not matter to the base, so it is made up.
             names = (given, options.lidar_port or "-") if index == 0 else (base_port, given)
-            port = choose_ports(names[0], names[1], devices)[index]
+            port = choose_ports(names[0], names[1], devices, free)[index]
         except LinkError as error:
             yield Finding(what, False, "not found", str(error))
             continue
@@ -131,6 +153,27 @@ def examine(options: PortOptions) -> Iterator[Finding]:
             is_base_known |= finding.what == what == "base" and finding.ok
             yield finding
         base_port = port
+    if turning.pattern != "yaw-base":
+        yield from _examine_turntable(options, turning.turntable, clock, is_base_known)
+
+
+def _examine_turntable(
+    options: PortOptions, name: str, clock: Clock, is_base_known: bool
+) -> Iterator[Finding]:
+    """Yield the checks of the turntable called ``name``."""
+    from scan3d_twin.real.ports import choose_turntable_port
+
+    try:
+        port = choose_turntable_port(options.turntable_port, name)
+    except LinkError as error:
+        yield Finding("turntable", False, "not found", str(error))
+        return
+    yield from _port("turntable", port)
+    yield from _latency(port)
+    if not is_base_known:
+        yield TURNTABLE_NOT_ASKED
+        return
+    yield from _answers("turntable", port, clock, partial(_turntable, turntable_device(name)))
 
 
 def _libraries() -> Finding:
@@ -263,5 +306,45 @@ def _lidar(device: LidarDevice, port: str, clock: Clock) -> Iterator[Finding]:
         yield Finding("lidar view", seen > 0.1, f"{seen:.0%} of the beams see something")
 
 
-def _described(device: BaseDevice | LidarDevice, driver: BaseDriver | LidarDriver) -> str:
+def _latency(port: str, root: Path = Path("/")) -> Iterator[Finding]:
+    """Yield how long an FTDI adapter holds bytes back, where the system says it."""
+    name = Path(port).resolve().name
+    file = root / "sys/bus/usb-serial/devices" / name / "latency_timer"
+    try:
+        milliseconds = int(file.read_text())
+    except (OSError, ValueError):
+        return
+    is_quick = milliseconds <= MAX_LATENCY
+    cure = "" if is_quick else f"echo {MAX_LATENCY} | sudo tee {file}"
+    yield Finding("turntable adapter", is_quick, f"holds bytes for {milliseconds} ms", cure)
+
+
+def _turntable(device: TurntableDevice, port: str, clock: Clock) -> Iterator[Finding]:
+    """Yield what the turntable says; it does not move."""
+    from scan3d_twin.devices.links.transport import SerialTransport
+
+    with closing(device.open_driver(lambda: SerialTransport(port), clock)) as table:
+        # Read its angle for a while
+        until, start = clock.now() + WATCHED, table.angle().stamp
+        while clock.now() < until:
+            clock.sleep(0.005)
+            table.service(clock.now())
+        rate = (len(table.angles_since(start)) - 1) / WATCHED
+        angle = math.degrees(table.angle().angle)
+
+        # What it is, and whether it speaks as often as it should
+        yield Finding("turntable", True, f"{_described(device, table)}, at {angle:.1f} deg")
+        wanted = 1 / table.spec.sample_period
+        good = rate > SEEN_SHARE * wanted
+        cure = "" if good else "check the cable; an adapter may hold bytes back: docs/hardware.md"
+        found = f"{rate:.0f} angles per second of {wanted:.0f}, {table.bad} missing"
+        yield Finding("turntable readings", good, found, cure)
+        if device.inspect is not None:
+            yield from device.inspect(table)
+
+
+def _described(
+    device: BaseDevice | LidarDevice | TurntableDevice,
+    driver: BaseDriver | LidarDriver | TurntableDriver,
+) -> str:
     return device.name if device.describe is None else device.describe(driver)

@@ -65,12 +65,19 @@ def planners(*, json: bool = False) -> None:
 
 
 def devices(*, json: bool = False) -> None:
-    """List the lidars and bases.
+    """List the bases, lidars and turntables.
 
     Args:
         json: Print one JSON document instead of lines.
     """
-    from scan3d_twin.devices.registry import base_device, base_names, lidar_device, lidar_names
+    from scan3d_twin.devices.registry import (
+        base_device,
+        base_names,
+        lidar_device,
+        lidar_names,
+        turntable_device,
+        turntable_names,
+    )
 
     bases = {
         name: f"[base] {_summarise(lambda name: base_device(name).summary, name)}"
@@ -80,7 +87,11 @@ def devices(*, json: bool = False) -> None:
         name: f"[lidar] {_summarise(lambda name: lidar_device(name).summary, name)}"
         for name in lidar_names()
     }
-    _show({**bases, **lidars}, json)
+    turntables = {
+        name: f"[turntable] {_summarise(lambda name: turntable_device(name).summary, name)}"
+        for name in turntable_names()
+    }
+    _show({**bases, **lidars, **turntables}, json)
 
 
 def _summarise(summary: Callable[[str], str], name: str) -> str:

@@ -7,16 +7,23 @@ import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from math import degrees
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
-from scan3d_twin.cli.options import PortOptions, RunOptions, stated_options
+from scan3d_twin.cli.options import (
+    TURNTABLE_PATTERN,
+    PortOptions,
+    RunOptions,
+    names_turntable,
+    stated_options,
+)
 from scan3d_twin.cli.viewing import ViewOptions
-from scan3d_twin.core.config import Config, preset_options
-from scan3d_twin.core.errors import HazardError, ScanError
+from scan3d_twin.core.config import Config, Pattern, preset_options
+from scan3d_twin.core.errors import ConfigError, HazardError, ScanError
 from scan3d_twin.run.settings import (
     REAL_SCENE,
     Options,
@@ -31,6 +38,7 @@ if TYPE_CHECKING:
     from scan3d_twin.api.resume import ResumedRun
     from scan3d_twin.core.hal import Robot
     from scan3d_twin.devices.registry import Devices
+    from scan3d_twin.real.robot import CarriedTurntable
     from scan3d_twin.recording.recorder import SerialTaps
 
     DottedOptions = Any
@@ -82,7 +90,8 @@ def real(
     resume = None if options.resume is None else _going_on(options, options.resume, given)
     effective = resolve(options, given) if resume is None else resume.settings
     taps = SerialTaps()
-    opening = open_robot(options, _devices(options, effective, given), taps)
+    turning = Turning(effective.twin.pattern, effective.twin.turntable)
+    opening = open_robot(options, _devices(options, effective, given), taps, turning)
     if options.dry_run:
         with opening as (robot, _):
             rehearse(robot, as_json=options.json)
@@ -148,7 +157,7 @@ def name_lidar(options: RealOptions) -> RealOptions:
     if options.lidar != AUTO:
         return options
     from scan3d_twin.devices.links.transport import SerialTransport
-    from scan3d_twin.devices.registry import DEFAULT_BASE, Devices
+    from scan3d_twin.devices.registry import DEFAULT_BASE, Devices, base_device
     from scan3d_twin.real.clock import RealClock
     from scan3d_twin.real.ports import choose_lidar_port, choose_ports
     from scan3d_twin.real.probe import find_lidar
@@ -157,35 +166,105 @@ def name_lidar(options: RealOptions) -> RealOptions:
     # A question to a lidar may be a command to a base: first see where that is
     port = choose_lidar_port(options.port, options.lidar_port)
     devices = Devices(options.robot or DEFAULT_BASE)
-    base_port, _ = choose_ports(options.port, port, devices)
-    with closing(SerialTransport(base_port)) as link:
-        identify_base(link, RealClock(), options.robot)
+    if not base_device(devices.base).spec.is_stand:
+        base_port, _ = choose_ports(options.port, port, devices)
+        with closing(SerialTransport(base_port)) as link:
+            identify_base(link, RealClock(), options.robot)
     name = find_lidar(lambda: SerialTransport(port), RealClock())
     print(f"lidar on {port}: {name}", file=sys.stderr)
     return replace(options, lidar=name, lidar_port=port)
 
 
+@dataclass(frozen=True, slots=True)
+class Turning:
+    """What turns the lidar.
+
+    Attributes:
+        pattern: The base (``yaw-base``), or a turntable about one of its axes.
+        turntable: Name of the turntable.
+    """
+
+    pattern: Pattern
+    turntable: str
+
+
+def choose_turning(options: PortOptions) -> Turning:
+    """Return what turns the lidar by the options alone."""
+    from scan3d_twin.cli.defaults import default_settings
+
+    twin = default_settings().twin
+    pattern = options.pattern or (TURNTABLE_PATTERN if names_turntable(options) else twin.pattern)
+    return Turning(pattern, options.turntable or twin.turntable)
+
+
 def open_robot(
-    options: PortOptions, devices: Devices, taps: SerialTaps | None = None
+    options: PortOptions,
+    devices: Devices,
+    taps: SerialTaps | None = None,
+    turning: Turning | None = None,
 ) -> AbstractContextManager[tuple[Robot, None]]:
     """Return what opens the robot on the ports that are given or found; nobody knows the truth."""
-    from scan3d_twin.real.ports import choose_ports
+    from scan3d_twin.devices.registry import base_device
+    from scan3d_twin.real.ports import choose_ports, ports_but, refuse_same_port
     from scan3d_twin.real.robot import open_real
 
     @contextmanager
     def opened() -> Iterator[tuple[Robot, None]]:
-        ports = choose_ports(options.port, options.lidar_port, devices)
+        # The port of a turntable may look like one of a base
+        port, carried = carry_turntable(options, turning or choose_turning(options))
+        free = None if port is None else ports_but(port)
+        is_stand = base_device(devices.base).spec.is_stand
+        if is_stand and options.port is not None:
+            raise ConfigError("a stand has no port: leave out --port")
+        own = "-" if is_stand else options.port
+        ports = choose_ports(own, options.lidar_port, devices, free)
+        for role, other in zip(("base", "lidar"), ports, strict=True):
+            if port is not None:
+                refuse_same_port(other, port, (role, "turntable"))
         base = devices.base if devices.is_base_stated else None
         with open_real(
-            *ports, base=base, lidar=devices.lidar, link=devices.link, taps=taps
+            None if is_stand else ports[0],
+            ports[1],
+            base=base,
+            lidar=devices.lidar,
+            link=devices.link,
+            taps=taps,
+            turntable=carried,
         ) as robot:
             yield robot, None
 
     return opened()
 
 
+def carry_turntable(
+    options: PortOptions, turning: Turning
+) -> tuple[str, CarriedTurntable] | tuple[None, None]:
+    """Return the port of the turntable, and what carries the lidar; None where the base turns it.
+
+    Raises:
+        UnknownNameError: There is no such turntable.
+        ConfigError: A turntable is named, but the base turns the lidar.
+        LinkError: Its port is not found.
+    """
+    from scan3d_twin.core.scanning.patterns import find_mount
+    from scan3d_twin.devices.links.transport import SerialTransport
+    from scan3d_twin.real.ports import choose_turntable_port
+    from scan3d_twin.real.robot import CarriedTurntable
+
+    mount = find_mount(turning.pattern)
+    if mount is None:
+        if names_turntable(options):
+            raise ConfigError(
+                f"a turntable turns nothing by --pattern {turning.pattern}: leave one out"
+            )
+        return None, None
+    port = choose_turntable_port(options.turntable_port, turning.turntable)
+    place = mount.T_base_axis, mount.T_base_lidar
+    return port, CarriedTurntable(turning.turntable, lambda: SerialTransport(port), *place)
+
+
 def rehearse(robot: Robot, *, as_json: bool) -> None:
-    """Read both devices and print their state; do not move.
+    """Read all devices and print their state; do not move.
 
     Raises:
         HazardError: The robot could not drive off.
@@ -205,6 +284,9 @@ def rehearse(robot: Robot, *, as_json: bool) -> None:
         "lidar_beams": robot.lidar.spec.n_beams,
         "lidar_seen_percent": round(100 * seen),
     }
+    if robot.turntable is not None:
+        angle = robot.turntable.angle().angle
+        found |= {"turntable": robot.turntable.spec.name, "turntable_deg": round(degrees(angle), 1)}
     if as_json:
         print(json_module.dumps(found, indent=2))
     else:

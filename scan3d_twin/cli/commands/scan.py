@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from scan3d_twin.cli.options import PortOptions, env
+from scan3d_twin.cli.options import PortOptions, TurntableOptions, choose_base, env
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, Devices
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OneScanOptions(PortOptions):
+class OneScanOptions(TurntableOptions, PortOptions):
     """What is scanned, and how finely."""
 
     scene: Annotated[str | None, env("SCENE", "none, the real robot")] = None
@@ -49,8 +49,8 @@ class OneScanOptions(PortOptions):
 def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOptions()) -> None:
     """Take one 3D image from where the robot stands.
 
-    The robot turns on the spot, and writes scan.ply, the points in the frame of the sweep, and
-    scan.npz, the raw range image; with --back also scan_back.npz.
+    The robot turns on the spot, or its turntable turns the lidar, and writes scan.ply, the points
+    in the frame of the sweep, and scan.npz, the raw range image; with --back also scan_back.npz.
 
     Raises:
         TwinError: The image could not be taken; the robot is stopped.
@@ -61,11 +61,12 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
 
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
+    base = choose_base(options.robot, options.base)
     devices = Devices(
-        options.robot or DEFAULT_BASE,
+        base or DEFAULT_BASE,
         options.lidar or DEFAULT_LIDAR,
         options.lidar_link or "",
-        is_base_stated=options.robot is not None,
+        is_base_stated=base is not None,
     )
     if options.scene and (options.port or options.lidar_port):
         raise ConfigError("--scene is for the twin, --port and --lidar-port for the real robot")
@@ -88,7 +89,7 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
 def _opening(
     options: OneScanOptions, devices: Devices
 ) -> AbstractContextManager[tuple[Robot, object]]:
-    from scan3d_twin.cli.commands.real import open_robot
+    from scan3d_twin.cli.commands.real import choose_turning, open_robot
 
     if options.scene is None:
         return open_robot(options, devices)
@@ -96,6 +97,8 @@ def _opening(
     from scan3d_twin.sim.robot import open_sim
 
     config = TwinConfig.of(DEFAULT_WORLD, devices.base, devices.lidar, devices.link)
+    turning = choose_turning(options)
+    config = replace(config, pattern=turning.pattern, turntable=turning.turntable)
     return open_sim(options.scene, options.seed, config)
 
 

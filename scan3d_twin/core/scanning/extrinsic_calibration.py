@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -193,7 +193,12 @@ def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
 
 
 def calibrate_on_panorama(image: RangeImage) -> Calibration | None:
-    """Return the extrinsics by one panorama; None where it shows no planes."""
+    """Return the extrinsics by one panorama; None where it shows no planes.
+
+    None for a panorama by a turntable too: nothing of the base shows in it.
+    """
+    if image.T_scan_axis is not None:
+        return None
     try:
         return calibrate([[image]])
     except RegistrationError:
@@ -207,7 +212,7 @@ def describe_suspicion(found: Calibration | None) -> str:
     """
     if found is None:
         return ""
-    values = np.array(astuple(found.mount))
+    values = np.array([getattr(found.mount, name) for name in PARAMETERS])
     if not np.any(np.abs(values) > np.maximum(WARNING_LIMITS, WARNING_SIGMAS * found.sigmas)):
         return ""
     return f"the lidar seems mounted {describe_mount(found.mount)}: run `twin calibrate lidar`"

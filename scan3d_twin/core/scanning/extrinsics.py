@@ -12,11 +12,19 @@ from scan3d_twin.core.types import FloatArray, Observation, RangeImage, read_onl
 
 
 def apply_mount(T_base_lidar: FloatArray, mount: MountConfig) -> FloatArray:
-    """Return the extrinsics ``T_base_lidar`` (4, 4), corrected by offset and tilt of ``mount``."""
+    """Return the extrinsics ``T_base_lidar`` (4, 4), corrected by offset and turns of ``mount``."""
     T = T_base_lidar.copy()
     T[1, 3] += mount.lateral
+    if mount.yaw != 0.0:
+        T[:3, :3] = T[:3, :3] @ yaw_matrix(mount.yaw)
     T[:3, :3] = T[:3, :3] @ tilt_matrix(mount.roll, mount.pitch)
     return T
+
+
+def yaw_matrix(yaw: float) -> FloatArray:
+    """Return the rotation matrix Rz(yaw) (3, 3)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def tilt_matrix(roll: float, pitch: float) -> FloatArray:
@@ -26,11 +34,15 @@ def tilt_matrix(roll: float, pitch: float) -> FloatArray:
 
 
 def correct_extrinsics(observation: Observation, mount: MountConfig) -> Observation:
-    """Return a sweep corrected by the calibrated ``mount``; as it is if all of it is 0."""
+    """Return a sweep corrected by the calibrated ``mount``; as it is if all of it is 0.
+
+    The yaw scale is that of the wheels: a turntable measures its angle.
+    """
     if mount == MountConfig():
         return observation
     image = observation.image
-    yaws = (1.0 + mount.yaw_scale) * image.yaws + mount.time_offset * measure_turn_rate(image)
+    scale = mount.yaw_scale if image.T_scan_axis is None else 0.0
+    yaws = (1.0 + scale) * image.yaws + mount.time_offset * measure_turn_rate(image)
     T = apply_mount(image.T_base_lidar, mount)
     image = replace(image, yaws=read_only(yaws), T_base_lidar=read_only(T))
     return replace(observation, image=image)
@@ -53,6 +65,7 @@ def compose_mounts(first: MountConfig, then: MountConfig) -> MountConfig:
         pitch=first.pitch + then.pitch,
         yaw_scale=(1.0 + first.yaw_scale) * (1.0 + then.yaw_scale) - 1.0,
         time_offset=first.time_offset + then.time_offset,
+        yaw=first.yaw + then.yaw,
     )
 
 
