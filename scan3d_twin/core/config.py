@@ -25,6 +25,7 @@ from scan3d_twin.core.presets import DEFAULT_PRESET, PAPER, PRESETS
 Tour = Literal["front", "full"]
 Resource = Literal["speed", "memory"]
 Scope = Literal["target", "sweep"]
+Extraction = Literal["salient", "everything"]
 Turning = Literal["odometry", "look"]
 Border = Literal["drop", "keep"]
 Engine = Literal["icp", "grid"]
@@ -129,6 +130,9 @@ class TargetConfig:
     """Distance in the top view below which two things are one target [m]."""
     min_points: int = number(30, 1, 1_000_000)
     """Number of points below which a group is stray points."""
+    extraction: Extraction = "salient"
+    """What is modelled: the salient target, or everything within reach, with floor and walls, in
+    views of a scanner that is set down by hand."""
 
     __repr__ = repr_options
 

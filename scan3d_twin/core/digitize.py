@@ -21,6 +21,7 @@ from scan3d_twin.core.mapping.scan_matching import match_to_previous, predict_po
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.observer import Observer, Unobserved
+from scan3d_twin.core.placed_views import integrate_placed
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
 from scan3d_twin.core.planning.standoff import fit_standoff
@@ -318,8 +319,11 @@ def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
 def integrate(session: Session, observation: Observation) -> Session:
     """Return ``session`` with the view that ``observation`` makes, aligned on loop closure.
 
-    Pure: the same session and observation give the same result.
+    Pure: the same session and observation give the same result. A view without odometry is placed
+    by ``integrate_placed``.
     """
+    if not observation.has_odometry:
+        return integrate_placed(session, observation)
     config = session.config
 
     # Clean the range image

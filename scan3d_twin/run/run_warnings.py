@@ -107,9 +107,14 @@ def _check_registrations(session: Session) -> Iterator[str]:
         if result.ambiguity_gap < MIN_AMBIGUITY_GAP:
             yield f"View {k}: another place fits almost as well; compare it with its neighbours."
         if len(result.degenerate_directions):
+            determines = (
+                "only odometry determines the pose"
+                if view.observation.has_odometry
+                else "nothing determines the pose"
+            )
             yield (
                 f"View {k}: the surfaces leave {len(result.degenerate_directions)} direction(s) "
-                "open, in which only odometry determines the pose. A bare wall or a round object?"
+                f"open, in which {determines}. A bare wall or a round object?"
             )
 
 
