@@ -235,6 +235,8 @@ def begin_session(
 
 def tune_config(session: Session, config: Config) -> Config:
     """Return ``config`` for a run that continues ``session``, tuned by its first panorama."""
+    if not session.panoramas:
+        return config
     panorama = session.panoramas[0][1]
     tuned = apply_yaw_scale(config, calibrate_on_panorama(panorama.image))
     return fit_standoff(tuned, panorama, session.hint)

@@ -40,6 +40,15 @@ def find_warnings(
     return found if evaluation is None else [*found, *_check_model(evaluation)]
 
 
+def describe_doubts(session: Session) -> list[str]:
+    """Return one sentence for each doubt about the place of a view, as the report has them."""
+    return [
+        *_check_registrations(session),
+        *_check_misfits(session),
+        *_check_errors(session, None),
+    ]
+
+
 class OdometryCheck(Unobserved):
     """Warns once, as soon as several views show that the odometry is wrong."""
 
@@ -105,7 +114,11 @@ def _check_registrations(session: Session) -> Iterator[str]:
             yield f"View {k} is not registered ({why}): its pose is that of the odometry alone."
             continue
         if result.ambiguity_gap < MIN_AMBIGUITY_GAP:
-            yield f"View {k}: another place fits almost as well; compare it with its neighbours."
+            unsure = ":" if view.observation.has_odometry else " is unsure:"
+            yield (
+                f"View {k}{unsure} another place fits almost as well; compare it with its "
+                "neighbours."
+            )
         if len(result.degenerate_directions):
             determines = (
                 "only odometry determines the pose"

@@ -1,0 +1,162 @@
+"""The angle of a turning axis and the mount of the lidar on it, from the transforms of a recording.
+
+Of the chain of frames from the lidar to the root, the transform that turns most is the axis. What
+lies between it and the lidar is the mount; what lies beyond it is left out, as registration finds
+where the scanner stood.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.types import FloatArray
+
+MIN_TURN = math.radians(5.0)
+"""Least angle by which an axis turns in a recording [rad]."""
+MAX_TILT = math.radians(2.0)
+"""Largest angle by which an axis may lean while it turns [rad]."""
+MAX_FRAMES = 100
+"""Longest chain of frames."""
+
+
+@dataclass
+class FrameTree:
+    """Transforms by the frame that they place: stamps, translations and rotations in its parent.
+
+    Attributes:
+        parents: Parent of each frame.
+        samples: Time [s], x, y, z [m] and quaternion x, y, z, w of each frame in its parent.
+    """
+
+    parents: dict[str, str] = field(default_factory=dict)
+    samples: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
+
+    def add(self, message: Any) -> None:
+        """Add the transforms of a ``tf2_msgs/TFMessage``."""
+        for each in message.transforms:
+            child, parent = each.child_frame_id.lstrip("/"), each.header.frame_id.lstrip("/")
+            place, turn = each.transform.translation, each.transform.rotation
+            row = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+            if all(math.isfinite(value) for value in row) and any(row[3:]):
+                self.parents[child] = parent
+                stamp = each.header.stamp.sec + each.header.stamp.nanosec / 1e9
+                self.samples.setdefault(child, []).append((stamp, *row))
+
+    def chain(self, frame: str) -> list[str]:
+        """Return ``frame`` and the frames above it that have parents, the nearest first."""
+        frames: list[str] = []
+        while frame in self.parents and frame not in frames and len(frames) < MAX_FRAMES:
+            frames.append(frame)
+            frame = self.parents[frame]
+        return frames
+
+
+@dataclass(frozen=True)
+class TurningAxis:
+    """An axis that turns about the vertical, and what it carries.
+
+    Attributes:
+        name: Its frame, or joint.
+        stamps: Times of the angles (n,), ascending [s].
+        angles: Angle, left positive, not wrapped (n,) [rad].
+        T_axis_laser: Mount of the lidar's frame, its scan plane x-y (4, 4); None if unknown.
+        places: Where the axis stood (n, 3) [m]; None if unknown.
+    """
+
+    name: str
+    stamps: FloatArray
+    angles: FloatArray
+    T_axis_laser: FloatArray | None = None
+    places: FloatArray | None = None
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the angle at ``times`` (...) [rad]; NaN before the first and after the last."""
+        found = np.interp(times, self.stamps, self.angles, left=np.nan, right=np.nan)
+        return np.asarray(found)
+
+    def place_at(self, times: FloatArray) -> FloatArray | None:
+        """Return where the axis stood at ``times`` (n,) in (n, 3) [m]; None if unknown."""
+        if self.places is None:
+            return None
+        columns = [np.interp(times, self.stamps, self.places[:, k]) for k in range(3)]
+        return np.stack(columns, axis=1)
+
+
+def find_turning_axis(tree: FrameTree, frame: str, origin: str) -> TurningAxis | None:
+    """Return what turns the lidar whose scans are in ``frame``; None if nothing does.
+
+    Raises:
+        FileError: It turns about another axis than the vertical.
+    """
+    chain = tree.chain(frame.lstrip("/"))
+    turns = [_measure_turn(tree.samples[each]) for each in chain]
+    if not turns or max(turns) < MIN_TURN:
+        return None
+    k = int(np.argmax(turns))
+
+    # Unwrap the angle about the axis
+    rows = _sort(tree.samples[chain[k]])
+    turning = Rotation.from_quat(rows[:, 4:8])
+    lean = turning.as_matrix()[:, 2, 2]
+    if np.min(lean) < math.cos(MAX_TILT):
+        raise FileError(
+            f"{origin}: the frame {chain[k]} does not turn about the vertical z axis; scanners "
+            "that pitch or roll the plane are imported with --axis"
+        )
+    matrices = turning.as_matrix()
+    angles = np.unwrap(np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]))
+
+    # Compose the mount from the frames below it
+    mount = np.eye(4)
+    for each in reversed(chain[:k]):
+        mount = mount @ _matrix(tree.samples[each][0])
+    return TurningAxis(chain[k], rows[:, 0], angles, mount, rows[:, 1:4])
+
+
+def find_joint(
+    joints: dict[str, list[tuple[float, float]]], name: str | None, origin: str
+) -> TurningAxis | None:
+    """Return the joint ``name``, or the one that turns most; None if none does.
+
+    Raises:
+        FileError: There is no such joint.
+    """
+    if name is not None and name not in joints:
+        known = ", ".join(sorted(joints)) or "none"
+        raise FileError(f"{origin}: no joint {name!r}; joints: {known}")
+    chosen = [name] if name is not None else sorted(joints, key=lambda each: -_span(joints[each]))
+    for each in chosen[:1]:
+        if _span(joints[each]) >= MIN_TURN:
+            rows = np.array(sorted(set(joints[each])))
+            return TurningAxis(each, rows[:, 0], np.unwrap(rows[:, 1]))
+    return None
+
+
+def _span(rows: Sequence[tuple[float, float]]) -> float:
+    return float(np.ptp([position for _, position in rows])) if rows else 0.0
+
+
+def _sort(samples: list[tuple[float, ...]]) -> FloatArray:
+    """Return samples (n, 8) by time, each time once."""
+    rows = np.array(samples)
+    return rows[np.unique(rows[:, 0], return_index=True)[1]]
+
+
+def _measure_turn(samples: list[tuple[float, ...]]) -> float:
+    """Return by how much the samples turn away from the first one at most [rad]."""
+    turns = Rotation.from_quat(np.array(samples)[:, 4:8])
+    return float(np.max((turns[0].inv() * turns).magnitude()))
+
+
+def _matrix(sample: tuple[float, ...]) -> FloatArray:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(sample[4:8]).as_matrix()
+    T[:3, 3] = sample[1:4]
+    return T
