@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from scan3d_twin.core.errors import HazardError
+from scan3d_twin.core.errors import ConfigError, HazardError
 from scan3d_twin.core.hal import Clock, Robot
 from scan3d_twin.devices.device import Wiring
 from scan3d_twin.devices.links.line_model import Wire
@@ -15,6 +15,16 @@ from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.truth import Truth
+
+
+def refuse_turntable(config: TwinConfig, reason: str) -> None:
+    """Refuse a twin with a turntable, for a ``reason``.
+
+    Raises:
+        ConfigError: It has one.
+    """
+    if config.pattern != "yaw-base":
+        raise ConfigError(f"--pattern {config.pattern} needs a turntable, and {reason}")
 
 
 class HazardFreeClock:
@@ -46,6 +56,7 @@ def open_wired(
         LinkError: The lidar's link cannot carry the lines asked for.
     """
     config = TwinConfig() if config is None else config
+    refuse_turntable(config, "the emulated devices have none")
     with open_sim(scene, seed, config) as (twin, truth):
         # Emulate the devices
         clock = HazardFreeClock(twin.clock)

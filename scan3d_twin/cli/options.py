@@ -42,8 +42,14 @@ class SceneOptions:
     """Room of a mesh: WxD [m], or none."""
     keyframe: Annotated[str | None, env("KEYFRAME", "reference pose")] = None
     """Keyframe for an .xml."""
-    robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
+    robot: Annotated[str | None, env("ROBOT", "{twin.robot}"), Parameter(alias="--base")] = None
     """Name of the base (`twin devices`)."""
+    pattern: Annotated[
+        Literal["yaw-base", "yaw", "pitch", "roll"] | None, env("PATTERN", "{twin.pattern}")
+    ] = None
+    """What turns the lidar: the base, or a turntable about one of its axes."""
+    turntable: Annotated[str | None, env("TURNTABLE", "{twin.turntable}")] = None
+    """Name of the turntable: xl330 or ideal."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
     """Name of the lidar (`twin devices`)."""
     world: Annotated[str | None, env("WORLD", "{run.world}")] = None
@@ -116,6 +122,10 @@ _RUN_OPTIONS = (
     "seed", "preset", "world", "target", "mesh_scale", "mesh_up", "room", "keyframe",
 )  # fmt: skip
 """Options that are fields of the table ``run``."""
+_TOP_OPTIONS = (
+    "tour", "planner", "max_views", "optimize_for", "robot", "pattern", "turntable", "lidar_link",
+)  # fmt: skip
+"""Options that are fields of ``Config`` or ``TwinConfig``."""
 
 
 def _flat(options: RunOptions, sections: Options) -> Options:
@@ -126,7 +136,7 @@ def _flat(options: RunOptions, sections: Options) -> Options:
             run[name] = absolute_scene(value)
         elif name in _RUN_OPTIONS:
             run[name] = value
-        elif name in ("tour", "planner", "max_views", "optimize_for", "robot", "lidar_link"):
+        elif name in _TOP_OPTIONS:
             top[name] = value
         elif name == "lidar":
             top["lidar_model"] = value

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import (
@@ -22,6 +22,9 @@ from scan3d_twin.core.options import (
 )
 from scan3d_twin.core.presets import DEFAULT_PRESET, PAPER, PRESETS
 
+Pattern = Literal["yaw-base", "yaw", "pitch", "roll"]
+PATTERNS: tuple[str, ...] = get_args(Pattern)
+"""The ways to turn the plane of the lidar (``core/scanning/patterns.py``)."""
 Tour = Literal["front", "full"]
 Resource = Literal["speed", "memory"]
 Scope = Literal["target", "sweep"]

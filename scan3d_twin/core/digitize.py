@@ -6,6 +6,7 @@ simulation, the real robot, replay and tests all run the same algorithm.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator
 from dataclasses import replace
 from typing import Protocol
@@ -34,6 +35,7 @@ from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target, find_target
+from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import (
     FloatArray,
@@ -53,6 +55,8 @@ DEFAULT_CONFIG = Config()
 PLANNING_STREAM = 2
 """Random stream of planning: view k draws from ``default_rng([seed, k, stream])``; stream 0 belongs
 to the sensor and the motion, stream 1 to registration."""
+STAND_REASON = "a stand does not drive"
+"""Why the loop of a stand ends after its view."""
 PAUSE_PERIOD = 0.1
 """Period at which a paused run asks for the next command [s]."""
 
@@ -124,6 +128,8 @@ def run_loop(
             has seen all finished views.
     """
     scout = _WatchedRobot(robot, observer)
+    if robot.base.spec.is_stand:
+        planner = StandPlanner()
     if earlier is None:
         loop = iterate_views(scout, *begin_session(robot, config, seed, observer, target))
     else:
@@ -226,6 +232,8 @@ def begin_session(
 
     # Choose target and first viewpoint
     here = robot.base.odometry().T_odom_base
+    if robot.base.spec.is_stand:
+        return start_stand_session(panorama, here, tuned, seed, target), here
     session, viewpoint = start_session(panorama, here, tuned, seed, target)
     standoff = session.config.planning.standoff
     if standoff != tuned.planning.standoff:
@@ -289,12 +297,38 @@ def start_session(
     return session, here @ viewpoint
 
 
+def start_stand_session(
+    panorama: Observation,
+    here: Pose2,
+    config: Config,
+    seed: int,
+    target: tuple[float, float] | None,
+) -> Session:
+    """Return an empty session of a stand, which sees the target from where it stands.
+
+    Args and errors as for ``start_session``; every place is a viewpoint.
+    """
+    hint = find_target(panorama, target, config)
+    contour = extract_panorama_contour(here.inverse().apply(hint))
+    return Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, panorama),))
+
+
+class StandPlanner:
+    """The planner of a stand: it stays where it is."""
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        """See ``Planner.plan``: one view, and no other."""
+        return Plan(None, 0.0, math.nan, False, (), STAND_REASON)
+
+
 def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer) -> Observation:
     """Drive to ``viewpoint`` in ``odom``, around obstacles, and return a sweep from there."""
     # Drive and sweep
     started = robot.clock.now()
-    observer.on_event(f"driving to viewpoint {len(session.views)}")
-    touched = drive(robot, viewpoint, session, observer)
+    touched: tuple[tuple[float, float], ...] = ()
+    if not robot.base.spec.is_stand:
+        observer.on_event(f"driving to viewpoint {len(session.views)}")
+        touched = drive(robot, viewpoint, session, observer)
     observer.on_event(f"scanning view {len(session.views)}")
     half = session.plans[-1].half_width if session.plans else None
     observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line, half)
@@ -324,9 +358,12 @@ def integrate(session: Session, observation: Observation) -> Session:
     Pure: the same session and observation give the same result. A view without odometry is placed
     by ``integrate_placed``.
     """
+    # Place the lines of a tilted axis on an upright grid
+    config, upright = session.config, make_upright(observation.image)
+    if upright is not observation.image:
+        observation = replace(observation, image=upright)
     if not observation.has_odometry:
         return integrate_placed(session, observation)
-    config = session.config
 
     # Clean the range image
     image = remove_mixed_pixels(observation.image, config.gaps)

@@ -72,6 +72,11 @@ class BaseSpec:
     sample_period: float
     min_wheel_speed: float = 0.0
 
+    @property
+    def is_stand(self) -> bool:
+        """Whether it has no wheels that turn."""
+        return self.max_wheel_speed == 0.0
+
 
 class DriveBase(Protocol):
     """A differential-drive base."""
@@ -161,6 +166,7 @@ class TurntableSpec:
         max_speed: [rad/s].
         resolution: Step of its commands and of its angle sensor [rad].
         sample_period: Time between two samples of its angle [s].
+        play: Nominal play between its angle sensor and what it carries [rad].
     """
 
     name: str
@@ -169,8 +175,10 @@ class TurntableSpec:
     max_speed: float
     resolution: float
     sample_period: float
+    play: float = 0.0
 
 
+@runtime_checkable
 class Turntable(Protocol):
     """A servo that turns the lidar about one axis, between the base and the lidar."""
 
@@ -208,6 +216,14 @@ class Turntable(Protocol):
 class Robot:
     """A base that carries a lidar, with the clock that stamps the data of both.
 
+    Attributes:
+        base: What carries the lidar; a stand does not drive.
+        lidar: It sees the scene.
+        clock: Stamps the data of all.
+        T_base_lidar: Extrinsics of the lidar (4, 4), with a turntable at its angle 0.
+        turntable: What turns the lidar; None where the base does.
+        T_base_axis: Pose of the turntable's axis, its z (4, 4); None without a turntable.
+
     >>> with s3d.open_sim("three_boxes") as (robot, truth):
     ...     line = robot.lidar.read_line(1.0)
     >>> line.ranges.shape == robot.lidar.spec.elevations.shape
@@ -218,3 +234,5 @@ class Robot:
     lidar: Lidar
     clock: Clock
     T_base_lidar: FloatArray = field(default_factory=default_mount)
+    turntable: Turntable | None = None
+    T_base_axis: FloatArray | None = None

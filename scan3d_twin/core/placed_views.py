@@ -30,6 +30,7 @@ from scan3d_twin.core.scanning.target_extraction import (
     extract_target,
     find_target,
 )
+from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import (
     FloatArray,
@@ -56,6 +57,7 @@ def begin_placed_session(observation: Observation, config: Config, seed: int = 0
     Raises:
         SceneError: There is no salient target, and only that is to be modelled.
     """
+    observation = replace(observation, image=make_upright(observation.image))
     if config.target.extraction == "everything":
         points = extract_everything(observation.image, config).points
         hint = points[:: max(1, len(points) // HINT_POINTS), :2]

@@ -279,14 +279,18 @@ class RangeImage:
 
     Attributes:
         stamps: Time of each line (n_lines,) [s].
-        yaws: Heading of the base when each beam was measured, in ``scan`` (n_lines, n_beams) [rad].
+        yaws: Heading of the base when each beam was measured, in ``scan``, or the angle of the
+            turntable about its axis (n_lines, n_beams) [rad].
         ranges: Distances, NaN where there is no valid return (n_lines, n_beams) [m].
         codes: Error codes, ``VALID`` where measured; a filled gap keeps its code (n_lines,
             n_beams).
         spec: The lidar's geometry.
-        T_base_lidar: Extrinsics of the lidar (4, 4).
+        T_base_lidar: Extrinsics of the lidar in what is turned: the base, or the frame ``axis`` of
+            a turntable (4, 4).
         elevations: Elevation of each reading (n_lines, n_beams) [rad], beam j near that of
             ``spec``; None where all lines have those of ``spec``.
+        T_scan_axis: Pose of the turntable's axis, its z, in ``scan`` (4, 4); None where the base
+            turned. A point is ``T_scan_axis Rz(yaw) T_base_lidar beam``.
 
     >>> image = session.views[0].observation.image
     >>> image.ranges.shape == image.yaws.shape == image.points.shape[:2]
@@ -300,6 +304,7 @@ class RangeImage:
     spec: LidarSpec
     T_base_lidar: FloatArray
     elevations: FloatArray | None = None
+    T_scan_axis: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if self.elevations is not None and np.array_equal(
@@ -331,7 +336,8 @@ class RangeImage:
     def directions(self) -> FloatArray:
         """Beam directions in ``scan`` (n_lines, n_beams, 3); computed anew each time."""
         yaws = self.yaws
-        return np.stack(_rotated(self.beams, np.cos(yaws), np.sin(yaws)), axis=-1)
+        turned = np.stack(_rotated(self.beams, np.cos(yaws), np.sin(yaws)), axis=-1)
+        return self._rotated_to_scan(turned)
 
     @property
     def points(self) -> FloatArray:
@@ -343,7 +349,9 @@ class RangeImage:
 
     @property
     def heights(self) -> FloatArray:
-        """Heights of the ``points`` (n_lines, n_beams) [m]; the turns do not change them."""
+        """Heights of the ``points`` (n_lines, n_beams) [m]; turns of the base change none."""
+        if self._axis is not None:
+            return np.asarray(self.points[..., 2])
         return np.asarray(self.T_base_lidar[2, 3] + self.ranges * self.beams[..., 2])
 
     def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
@@ -355,7 +363,18 @@ class RangeImage:
         """Return the ``directions`` of some readings (n, 3), by their lines (n,) and beams (n,)."""
         yaws = self.yaws[lines, beams]
         turned = _rotated(self._beams_at(lines, beams), np.cos(yaws), np.sin(yaws))
-        return np.stack(turned, axis=-1)
+        return self._rotated_to_scan(np.stack(turned, axis=-1))
+
+    @property
+    def _axis(self) -> FloatArray | None:
+        """``T_scan_axis``, or None where it changes nothing."""
+        T = self.T_scan_axis
+        return None if T is None or np.array_equal(T, np.eye(4)) else T
+
+    def _rotated_to_scan(self, vectors: FloatArray) -> FloatArray:
+        """Return directions (..., 3), rotated from ``axis`` to ``scan``."""
+        T = self._axis
+        return vectors if T is None else np.asarray(vectors @ T[:3, :3].T)
 
     def _placed(self, ranges: FloatArray, beams: FloatArray, yaws: FloatArray) -> FloatArray:
         """Return points (..., 3) at ``ranges`` along ``beams`` (..., 3), the base at ``yaws``."""
@@ -364,11 +383,12 @@ class RangeImage:
         levers, turned = _rotated(self.T_base_lidar[:3, 3], c, s), _rotated(beams, c, s)
         for i, (lever, beam) in enumerate(zip(levers, turned, strict=True)):
             np.add(lever, ranges * beam, out=result[..., i])
-        return result
+        T = self._axis
+        return result if T is None else self._rotated_to_scan(result) + T[:3, 3]
 
     @property
     def beams(self) -> FloatArray:
-        """Beam directions in ``base``: (n_lines, n_beams, 3), or (n_beams, 3) if lines agree."""
+        """Beam directions in what turns: (n_lines, n_beams, 3), or (n_beams, 3) if lines agree."""
         own = self.elevations
         return self._directions_in_base(self.spec.elevations if own is None else own)
 

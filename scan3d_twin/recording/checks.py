@@ -73,6 +73,8 @@ def check_image(image: RangeImage) -> None:
         raise FileError("a sweep without readings")
     _require("stamps", image.stamps, (None,))
     _require("T_base_lidar", image.T_base_lidar, (4, 4))
+    if image.T_scan_axis is not None:
+        _require("T_scan_axis", image.T_scan_axis, (4, 4))
     _require("yaws", image.yaws, (lines, beams))
     _require("codes", image.codes, (lines, beams), kinds="iu")
     _require("ranges", image.ranges, (lines, beams), nan=True)
@@ -82,9 +84,9 @@ def check_image(image: RangeImage) -> None:
     # Values
     if np.nanmin(image.ranges, initial=0.0) < 0:
         raise FileError("ranges below 0")
-    rotation = image.T_base_lidar[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-        raise FileError("T_base_lidar is no transform")
+    for name, T in (("T_base_lidar", image.T_base_lidar), ("T_scan_axis", image.T_scan_axis)):
+        if T is not None and not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
+            raise FileError(f"{name} is no transform")
 
 
 def _check_spec(spec: LidarSpec) -> None:

@@ -22,7 +22,7 @@ def image_bytes(observation: Observation) -> bytes:
     ranges, codes, elevations, beam_times, T_base_lidar``, ``range_limits`` (the shortest and the
     longest distance of the lidar [m]), and ``points`` (n_lines, n_beams, 3) in frame ``scan`` with
     NaN where there is no return. ``line_elevations`` (n_lines, n_beams) is there only if the lines
-    have elevations of their own.
+    have elevations of their own, ``T_scan_axis`` only if a turntable turned the lidar.
     """
     image = observation.image
     return npz_bytes(**image_arrays(image), points=image.points)
@@ -41,6 +41,8 @@ def npz_bytes(level: int = COMPRESSION_LEVEL, /, **arrays: npt.NDArray[Any]) -> 
 def image_arrays(image: RangeImage) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of a range image that a file stores, by the names of its fields."""
     own = {} if image.elevations is None else {"line_elevations": image.elevations}
+    if image.T_scan_axis is not None:
+        own["T_scan_axis"] = image.T_scan_axis
     return {
         "stamps": image.stamps,
         "yaws": image.yaws,

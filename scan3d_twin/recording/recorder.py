@@ -12,6 +12,7 @@ from scan3d_twin.core.errors import FileError, TwinError
 from scan3d_twin.core.hal import BaseSpec, DriveBase, Robot
 from scan3d_twin.core.navigation.motion_control import measure_travel
 from scan3d_twin.core.observer import Command, with_clock_callbacks
+from scan3d_twin.core.scanning.patterns import turn_lidar
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Hazards, Odometry, Pose2, ScanLine
 from scan3d_twin.recording.load import RecordedRun
@@ -120,7 +121,7 @@ class Recorder:
         self._robot: Robot | None = None
         self._T_world_odom = Pose2() if earlier is None else _odom_in_world(earlier.session)
         self._last: Odometry | None = None
-        self._framed = 0.0
+        self._framed, self._turned = 0.0, -1.0
         self._path = [] if earlier is None else _path_of_views(earlier.session)
         self._kept = self._has_lines = False
         self._failure: FileError | None = None
@@ -136,9 +137,10 @@ class Recorder:
         self._robot = robot
         if self._reopened:
             self._last = robot.base.odometry()
-        self._file.write(
-            "/tf_static", robot.clock.now(), ros.encode_mount(robot.T_base_lidar), latched=True
-        )
+        if robot.turntable is None:
+            self._file.write(
+                "/tf_static", robot.clock.now(), ros.encode_mount(robot.T_base_lidar), latched=True
+            )
         self._follow()
 
         # Wrap base and clock
@@ -274,6 +276,17 @@ class Recorder:
                 self._framed = sample.stamp
             self._extend_path(sample)
             self._last = sample
+        self._follow_turntable(robot)
+
+    def _follow_turntable(self, robot: Robot) -> None:
+        """Write where the turntable held the lidar since the last call."""
+        if robot.turntable is None or robot.T_base_axis is None:
+            return
+        for sample in robot.turntable.angles_since(self._turned):
+            if sample.stamp > self._turned:
+                T = turn_lidar(robot.T_base_axis, robot.T_base_lidar, sample.angle)
+                self._file.write("/tf", sample.stamp, ros.encode_mount(T, sample.stamp))
+                self._turned = sample.stamp
 
     def _extend_path(self, sample: Odometry) -> None:
         """Add where the robot is, as it is known now, if it has moved on."""

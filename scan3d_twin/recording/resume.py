@@ -13,10 +13,19 @@ from contextlib import suppress
 from dataclasses import replace
 
 from scan3d_twin.core.errors import HazardError, RegistrationError, ScanError
-from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar, Robot
+from scan3d_twin.core.hal import BaseSpec, Clock, DriveBase, Lidar, Robot, Turntable, TurntableSpec
 from scan3d_twin.core.registration import PosePrior, extract_surfels, register
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Hazards, LidarSpec, Odometry, Pose2, ScanLine, rms, wrap
+from scan3d_twin.core.types import (
+    Hazards,
+    LidarSpec,
+    Odometry,
+    Pose2,
+    ScanLine,
+    TableAngle,
+    rms,
+    wrap,
+)
 from scan3d_twin.recording.session_log import Mark
 
 HALF_STEP = 0.001
@@ -82,7 +91,9 @@ def continue_odometry(robot: Robot, T_odom_here: Pose2, stamp: float) -> Robot:
     clock = _ShiftedClock(robot.clock, later)
     T_odom_opened = T_odom_here @ robot.base.odometry().T_odom_base.inverse()
     base = _ContinuedBase(robot.base, T_odom_opened, later)
-    return replace(robot, base=base, lidar=_ShiftedLidar(robot.lidar, later), clock=clock)
+    table = None if robot.turntable is None else _ShiftedTurntable(robot.turntable, later)
+    lidar = _ShiftedLidar(robot.lidar, later)
+    return replace(robot, base=base, lidar=lidar, clock=clock, turntable=table)
 
 
 class _ShiftedClock:
@@ -96,6 +107,30 @@ class _ShiftedClock:
     def now(self) -> float:
         """See ``Clock.now``."""
         return self._clock.now() + self._later
+
+
+class _ShiftedTurntable:
+    """A ``Turntable`` with stamps of the shifted clock."""
+
+    def __init__(self, table: Turntable, later: float) -> None:
+        self._table, self._later = table, later
+        self.turn_to, self.stop = table.turn_to, table.stop
+
+    @property
+    def spec(self) -> TurntableSpec:
+        """See ``Turntable.spec``."""
+        return self._table.spec
+
+    def angle(self) -> TableAngle:
+        """See ``Turntable.angle``."""
+        return self._shift(self._table.angle())
+
+    def angles_since(self, stamp: float) -> tuple[TableAngle, ...]:
+        """See ``Turntable.angles_since``."""
+        return tuple(self._shift(each) for each in self._table.angles_since(stamp - self._later))
+
+    def _shift(self, sample: TableAngle) -> TableAngle:
+        return replace(sample, stamp=sample.stamp + self._later)
 
 
 class _ShiftedLidar:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from scan3d_twin.core.digitize import STAND_REASON
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, wrap
@@ -140,11 +141,12 @@ def report_schema() -> dict[str, Any]:
 def failure_reason(session: Session) -> str:
     """Return why ``session`` failed as a scan; an empty string when it did not.
 
-    A scan fails when fewer than two views are registered, unless only one was wanted. An accuracy
+    A scan fails when fewer than two views are registered, unless only one was wanted or can be had.
+    An accuracy
     that was not expected to be met is a warning.
     """
     registered = sum(v.registration is None or v.registration.converged for v in session.views)
-    needed = min(2, session.config.max_views)
+    needed = 1 if session.stop_reason == STAND_REASON else min(2, session.config.max_views)
     if registered < needed:
         return (
             f"{registered} of {len(session.views)} views registered, a model needs {needed}; "

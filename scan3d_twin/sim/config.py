@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from scan3d_twin.core.config import Pattern
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import check_options, number, repr_options
 from scan3d_twin.devices.registry import (
@@ -25,6 +26,7 @@ from scan3d_twin.sim.lidar.config import (
     UNFILTERED_LIDAR,
     LidarModelConfig,
 )
+from scan3d_twin.sim.turntable.model import DEFAULT_TURNTABLE, find_turntable
 
 __all__ = ["IDEAL_LIDAR", "IDEAL_ROBOT", "LidarModelConfig", "RobotErrorConfig", "TwinConfig"]
 
@@ -126,6 +128,11 @@ class TwinConfig:
     """Name of the lidar."""
     lidar_link: str = ""
     """How the lidar is connected: one of its links; where it is given empty, the first."""
+    pattern: Pattern = "yaw-base"
+    """What turns the plane of the lidar: the base about the vertical (yaw-base, as in the paper),
+    or a turntable about the vertical (yaw), the axis to the left (pitch) or that ahead (roll)."""
+    turntable: str = DEFAULT_TURNTABLE
+    """Name of the turntable: xl330 or ideal. With the pattern yaw-base there is none."""
     lidar: LidarModelConfig = field(default_factory=LidarModelConfig)
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
 
@@ -133,6 +140,7 @@ class TwinConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
+        find_turntable(self.turntable)
         object.__setattr__(self, "lidar_link", self.devices.link)
 
     @property
@@ -170,11 +178,11 @@ class TwinConfig:
         stated = [base_device(devices.base).options, lidar_device(devices.lidar).options]
         lidar_errors, robot_errors = WORLDS[world]
         return cls(
-            devices.base,
-            devices.lidar,
-            devices.link,
-            _apply_stated("lidar", stated, lidar_errors),
-            _apply_stated("errors", stated, robot_errors),
+            robot=devices.base,
+            lidar_model=devices.lidar,
+            lidar_link=devices.link,
+            lidar=_apply_stated("lidar", stated, lidar_errors),
+            errors=_apply_stated("errors", stated, robot_errors),
         )
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.hal import default_mount
 from scan3d_twin.core.types import (
     FloatArray,
@@ -151,6 +152,9 @@ class KinematicRobot:
         thinning: Thinning,
     ) -> None:
         """Open the robot that ``seed`` draws from ``twin``, as ``open_sim`` would."""
+        if twin.pattern != "yaw-base":
+            raise ConfigError(f"no turntable, as for the pattern {twin.pattern}, without physics")
+
         # Skipped beams leave the others without neighbours
         lidar = replace(twin.lidar.for_single_beams(), line_loss=0.0)
         device = lidar_device(twin.lidar_model)

@@ -10,11 +10,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.scanning.extrinsics import apply_mount
+from scan3d_twin.core.scanning.patterns import TableMount, find_mount
 from scan3d_twin.core.types import LidarSpec
 from scan3d_twin.devices.registry import base_device, lidar_device
 from scan3d_twin.sim.base.drive_base import SimBase
+from scan3d_twin.sim.base.stand import SimStand
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.config import RobotErrorConfig, TwinConfig
 from scan3d_twin.sim.lidar.lidar import SimLidar
@@ -26,7 +30,9 @@ from scan3d_twin.sim.scenes.scene import Scene
 from scan3d_twin.sim.start_check import check_place, check_stand
 from scan3d_twin.sim.trace import PoseTrace
 from scan3d_twin.sim.truth import Truth
-from scan3d_twin.sim.world import RobotErrors, Solver, World, build_model
+from scan3d_twin.sim.turntable.model import find_turntable
+from scan3d_twin.sim.turntable.turntable import SimTurntable
+from scan3d_twin.sim.world import Carriage, RobotErrors, Solver, World, build_model
 
 MANY_MESHES = 8
 """Number of mesh geoms from which exact rays take too long: a robot arm of 58 was evaluated for
@@ -39,6 +45,13 @@ class Stream(IntEnum):
     ROBOT = 0
     LIDAR = 1
     SURFACE = 2
+    TURNTABLE = 3
+
+
+Table = tuple[TableMount, SimTurntable]
+"""A turntable and where it is."""
+Parts = tuple[World, SimBase | SimStand, SimLidar, SimClock, Table | None]
+"""The parts of the twin."""
 
 
 def stream(seed: int, which: Stream) -> np.random.Generator:
@@ -83,11 +96,13 @@ def open_sim(
     True
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
-    with _open_twin(scene, seed, config, solver, spec) as (world, base, lidar, clock, caster):
+    with _open_twin(scene, seed, config, solver, spec) as (
+        (world, base, lidar, clock, table), caster,
+    ):  # fmt: skip
         trace = PoseTrace(world)
         clock.attach(trace)
         truth = Truth(scene, trace, _reference(scene.model, caster), lidar.evidence)
-        yield Robot(base, lidar, clock), truth
+        yield _assemble(base, lidar, clock, table), truth
 
 
 def _reference(model: Any, caster: RayCaster) -> RayCaster:
@@ -106,8 +121,18 @@ def open_robot(scene: Scene | str, seed: int, config: TwinConfig | None = None) 
         ConfigError, SceneError: See ``open_sim``.
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
-    with _open_twin(scene, seed, config, None, None) as (_, base, lidar, clock, _):
-        yield Robot(base, lidar, clock)
+    with _open_twin(scene, seed, config, None, None) as (parts, _):
+        yield _assemble(*parts[1:])
+
+
+def _assemble(
+    base: SimBase | SimStand, lidar: SimLidar, clock: SimClock, table: Table | None
+) -> Robot:
+    """Return the robot of these parts."""
+    if table is None:
+        return Robot(base, lidar, clock)
+    mount, turntable = table
+    return Robot(base, lidar, clock, mount.T_base_lidar, turntable, mount.T_base_axis)
 
 
 @contextmanager
@@ -117,7 +142,7 @@ def _open_twin(
     config: TwinConfig | None,
     solver: Solver | None,
     spec: LidarSpec | None,
-) -> Iterator[tuple[World, SimBase, SimLidar, SimClock, RayCaster]]:
+) -> Iterator[tuple[Parts, RayCaster]]:
     """Open the parts of the twin; see ``open_sim``."""
     config = TwinConfig() if config is None else config
     if not isinstance(config, TwinConfig):
@@ -125,11 +150,20 @@ def _open_twin(
     if seed < 0:
         raise ConfigError(f"seed must be >= 0, got {seed}")
     errors = draw_robot(scene, seed, config.errors)
-    model, start = build_model(scene, config.robot, errors, solver), (scene.spawn.x, scene.spawn.y)
+    model = build_model(scene, config.robot, errors, solver, config.pattern)
+    start = (scene.spawn.x, scene.spawn.y)
     check_place(model, scene.name, start)
     world = World(scene, model)
     clock = SimClock(world)
-    base = SimBase(world, base_device(config.robot), config.errors)
+    own_base = base_device(config.robot)
+    base: SimBase | SimStand
+    if own_base.spec.is_stand:
+        if find_mount(config.pattern) is None:
+            raise ConfigError("a stand does not turn: choose --pattern yaw, pitch or roll")
+        base = SimStand(world, own_base.spec)
+    else:
+        base = SimBase(world, own_base, config.errors)
+    table = _open_turntable(world, seed, config)
     check_stand(world, scene.name, start, base.sense())
     caster = choose_caster(scene.model)
     surfaces = stream(seed, Stream.SURFACE)
@@ -137,8 +171,9 @@ def _open_twin(
     fixed_angles = spec is not None
     spec = device.spec(config.lidar_link) if spec is None else spec
     scanner = Scanner(
-        scene.model, config.robot, spec, config.lidar, caster, surfaces, device.sensor
-    )
+        scene.model, config.robot, spec, config.lidar, caster, surfaces, device.sensor,
+        config.pattern,
+    )  # fmt: skip
     own = [seed, Stream.LIDAR]
     if fixed_angles or device.sample_rate is None:
         lidar = SimLidar(world, clock, scanner, own)
@@ -146,7 +181,23 @@ def _open_twin(
         rate = device.sample_rate(config.lidar_link)
         lidar = RotatingLidar(world, clock, scanner, own, rate)
     clock.attach(lidar, base)
+    if table is not None:
+        clock.attach(table[1])
     try:
-        yield world, base, lidar, clock, caster
+        yield (world, base, lidar, clock, table), caster
     finally:
         base.stop()
+
+
+def _open_turntable(world: World, seed: int, config: TwinConfig) -> Table | None:
+    """Return the turntable of ``config`` and its mount, in ``world``; None if the base turns."""
+    mount = find_mount(config.pattern)
+    if mount is None:
+        return None
+    model = find_turntable(config.turntable)
+    turntable = SimTurntable(world, model, stream(seed, Stream.TURNTABLE))
+    errors = config.errors
+    error = MountConfig(errors.mount_lateral, errors.mount_roll, errors.mount_pitch)
+    T_axis_lidar = apply_mount(mount.T_axis_lidar, error)
+    world.carriage = Carriage(turntable.carried_at, T_axis_lidar)
+    return mount, turntable

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import SceneError
+from scan3d_twin.core.scanning.patterns import find_mount
 from scan3d_twin.core.types import FloatArray, IntArray, read_only
 from scan3d_twin.devices.registry import base_device
 from scan3d_twin.sim.base.uneven_floor import draw_uneven_floor, lay_floor
@@ -17,6 +18,7 @@ from scan3d_twin.sim.config import RobotErrorConfig
 from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.scenes.mjcf.floors import find_floor_planes
 from scan3d_twin.sim.scenes.scene import Scene
+from scan3d_twin.sim.turntable.body import add_turntable
 
 PREFIX = "robot/"
 TIMESTEP = 0.002
@@ -25,6 +27,9 @@ SETTLE_TIME = 1.0
 """Physics time before time 0, for the suspension to settle [s]."""
 HISTORY_STEPS = 16_384
 """Number of latest steps whose poses are kept: 32 s, a sweep of 300 lines."""
+YAW_BASE = "yaw-base"
+"""The pattern without a turntable."""
+_SIDES = (("left", 1), ("right", -1))
 TRACE_SENSORS = slice(-6, None)
 """Sensors with a history: the lidar's position and axes; the base's position and quaternion."""
 
@@ -69,19 +74,28 @@ class RobotErrors:
         return self if scene.friction is None else replace(self, friction=scene.friction)
 
 
-def robot_spec(robot: str) -> Any:
-    """Return the robot's own ``MjSpec``, with the body and the wheels of its data sheet."""
+def robot_spec(robot: str, pattern: str = YAW_BASE, *, hinged: bool = False) -> Any:
+    """Return the robot's own ``MjSpec``, with the body and the wheels of its data sheet.
+
+    Args:
+        robot: Name of the base.
+        pattern: What turns the lidar; a turntable is on its mast unless the base does.
+        hinged: Whether the turntable is on a hinge of the model, see ``add_turntable``.
+    """
     device = base_device(robot)
-    path = device.mjcf or find_resource_dir("assets") / "mjcf" / "create2.xml"
+    own = "stand.xml" if device.spec.is_stand else "create2.xml"
+    path = device.mjcf or find_resource_dir("assets") / "mjcf" / own
     spec = mujoco.MjSpec.from_file(str(path))
     if device.mjcf is None:
         chassis = spec.geom("chassis")
         chassis.size = [device.spec.radius, *chassis.size[1:]]
     radius, half = device.spec.wheel_diameter / 2, device.spec.wheel_base / 2
-    for side, sign in (("left", 1), ("right", -1)):
+    for side, sign in () if device.spec.is_stand else _SIDES:
         tyre = spec.geom(f"{side}_tyre")
         tyre.size = [radius, tyre.size[1], radius]
         spec.body(f"{side}_mount").pos = [0, sign * half, radius]
+    if (mount := find_mount(pattern)) is not None:
+        add_turntable(spec, mount, hinged=hinged)
     for sensor in spec.sensors[TRACE_SENSORS]:
         sensor.nsample = HISTORY_STEPS
     return spec
@@ -101,8 +115,16 @@ class Solver:
     impratio: float = 10.0
 
 
-def build_model(scene: Scene, robot: str, errors: RobotErrors, solver: Solver | None = None) -> Any:
+def build_model(
+    scene: Scene,
+    robot: str,
+    errors: RobotErrors,
+    solver: Solver | None = None,
+    pattern: str = YAW_BASE,
+) -> Any:
     """Return the compiled model of ``scene`` with a robot of these ``errors`` at its spawn.
+
+    A turntable for a ``pattern`` is on its mast.
 
     Raises:
         SceneError: They do not compile together, as with a keyframe without the robot's joints.
@@ -113,11 +135,14 @@ def build_model(scene: Scene, robot: str, errors: RobotErrors, solver: Solver | 
     frame = spec.worldbody.add_frame(
         pos=[scene.spawn.x, scene.spawn.y, 0.0], quat=[np.cos(half), 0, 0, np.sin(half)]
     )
-    child = robot_spec(robot)
+    child = robot_spec(robot, pattern)
 
     # Apply its errors
     errors = errors.on(scene)
-    _apply_errors(child, errors)
+    if not base_device(robot).spec.is_stand:
+        _apply_wheel_errors(child, errors)
+    if pattern == YAW_BASE and any(errors.mount):
+        _tilt_lidar(child.site("lidar"), errors.mount)
     spec.attach(child, prefix=PREFIX, frame=frame)
     if errors.floor is not None:
         lay_floor(spec, errors.floor, find_floor_planes(scene.model))
@@ -135,7 +160,7 @@ def build_model(scene: Scene, robot: str, errors: RobotErrors, solver: Solver | 
         raise SceneError(f"scene {scene.name} cannot take a robot: {reason}") from None
 
 
-def _apply_errors(spec: Any, errors: RobotErrors) -> None:
+def _apply_wheel_errors(spec: Any, errors: RobotErrors) -> None:
     for side, index in (("left", 0), ("right", 1)):
         tyre = spec.geom(f"{side}_tyre")
         size, friction = np.array(tyre.size), np.array(tyre.friction)
@@ -147,14 +172,14 @@ def _apply_errors(spec: Any, errors: RobotErrors) -> None:
         motor = spec.actuator(f"{side}_cogging")
         motor.biasprm[0], motor.biasprm[2] = errors.cogging, errors.cogging_phase[index]
 
-    # Turn the lidar's mount
-    if any(errors.mount):
-        lateral, roll, pitch = errors.mount
-        site = spec.site("lidar")
-        site.pos[1] += lateral
-        half = np.array([roll, pitch]) / 2
-        (cr, cp), (sr, sp) = np.cos(half), np.sin(half)
-        site.quat = [cp * cr, cp * sr, sp * cr, -sp * sr]  # about y after about x
+
+def _tilt_lidar(site: Any, mount: tuple[float, float, float]) -> None:
+    """Move the lidar's ``site`` to the left [m], and turn it by roll and pitch [rad]."""
+    lateral, roll, pitch = mount
+    site.pos[1] += lateral
+    half = np.array([roll, pitch]) / 2
+    (cr, cp), (sr, sp) = np.cos(half), np.sin(half)
+    site.quat = [cp * cr, cp * sr, sp * cr, -sp * sr]  # about y after about x
 
 
 def _set_options(option: Any, solver: Solver) -> None:
@@ -165,6 +190,32 @@ def _set_options(option: Any, solver: Solver) -> None:
     option.impratio = solver.impratio
     option.iterations = max(int(option.iterations), 20)  # 3 give wrong results without a warning
     option.gravity = [0, 0, -9.81]
+
+
+@dataclass(frozen=True, slots=True)
+class Carriage:
+    """What a turntable carries.
+
+    Attributes:
+        angles: Return its true angles (n,) [rad] at times (n,) [s].
+        T_axis_lidar: Where the lidar is on it (4, 4).
+    """
+
+    angles: Callable[[FloatArray], FloatArray]
+    T_axis_lidar: FloatArray
+
+    def carry(
+        self, positions: FloatArray, rotations: FloatArray, times: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the lidar's positions (n, 3) and rotations (n, 3, 3) from those of the axis."""
+        angles, turn = self.angles(times), np.zeros_like(rotations)
+        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angles)
+        turn[:, 1, 0] = np.sin(angles)
+        turn[:, 0, 1] = -turn[:, 1, 0]
+        turn[:, 2, 2] = 1.0
+        turned = rotations @ turn
+        T = self.T_axis_lidar
+        return positions + turned @ T[:3, 3], turned @ T[:3, :3]
 
 
 class World:
@@ -195,6 +246,7 @@ class World:
             for sensor in range(model.nsensor)[TRACE_SENSORS]
         ]
         self._lidar, self._base = histories[:4], histories[4:]
+        self.carriage: Carriage | None = None
 
     @property
     def time(self) -> float:
@@ -223,7 +275,10 @@ class World:
         """Return the lidar's positions (n, 3) [m] and rotations (n, 3, 3) in ``map``."""
         first = max(0, self.steps - HISTORY_STEPS)
         rows = interpolate(self._lidar_rows, times / self.timestep, first, self.steps)
-        return rows[:, :3], rows[:, 3:].reshape(-1, 3, 3).transpose(0, 2, 1)
+        positions, rotations = rows[:, :3], rows[:, 3:].reshape(-1, 3, 3).transpose(0, 2, 1)
+        if self.carriage is None:
+            return positions, rotations
+        return self.carriage.carry(positions, rotations, times)
 
     def _lidar_rows(self, steps: IntArray) -> FloatArray:
         """Return the lidar's position and axes (n, 12) at recent ``steps`` (n,)."""

@@ -16,6 +16,7 @@ import viser
 from scan3d_twin.core.hal import Lidar, Robot
 from scan3d_twin.core.model.fused_cloud import measure_scanned_share
 from scan3d_twin.core.observer import Command, with_clock_callbacks
+from scan3d_twin.core.scanning.turning import find_lidar_pose
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import LidarSpec, Pose2, ScanLine
 from scan3d_twin.viz.banner import Banner, State
@@ -169,7 +170,8 @@ class LiveView:
         rays = np.stack([np.cos(elevations), np.zeros_like(elevations), np.sin(elevations)], axis=1)
         seen = np.isfinite(line.ranges)
         points = line.ranges[seen, None] * rays[seen]
-        in_base = points @ robot.T_base_lidar[:3, :3].T + robot.T_base_lidar[:3, 3]
+        T = find_lidar_pose(robot)
+        in_base = points @ T[:3, :3].T + T[:3, 3]
 
         # Show them in the world
         self.stage.show_line(

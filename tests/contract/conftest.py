@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -92,6 +93,25 @@ def open_in(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Robot]]:
     opener = {**_backends_of(request), "hardware": real}[request.param]
     with ExitStack() as stack:
         yield lambda scene: stack.enter_context(opener(scene))
+
+
+@contextmanager
+def sim_with_turntable(scene: str) -> Iterator[Robot]:
+    """Open the twin with its servo, which turns the lidar about the vertical."""
+    config = replace(TwinConfig.of(DEFAULT_WORLD), pattern="yaw")
+    with open_sim(scene, 7, config) as (opened, _):
+        yield opened
+
+
+TURNTABLE_BACKENDS: dict[str, Opener] = {"sim": sim_with_turntable}
+"""What opens a robot with a turntable."""
+
+
+@pytest.fixture(params=TURNTABLE_BACKENDS)
+def open_with_turntable(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Robot]]:
+    """Open the robot of a backend that has a turntable, closed when the test ends."""
+    with ExitStack() as stack:
+        yield lambda scene: stack.enter_context(TURNTABLE_BACKENDS[request.param](scene))
 
 
 @pytest.fixture

@@ -220,9 +220,9 @@ def describe_move(previous: View, observation: Observation) -> tuple[Pose2, Legs
 
 
 def find_last_heading(observation: Observation) -> float:
-    """Return the heading of a sweep's last line, from its middle [rad]."""
+    """Return the heading of the base at a sweep's last line, from its middle [rad]."""
     image = observation.image
-    if len(image.stamps) == 0:
+    if len(image.stamps) == 0 or image.T_scan_axis is not None:
         return 0.0
     return float(image.yaws[int(np.argmax(image.stamps)), image.spec.n_beams // 2])
 

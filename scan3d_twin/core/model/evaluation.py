@@ -385,7 +385,9 @@ def find_true_pose(view: View, truth: Truth) -> Pose2:
     beam = image.spec.n_beams // 2
     line = int(np.argmin(np.abs(image.yaws[:, beam])))
     stamp = float(image.stamps[line] + image.spec.beam_times[beam])
-    return truth.pose_at(stamp) @ Pose2(0.0, 0.0, -float(image.yaws[line, beam]))
+    if image.T_scan_axis is None:
+        return truth.pose_at(stamp) @ Pose2(0.0, 0.0, -float(image.yaws[line, beam]))
+    return truth.pose_at(stamp)
 
 
 def measure_displacement(points: FloatArray, a: Pose2, b: Pose2) -> float:

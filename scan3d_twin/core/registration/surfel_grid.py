@@ -15,8 +15,14 @@ from scan3d_twin.core.registration.edges import Edges, find_edges
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.projection import Projection
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, NOISE_UNKNOWN, ScanNoise
-from scan3d_twin.core.registration.surfels import Beams, classify_rays, make_native_sweep
+from scan3d_twin.core.registration.surfels import (
+    UNKNOWN_RAY,
+    Beams,
+    classify_rays,
+    make_native_sweep,
+)
 from scan3d_twin.core.types import (
+    UNMEASURED,
     VALID,
     BoolArray,
     FloatArray,
@@ -115,8 +121,14 @@ class SurfelGrid:
 
     @cached_property
     def ray_states(self) -> native.ByteArray:
-        """State of each reading's ray (n_lines * n_beams,): see ``classify_rays``."""
-        return classify_rays(self.index, self.valid)
+        """State of each reading's ray (n_lines * n_beams,): see ``classify_rays``.
+
+        The grid of a turntable's sweep has cells that no beam looked into: they are unknown.
+        """
+        states = classify_rays(self.index, self.valid)
+        if self.image.T_scan_axis is not None:
+            states[self.image.codes.ravel() == UNMEASURED] = UNKNOWN_RAY
+        return states
 
     @cached_property
     def inflation(self) -> float:

@@ -193,7 +193,12 @@ def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
 
 
 def calibrate_on_panorama(image: RangeImage) -> Calibration | None:
-    """Return the extrinsics by one panorama; None where it shows no planes."""
+    """Return the extrinsics by one panorama; None where it shows no planes.
+
+    None for a panorama by a turntable too: nothing of the base shows in it.
+    """
+    if image.T_scan_axis is not None:
+        return None
     try:
         return calibrate([[image]])
     except RegistrationError:

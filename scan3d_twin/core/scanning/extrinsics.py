@@ -26,11 +26,15 @@ def tilt_matrix(roll: float, pitch: float) -> FloatArray:
 
 
 def correct_extrinsics(observation: Observation, mount: MountConfig) -> Observation:
-    """Return a sweep corrected by the calibrated ``mount``; as it is if all of it is 0."""
+    """Return a sweep corrected by the calibrated ``mount``; as it is if all of it is 0.
+
+    The yaw scale is that of the wheels: a turntable measures its angle.
+    """
     if mount == MountConfig():
         return observation
     image = observation.image
-    yaws = (1.0 + mount.yaw_scale) * image.yaws + mount.time_offset * measure_turn_rate(image)
+    scale = mount.yaw_scale if image.T_scan_axis is None else 0.0
+    yaws = (1.0 + scale) * image.yaws + mount.time_offset * measure_turn_rate(image)
     T = apply_mount(image.T_base_lidar, mount)
     image = replace(image, yaws=read_only(yaws), T_base_lidar=read_only(T))
     return replace(observation, image=image)

@@ -1,5 +1,6 @@
 """Sweeping: the robot turns on the spot and the vertical scan lines sweep out a range image.
 
+A turntable may turn the lidar instead while the base stands (``turning``).
 Lines are de-skewed (``deskew``), and what did not arrive is scanned again: whole lines, and wide
 holes where parts of lines were lost (the data-loss check of the paper's Fig. 5).
 """
@@ -16,8 +17,8 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import DataLossError, LinkTimeoutError
 from scan3d_twin.core.hal import BunchingLidar, Robot
 from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
-from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
-from scan3d_twin.core.scanning.deskew import Lines, deskew_lines
+from scan3d_twin.core.navigation.motion_control import turn_by, turn_to
+from scan3d_twin.core.scanning.deskew import Lines
 from scan3d_twin.core.scanning.extrinsics import correct_extrinsics
 from scan3d_twin.core.scanning.half_turn import sees_all_round, unfold
 from scan3d_twin.core.scanning.lost_readings import (
@@ -26,6 +27,8 @@ from scan3d_twin.core.scanning.lost_readings import (
     find_holes,
     merge_intervals,
 )
+from scan3d_twin.core.scanning.turning import BaseTurner, Turner, choose_turner
+from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.types import (
     LOST,
     FloatArray,
@@ -35,7 +38,6 @@ from scan3d_twin.core.types import (
     RangeImage,
     ScanLine,
     read_only,
-    wrap,
 )
 
 LOST_LINE_GAP = 1.6
@@ -85,6 +87,8 @@ def sweep(
 ) -> Observation:
     """Scan ``config.sweep.width`` and margins around the heading ``yaw`` in ``odom`` [rad].
 
+    A stand, which nothing turns, scans all round.
+
     Args:
         robot: At rest.
         yaw: Heading of the sweep's middle in ``odom`` [rad].
@@ -98,9 +102,15 @@ def sweep(
         MotionTimeoutError, HazardError, LinkTimeoutError: From the robot.
     """
     whole, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
+    if robot.base.spec.is_stand:
+        whole = half = math.pi
     half = whole if half is None else min(half, whole)
+    turner = choose_turner(robot, yaw, config)
+    if robot.turntable is not None:
+        yaw, rate = robot.base.odometry().T_odom_base.yaw, turner.choose_rate(rate)
+        half = turner.limit(half, whole, RUN_UP_LINES * rate * robot.lidar.spec.line_period)
     started = robot.clock.now()
-    sector = _Sector(yaw, half, rate, LOST_LINE_GAP)
+    sector = _Sector(yaw, half, rate, LOST_LINE_GAP, turner)
     lines = _scan_sector(robot, sector, config, on_line)
     spacing = rate * robot.lidar.spec.line_period
     kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
@@ -122,17 +132,45 @@ def take_panorama(
     Raises:
         DataLossError, HazardError, LinkTimeoutError: As for ``sweep``.
     """
+    if robot.base.spec.is_stand:
+        return take_table_panorama(robot, config, on_line)
     started = robot.clock.now()
     yaw = robot.base.odometry().T_odom_base.yaw
+    turner = BaseTurner(robot, yaw, config)
+    turner.park_table()
     both_halves = sees_all_round(robot.lidar.spec)
-    half = math.pi / 2 if both_halves else math.pi
-    sector = _Sector(yaw, half, config.sweep.look_rate, PANORAMA_GAP, rightwards=False)
+    half = math.pi / 2 if both_halves or not turner.looks_ahead else math.pi
+    sector = _Sector(yaw, half, config.sweep.look_rate, PANORAMA_GAP, turner, rightwards=False)
     lines = _scan_sector(robot, sector, config, on_line)
     turn_by(robot, -half, config.motion)
     turn_to(robot, yaw, config.motion)
     observation = _assemble_observation(robot, lines, sector, started, config)
     seen = correct_extrinsics(observation, config.mount)
+    if not turner.looks_ahead:
+        return replace(seen, image=make_upright(seen.image))
     return replace(seen, image=unfold(seen.image)) if both_halves else seen
+
+
+def take_table_panorama(
+    robot: Robot, config: Config, on_line: Callable[[ScanLine], None]
+) -> Observation:
+    """Scan all round coarsely by the turntable, as far as it turns; the base stands.
+
+    Raises:
+        ConfigError: There is no turntable.
+        DataLossError, HazardError, LinkError: As for ``sweep``.
+    """
+    started = robot.clock.now()
+    yaw = robot.base.odometry().T_odom_base.yaw
+    turner = choose_turner(robot, yaw, config)
+    rate = turner.choose_rate(config.sweep.look_rate)
+    run_up = RUN_UP_LINES * rate * robot.lidar.spec.line_period
+    half = turner.limit(math.pi, math.pi, run_up)
+    sector = _Sector(yaw, half, rate, PANORAMA_GAP, turner, rightwards=False)
+    lines = _scan_sector(robot, sector, config, on_line)
+    observation = _assemble_observation(robot, lines, sector, started, config)
+    seen = correct_extrinsics(observation, config.mount)
+    return replace(seen, image=make_upright(seen.image))
 
 
 def find_missing(
@@ -160,6 +198,7 @@ class _Sector:
         half: Half its angle [rad].
         rate: Turn rate of the robot [rad/s].
         gap: See ``find_missing``.
+        turner: What turns the lidar.
         rightwards: Direction of the first pass; None to start at the nearer end.
     """
 
@@ -167,6 +206,7 @@ class _Sector:
     half: float
     rate: float
     gap: float
+    turner: Turner
     rightwards: bool | None = None
 
 
@@ -179,7 +219,7 @@ def _scan_sector(
     """Return the lines of ``sector`` and slightly beyond, after scanning lost lines again."""
     # Scan all of it
     half = sector.half
-    heading = wrap(robot.base.odometry().T_odom_base.yaw - sector.yaw)
+    heading = sector.turner.heading()
     rightwards = heading >= 0 if sector.rightwards is None else sector.rightwards
     ends = (half, -half) if rightwards else (-half, half)
     lines = _scan_pass(robot, sector, ends, config, on_line)
@@ -248,11 +288,11 @@ def _scan_pass(
     When the lidar is disconnected, the robot stops and waits for it, and lines are missing.
     """
     # Turn to the start and settle
-    yaw, rate, period = sector.yaw, sector.rate, robot.lidar.spec.line_period
+    turner, rate, period = sector.turner, sector.rate, robot.lidar.spec.line_period
     direction = math.copysign(1.0, ends[1] - ends[0])
     margin = RUN_UP_LINES * rate * period
-    here = wrap(robot.base.odometry().T_odom_base.yaw - yaw)
-    turn_by(robot, ends[0] - direction * margin - here, config.motion)
+    first, last = ends[0] - direction * margin, ends[1] + direction * margin
+    turner.go_to(first)
     robot.clock.sleep(config.sweep.settle)
 
     # Read lines while turning
@@ -260,8 +300,7 @@ def _scan_pass(
     duration = (abs(ends[1] - ends[0]) + 2 * margin) / rate
     lines: list[ScanLine] = []
     is_silent = False
-    with stopping(robot.base):
-        robot.base.set_velocity(0.0, direction * rate)
+    with turner.turning(last, direction * rate):
         try:
             for line in read_lines(robot, started, started + duration):
                 on_line(line)
@@ -269,9 +308,7 @@ def _scan_pass(
         except LinkTimeoutError:
             is_silent = True
 
-    # De-skew by the whole odometry
-    robot.clock.sleep(2 * robot.base.spec.sample_period)
-    headed = deskew_lines(robot, lines, started, yaw, ends[0] - direction * margin)
+    headed = turner.deskew(lines, started, first)
     if is_silent:
         robot.lidar.read_line(timeout=MAX_OUTAGE)
     return headed
@@ -299,15 +336,16 @@ def _assemble_observation(
     turning = poses[len(poses) // 2 :]
 
     # Assemble image and pose
-    spec = robot.lidar.spec
+    spec, (T_base_lidar, T_scan_axis) = robot.lidar.spec, sector.turner.mount
     image = RangeImage(
         stamps=read_only([_find_stamp(line, spec) for line, _ in lines]),
         yaws=read_only([yaws for _, yaws in lines]),
         ranges=read_only([line.ranges for line, _ in lines]),
         codes=read_only([line.codes for line, _ in lines], np.int64),
         spec=spec,
-        T_base_lidar=read_only(robot.T_base_lidar),
+        T_base_lidar=T_base_lidar,
         elevations=_stack_elevations([line for line, _ in lines], spec),
+        T_scan_axis=T_scan_axis,
     )
     columns = find_packed_columns(image.codes)
     image = image if columns is None else pack_columns(image, columns)

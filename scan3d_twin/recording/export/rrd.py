@@ -181,7 +181,8 @@ class _RerunWriter:
         mount, base = np.eye(4), Pose2()
         for topic, stamp, message in _messages(session_file):
             self._set_time(stamp)
-            if topic == "/tf_static":
+            is_frame = topic in ("/tf", "/tf_static")
+            if is_frame and message.transforms[0].child_frame_id == "laser":
                 mount = _matrix(message.transforms[0].transform)
             elif topic == "/tf":
                 base = _base_in_world(message)

@@ -118,8 +118,8 @@ def make_header(stamp: float, frame: str) -> Any:
     return make_message("std_msgs/msg/Header", stamp=make_time(stamp), frame_id=frame)
 
 
-def encode_mount(T_base_lidar: FloatArray) -> Message:
-    """Return the lidar's extrinsics as a static transform from ``base`` to ``laser``."""
+def encode_mount(T_base_lidar: FloatArray, stamp: float = 0.0) -> Message:
+    """Return the lidar's extrinsics as a transform from ``base`` to ``laser``, at ``stamp`` [s]."""
     # Compose rotation and translation
     T = T_base_lidar @ LASER_IN_LIDAR
     x, y, z, w = map(float, Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
@@ -131,7 +131,7 @@ def encode_mount(T_base_lidar: FloatArray) -> Message:
     # Wrap them in a transform
     edge = make_message(
         "geometry_msgs/msg/TransformStamped",
-        header=make_header(0.0, "base"),
+        header=make_header(stamp, "base"),
         child_frame_id="laser",
         transform=make_message("geometry_msgs/msg/Transform", translation=place, rotation=rotation),
     )

@@ -12,7 +12,7 @@ from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
 from scan3d_twin.core.types import FloatArray, LidarSpec, Pose2, ScanLine, read_only
 from scan3d_twin.sim.clock import SimClock
 from scan3d_twin.sim.lidar.noise import Draws, warm_up_error
-from scan3d_twin.sim.lidar.scanner import CHUNK, Evidence, Readings, Scanner
+from scan3d_twin.sim.lidar.scanner import CHUNK, Evidence, Fan, Readings, Scanner
 from scan3d_twin.sim.world import HISTORY_STEPS, TIMESTEP, World
 
 MAX_UNREAD_LINES = 16
@@ -145,7 +145,8 @@ class SimLidar:
     def _lines(self, turns: list[Revolution]) -> list[ScanLine]:
         """Return the lines of ``turns``, computed in chunks where the scene is static."""
         lines = []
-        size = 1 if turns and len(turns[0].qpos) else CHUNK
+        alone = bool(turns and len(turns[0].qpos)) or self._world.carriage is not None
+        size = 1 if alone else CHUNK
         for first in range(0, len(turns), size):
             chunk = turns[first : first + size]
             readings = self._measure(chunk)
@@ -172,8 +173,20 @@ class SimLidar:
             rotations,
             Draws.of(rngs, n, config),
             np.array([self._drift(turn) for turn in turns]),
+            fan=self._turned_fan(self.spec.elevations, times),
             evidence=evidence,
         )
+
+    def _turned_fan(self, elevations: FloatArray, times: FloatArray) -> Fan | None:
+        """Return the beams of a line on a turntable, measured at ``times``; None without one.
+
+        The robot itself is where it is seen from the line's middle.
+        """
+        carriage = self._world.carriage
+        if carriage is None:
+            return None
+        middle = float(carriage.angles(np.array([float(np.mean(times))]))[0])
+        return self._scanner.make_fan(elevations, middle)
 
     def _drift(self, turn: Revolution) -> float:
         """Return the range error that all readings of a revolution share [m]."""

@@ -172,6 +172,8 @@ class RotatingLidar(SimLidar):
         if config.sway > 0:
             rotations = self._sway(turn.number) @ rotations
 
+        elevations = read_only(samples.elevations)
+
         # Draw the noise of the whole revolution, whatever part of it is read
         whole = Draws.of([self._noise(turn.number)], samples.count, config)
         draws = whole.select(slice(samples.first, samples.first + n))
@@ -181,6 +183,6 @@ class RotatingLidar(SimLidar):
             rotations[None],
             draws,
             np.array([self._drift(turn)]),
-            fan=self._scanner.make_fan(read_only(samples.elevations)),
+            fan=self._turned_fan(elevations, samples.times) or self._scanner.make_fan(elevations),
             evidence=evidence,
         )

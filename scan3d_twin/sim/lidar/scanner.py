@@ -18,7 +18,8 @@ from scan3d_twin.sim.lidar.glass import Panes
 from scan3d_twin.sim.lidar.noise import Draws
 from scan3d_twin.sim.lidar.optics import Materials
 from scan3d_twin.sim.ray_casting import Hits, RayCaster
-from scan3d_twin.sim.world import robot_spec
+from scan3d_twin.sim.turntable.body import CARRIED_SITE, HINGE
+from scan3d_twin.sim.world import YAW_BASE, robot_spec
 
 CHUNK = 12
 """Lines computed at once; more do not fit the processor's cache."""
@@ -30,31 +31,41 @@ def beam_directions(elevations: FloatArray) -> FloatArray:
 
 
 @cache
-def _posed_robot(robot: str) -> tuple[Any, Any]:
-    """Return the model and data of a ``robot`` alone, at rest."""
-    model = robot_spec(robot).compile()
+def _posed_robot(robot: str, pattern: str) -> tuple[Any, Any]:
+    """Return the model and data of a ``robot`` alone, at rest, with a turntable on a hinge."""
+    model = robot_spec(robot, pattern, hinged=True).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
 
 
-def own_housing(robot: str | None, elevations: FloatArray) -> Hits:
+def own_housing(
+    robot: str | None, elevations: FloatArray, pattern: str = YAW_BASE, angle: float = 0.0
+) -> Hits:
     """Return what beams at ``elevations`` (n,) [rad] see of the robot itself.
 
-    It moves with the lidar, so this is constant. Without a ``robot`` they see nothing of it.
+    It moves with the lidar, so this is constant, but for the ``angle`` of a turntable [rad].
+    Without a ``robot`` they see nothing of it.
     """
     n = len(elevations)
     if robot is None:
         return Hits(np.full(n, np.inf), np.zeros((n, 3)), np.full(n, -1, np.int64))
-    model, data = _posed_robot(robot)
+    model, data = _posed_robot(robot, pattern)
     geoms, distances, normals = np.zeros(n, np.int32), np.zeros(n), np.zeros(3 * n)
-    rays = beam_directions(elevations).ravel()
-    origin, mast = data.site("lidar").xpos, model.body("mast").id
+    lidar, own_body, rays = data.site("lidar"), "mast", beam_directions(elevations)
+    if pattern != YAW_BASE:
+        data.joint(HINGE).qpos[0] = angle
+        mujoco.mj_kinematics(model, data)
+        lidar, own_body = data.site(CARRIED_SITE), "turntable"
+        rays = rays @ lidar.xmat.reshape(3, 3).T
     mujoco.mj_multiRay(
-        model, data, origin, rays, None, True, mast, geoms, distances, normals, n, 10.0
-    )
-    reach = np.where(geoms < 0, np.inf, distances)
-    return Hits(reach, normals.reshape(n, 3), np.full(n, -1, np.int64))
+        model, data, lidar.xpos, rays.ravel(), None, True, model.body(own_body).id, geoms,
+        distances, normals, n, 10.0,
+    )  # fmt: skip
+    facing = normals.reshape(n, 3)
+    if pattern != YAW_BASE:
+        facing = facing @ lidar.xmat.reshape(3, 3)
+    return Hits(np.where(geoms < 0, np.inf, distances), facing, np.full(n, -1, np.int64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +137,7 @@ class Scanner:
         caster: RayCaster,
         rng: np.random.Generator,
         sensor: LidarSensor,
+        pattern: str = YAW_BASE,
     ) -> None:
         self.spec = spec
         self.sensor = sensor
@@ -134,7 +146,7 @@ class Scanner:
         self.materials = Materials.of(scene_model, config)
         self._panes = Panes.of(scene_model, caster)
         self.surface_bias = config.surface_bias * rng.standard_normal(scene_model.ngeom + 1)
-        self._robot = robot
+        self._robot, self.pattern = robot, pattern
         self._usual = self.make_fan(spec.elevations)
 
     @property
@@ -142,11 +154,11 @@ class Scanner:
         """Directions of the beams of ``spec`` in the lidar's frame (n_beams, 3)."""
         return self._usual.beams
 
-    def make_fan(self, elevations: FloatArray) -> Fan:
-        """Return beams at ``elevations`` (n_beams,) [rad]."""
+    def make_fan(self, elevations: FloatArray, angle: float = 0.0) -> Fan:
+        """Return beams at ``elevations`` (n_beams,) [rad], at an ``angle`` of the turntable."""
         # Find what they see of the robot itself
         beams = read_only(beam_directions(elevations))
-        own = own_housing(self._robot, elevations)
+        own = own_housing(self._robot, elevations, self.pattern, angle)
         cosines = np.abs(np.einsum("ni,ni->n", own.normals, beams))
         light = Light(
             own.distances[None],

@@ -1,0 +1,1 @@
+"""The simulated turntable: a servo that turns the lidar on its base."""
