@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
+from scipy.spatial.transform import Rotation
 
-from scan3d_twin.core.types import FloatArray, RangeImage
+from scan3d_twin.core.types import FloatArray, Pose2, RangeImage
 from scan3d_twin.recording.mcap import ros_messages as ros
 
 START = 10.0
@@ -116,20 +117,29 @@ def _axis_at(image: RangeImage, times: FloatArray) -> FloatArray:
 
 
 def _transforms(image: RangeImage) -> Iterator[tuple[str, float, ros.Message]]:
+    """Yield the mount, and the frame ``base`` that turns about z of a frame that may lie."""
     yield "/tf_static", 0.0, ros.encode_mount(image.T_base_lidar)
+    if image.T_scan_axis is not None:
+        yield "/tf_static", 0.0, _edge(0.0, "floor", "stand", image.T_scan_axis)
     for stamp, yaw in zip(_clock(image), _axis_at(image, _clock(image)), strict=True):
-        z, w = ros.yaw_quaternion(yaw)
-        edge = ros.make_message(
-            "geometry_msgs/msg/TransformStamped",
-            header=ros.make_header(stamp, "stand"),
-            child_frame_id="base",
-            transform=ros.make_message(
-                "geometry_msgs/msg/Transform",
-                translation=ros.make_message("geometry_msgs/msg/Vector3", x=3.0, y=1.0, z=0.0),
-                rotation=ros.make_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=z, w=w),
-            ),
-        )
-        yield "/tf", stamp, ros.encode("tf2_msgs/msg/TFMessage", transforms=[edge])
+        T = Pose2(3.0, 1.0, yaw).matrix()
+        yield "/tf", stamp, _edge(stamp, "stand", "base", T)
+
+
+def _edge(stamp: float, parent: str, child: str, T: FloatArray) -> ros.Message:
+    x, y, z, w = map(float, Rotation.from_matrix(T[:3, :3]).as_quat())
+    place = dict(zip("xyz", T[:3, 3].tolist(), strict=True))
+    edge = ros.make_message(
+        "geometry_msgs/msg/TransformStamped",
+        header=ros.make_header(stamp, parent),
+        child_frame_id=child,
+        transform=ros.make_message(
+            "geometry_msgs/msg/Transform",
+            translation=ros.make_message("geometry_msgs/msg/Vector3", **place),
+            rotation=ros.make_message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
+        ),
+    )
+    return ros.encode("tf2_msgs/msg/TFMessage", transforms=[edge])
 
 
 def _joints(image: RangeImage) -> Iterator[tuple[str, float, ros.Message]]:

@@ -107,7 +107,7 @@ def test_laser_scans_are_imported_with_the_thing_that_stands_out(twin, tmp_path)
 
 
 def test_wrong_options_and_files_leave_nothing_behind(fails, folder):
-    assert "--axis pitch" in fails(OPTION, "import", folder, "--axis", "pitch", "--out", "run")
+    assert "--height must" in fails(OPTION, "import", folder, "--height", "-1", "--out", "run")
     assert "--mount must be" in fails(OPTION, "import", folder, "--mount", "1,2", "--out", "run")
     assert "--max-range" in fails(OPTION, "import", folder, "--max-range", "0", "--out", "run")
     assert "there is no nowhere" in fails(FILE, "import", "nowhere", "--out", "run")

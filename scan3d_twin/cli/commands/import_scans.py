@@ -16,13 +16,17 @@ class ImportScansOptions:
     """How the readings are to be understood."""
 
     axis: Literal["yaw", "pitch", "roll"] = "yaw"
-    """What the axis turns: yaw, about the vertical."""
+    """What the axis does: yaw turns the scan plane about the vertical, pitch tips it about the axis
+    to the left, roll about that ahead. Transforms of a ROS 2 recording tell it."""
     mount: Annotated[
         str | None,
-        Parameter(allow_leading_hyphen=True, show_default=lambda _: "upright on the axis"),
+        Parameter(allow_leading_hyphen=True, show_default=lambda _: "on the axis"),
     ] = None
-    """Lidar on the axis: x,y,z [m], or with yaw,pitch,roll [deg] of the scan plane. z is the height
-    above the floor; without it the lowest readings tell."""
+    """Lidar at the axis angle 0: x,y,z [m] from the axis, or with yaw,pitch,roll [deg]."""
+    height: Annotated[float | None, Parameter(show_default=lambda _: "by the lowest readings")] = (
+        None
+    )
+    """Height of the axis above the floor [m]."""
     topic: str | None = None
     """Topic of the scans in a ROS 2 recording, where there are several."""
     joint: str | None = None
@@ -70,11 +74,12 @@ def import_scans(
     from scan3d_twin.run.report import report_json
 
     # Check the options
-    if options.axis != "yaw":
-        raise ConfigError(f"--axis {options.axis} is not read yet; only yaw is")
     if options.max_range is not None and not 0 < options.max_range <= 100:
         raise ConfigError(f"--max-range must be > 0 and <= 100 m, got {options.max_range:g}")
-    mount = Mount() if options.mount is None else Mount.parse(options.mount)
+    if options.height is not None and not 0 <= options.height <= 100:
+        raise ConfigError(f"--height must be >= 0 and <= 100 m, got {options.height:g}")
+    mount = Mount(options.axis, height=options.height)
+    mount = mount if options.mount is None else mount.parse(options.mount)
     config = Config(
         target=TargetConfig(extraction=options.model),
         planning=PlanningConfig(epsilon=options.epsilon / 1e3),

@@ -59,7 +59,7 @@ def read_laser_scans(
     content = _read(place)
     scans = _choose_topic(content, topic, place)
     frame = str(scans[0].header.frame_id)
-    axis = None if joint is not None else find_turning_axis(content.tree, frame, str(place))
+    axis = None if joint is not None else find_turning_axis(content.tree, frame)
     axis = axis or find_joint(content.joints, joint, str(place))
     if axis is None:
         raise FileError(
@@ -136,6 +136,7 @@ def _join(scans: list[Any], axis: TurningAxis, place: Path) -> Readings:
         first if math.isfinite(first) and first > 0 else 0.0,
         last if math.isfinite(last) and last > 0 else math.nan,
         None if laser is None else laser @ np.linalg.inv(LASER_IN_LIDAR),
+        axis.R_root_axis,
         axis.place_at(times),
     )
 

@@ -45,12 +45,14 @@ class Readings:
         origin: Where they come from, for messages: a file, a sweep in it.
         lines: Number of each reading's line (n,), ascending.
         times: When each was taken (n,) [s]; None where that is not known.
-        axis: Angle of the turning axis, left positive about the axis up (n,) [rad].
+        axis: Angle of the turning axis about its direction (n,) [rad].
         angles: Angle of the beam in the scan plane (n,) [rad].
         ranges: Distances (n,) [m]; NaN where there is no return.
         min_range: Shortest distance that the lidar reports [m]; 0 where that is not known.
         max_range: Longest distance that it reports [m]; NaN where that is not known.
         T_axis_lidar: Mount of the lidar on the axis (4, 4), its scan plane x-z; None if unknown.
+        R_scan_axis: Rotation (3, 3) to the upright frame of the sweep from that of the axis, its z;
+            None if unknown.
         places: Where the axis stood (n, 3) [m]; None if unknown.
     """
 
@@ -63,6 +65,7 @@ class Readings:
     min_range: float = 0.0
     max_range: float = math.nan
     T_axis_lidar: FloatArray | None = None
+    R_scan_axis: FloatArray | None = None
     places: FloatArray | None = None
 
     def __len__(self) -> int:

@@ -10,13 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.core.types import RangeImage, read_only
-from scan3d_twin.recording.importing.assemble import (
-    Mount,
-    assemble,
-    default_height,
-    estimate_height,
-)
+from scan3d_twin.core.scanning.patterns import AXIS_HEIGHT
+from scan3d_twin.core.types import RangeImage
+from scan3d_twin.recording.importing.assemble import Mount, assemble, estimate_height, lift
 from scan3d_twin.recording.importing.csv_file import read_csv
 from scan3d_twin.recording.importing.laser_scans import read_laser_scans
 from scan3d_twin.recording.importing.readings import Readings, split_sweeps
@@ -73,16 +69,16 @@ def read_sweeps(
         sweeps = [_limit(each, options.max_range) for each in sweeps]
     images = [assemble(each, options.mount) for each in sweeps]
 
-    # Put the lidar at its height above the floor
-    if options.mount.place is None:
-        height = estimate_height(images)
-        if height is None:
-            height = default_height()
-            notify(f"the lidar is assumed {height:.2f} m above the floor; --mount states it")
-        else:
-            notify(f"the lidar stands {height:.2f} m above the floor, by the lowest readings")
-        images = [_at_height(image, height) for image in images]
-    return images
+    # Put the axis at its height above the floor
+    if options.mount.height is not None:
+        return images
+    height = estimate_height(images)
+    if height is None:
+        height = AXIS_HEIGHT
+        notify(f"the axis is assumed {height:.2f} m above the floor; --height states it")
+    else:
+        notify(f"the axis is {height:.2f} m above the floor, by the lowest readings")
+    return [lift(image, height) for image in images]
 
 
 def _list_files(place: Path) -> list[Path]:
@@ -131,10 +127,3 @@ def _limit(readings: Readings, max_range: float) -> Readings:
     with np.errstate(invalid="ignore"):
         ranges = np.where(readings.ranges > max_range, np.nan, readings.ranges)
     return replace(readings, ranges=ranges, max_range=max_range)
-
-
-def _at_height(image: RangeImage, height: float) -> RangeImage:
-    """Return ``image`` with its lidar at ``height`` above the floor [m]."""
-    T = image.T_base_lidar.copy()
-    T[2, 3] = height
-    return replace(image, T_base_lidar=read_only(T))

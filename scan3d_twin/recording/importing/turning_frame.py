@@ -20,8 +20,6 @@ from scan3d_twin.core.types import FloatArray
 
 MIN_TURN = math.radians(5.0)
 """Least angle by which an axis turns in a recording [rad]."""
-MAX_TILT = math.radians(2.0)
-"""Largest angle by which an axis may lean while it turns [rad]."""
 MAX_FRAMES = 100
 """Longest chain of frames."""
 
@@ -60,13 +58,16 @@ class FrameTree:
 
 @dataclass(frozen=True)
 class TurningAxis:
-    """An axis that turns about the vertical, and what it carries.
+    """An axis that turns, and what it carries.
 
     Attributes:
         name: Its frame, or joint.
         stamps: Times of the angles (n,), ascending [s].
-        angles: Angle, left positive, not wrapped (n,) [rad].
-        T_axis_laser: Mount of the lidar's frame, its scan plane x-y (4, 4); None if unknown.
+        angles: Angle about the axis, not wrapped (n,) [rad].
+        T_axis_laser: Mount of the lidar's frame, its scan plane x-y, on the axis, its z (4, 4);
+            None if unknown.
+        R_root_axis: Rotation (3, 3) of the axis at its angle 0 in the root, whose z is up; None if
+            unknown.
         places: Where the axis stood (n, 3) [m]; None if unknown.
     """
 
@@ -74,6 +75,7 @@ class TurningAxis:
     stamps: FloatArray
     angles: FloatArray
     T_axis_laser: FloatArray | None = None
+    R_root_axis: FloatArray | None = None
     places: FloatArray | None = None
 
     def at(self, times: FloatArray) -> FloatArray:
@@ -89,11 +91,11 @@ class TurningAxis:
         return np.stack(columns, axis=1)
 
 
-def find_turning_axis(tree: FrameTree, frame: str, origin: str) -> TurningAxis | None:
+def find_turning_axis(tree: FrameTree, frame: str) -> TurningAxis | None:
     """Return what turns the lidar whose scans are in ``frame``; None if nothing does.
 
-    Raises:
-        FileError: It turns about another axis than the vertical.
+    With R_0 the first rotation of the turning frame in its parent, u its axis and B a rotation that
+    takes z to u, its rotation by theta is R_0 B Rz(theta) B^T: the frame ``axis`` is that of B.
     """
     chain = tree.chain(frame.lstrip("/"))
     turns = [_measure_turn(tree.samples[each]) for each in chain]
@@ -101,23 +103,26 @@ def find_turning_axis(tree: FrameTree, frame: str, origin: str) -> TurningAxis |
         return None
     k = int(np.argmax(turns))
 
-    # Unwrap the angle about the axis
+    # Find the axis, and the angle about it
     rows = _sort(tree.samples[chain[k]])
     turning = Rotation.from_quat(rows[:, 4:8])
-    lean = turning.as_matrix()[:, 2, 2]
-    if np.min(lean) < math.cos(MAX_TILT):
-        raise FileError(
-            f"{origin}: the frame {chain[k]} does not turn about the vertical z axis; scanners "
-            "that pitch or roll the plane are imported with --axis"
-        )
-    matrices = turning.as_matrix()
-    angles = np.unwrap(np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]))
+    turned = (turning[0].inv() * turning).as_rotvec()
+    widest = turned[int(np.argmax(np.linalg.norm(turned, axis=1)))]
+    u = widest / np.linalg.norm(widest)
+    u = -u if u[int(np.argmax(np.abs(u)))] < 0 else u
+    B = Rotation.align_vectors([u], [[0.0, 0.0, 1.0]])[0]
 
-    # Compose the mount from the frames below it
-    mount = np.eye(4)
+    # Compose what is above and below it
+    above, mount = np.eye(4), np.eye(4)
+    for each in reversed(chain[k + 1 :]):
+        above = above @ _matrix(tree.samples[each][0])
     for each in reversed(chain[:k]):
         mount = mount @ _matrix(tree.samples[each][0])
-    return TurningAxis(chain[k], rows[:, 0], angles, mount, rows[:, 1:4])
+    R_root_axis = above[:3, :3] @ (turning[0] * B).as_matrix()
+    mount[:3] = B.as_matrix().T @ mount[:3]
+    return TurningAxis(
+        chain[k], rows[:, 0], np.unwrap(turned @ u), mount, R_root_axis, rows[:, 1:4]
+    )
 
 
 def find_joint(

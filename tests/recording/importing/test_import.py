@@ -14,14 +14,15 @@ import synthetic
 from rosbags.rosbag2 import StoragePlugin
 
 from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.scanning.patterns import find_axis_mount, find_mount
+from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.types import Pose2, RangeImage
 from scan3d_twin.recording.checks import check_image
 from scan3d_twin.recording.importing.assemble import Mount, assemble
 from scan3d_twin.recording.importing.readings import Readings, split_sweeps
 from scan3d_twin.recording.importing.source import ImportOptions, read_sweeps
 
-PLACE = (0.05, 0.0, 0.30)
-KNOWN = ImportOptions(Mount(PLACE, (0.0, 0.0, 0.0)))
+KNOWN = ImportOptions(Mount("yaw", (0.05, 0.0, 0.0), height=0.30))
 
 
 def ignore(_: str) -> None:
@@ -65,7 +66,7 @@ def test_a_csv_file_of_lines_gives_the_same_points(tmp_path):
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_laser_scans_with_transforms_give_the_same_points_and_mount(tmp_path, storage):
     other_scanners.write_laser_scans(tmp_path / "bag", sweep(), storage=storage)
-    (found,) = read_sweeps(tmp_path / "bag", ImportOptions(Mount(PLACE)), ignore)
+    (found,) = read_sweeps(tmp_path / "bag", ImportOptions(Mount(height=0.0)), ignore)
     check_image(found)
     assert np.allclose(found.T_base_lidar, sweep().T_base_lidar, atol=1e-9)
     assert same_points(found, sweep()) < 1e-4
@@ -171,7 +172,7 @@ def test_a_lidar_that_sees_all_round_keeps_all_its_readings():
             "scan", np.repeat(np.arange(n), len(beams)), None, np.repeat(axis, len(beams)),
             np.tile(beams, n), ranges,
         ),
-        Mount((0.0, -0.02, 0.0)),
+        Mount("yaw", (0.0, -0.02, 0.0)),
     )  # fmt: skip
     check_image(image)
     assert np.allclose(np.sort(image.ranges.ravel()), np.sort(ranges))
@@ -239,10 +240,64 @@ def test_scans_that_nothing_turns_are_refused(tmp_path):
 @pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "1,2,inf"])
 def test_a_wrong_mount_is_refused(text):
     with pytest.raises(ConfigError, match="--mount must be"):
-        Mount.parse(text)
+        Mount().parse(text)
 
 
 def test_a_plane_across_the_axis_is_refused():
-    flat = Mount((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
+    flat = Mount("yaw", (0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
     with pytest.raises(FileError, match="sweeps nothing"):
         assemble(readings(np.radians(np.arange(-30.0, 30.0))), flat)
+
+
+@pytest.mark.parametrize("pattern", ["pitch", "roll"])
+def test_a_plane_that_is_pitched_or_rolled_gives_the_points_of_the_room(tmp_path, pattern):
+    """The points of a box room are on its walls, its floor and its ceiling."""
+    image = tilted(pattern)
+    other_scanners.write_readings(tmp_path / "scan.csv", image)
+    (found,) = read_sweeps(tmp_path / "scan.csv", ImportOptions(Mount(pattern)), ignore)
+    check_image(found)
+    upright = make_upright(found)
+    for each in (found, upright):
+        points = each.points[np.isfinite(each.ranges)]
+        assert distance_to_room(points).max() < 0.01
+    assert np.count_nonzero(np.isfinite(upright.ranges)) > 3000
+
+
+@pytest.mark.parametrize("pattern", ["pitch", "roll"])
+def test_transforms_tell_that_a_plane_is_pitched_or_rolled(tmp_path, pattern):
+    other_scanners.write_laser_scans(tmp_path / "bag", tilted(pattern))
+    (found,) = read_sweeps(tmp_path / "bag", ImportOptions(Mount(height=0.5)), ignore)
+    points, true = found.points[np.isfinite(found.ranges)], tilted(pattern).points
+    assert np.allclose(np.sort(points[:, 2]), np.sort(true[np.isfinite(true[..., 2])][:, 2]),
+                       atol=1e-3)  # fmt: skip
+
+
+ROOM = np.array([[-2.5, 2.5], [-2.0, 2.0], [0.0, 2.5]])
+
+
+def distance_to_room(points):
+    """Return the distance of points (n, 3) to the nearest wall, floor or ceiling (n,) [m]."""
+    return np.min(np.abs(points[:, :, None] - ROOM), axis=(1, 2))
+
+
+def tilted(pattern: str) -> RangeImage:
+    """Return a sweep of a bare room from its middle, by a tilting axis at 0.5 m."""
+    mount = find_mount(pattern)
+    assert mount is not None
+    T_scan_axis = mount.T_base_axis.copy()
+    T_scan_axis[2, 3] = 0.5
+    lidar = replace(synthetic.spec(91), elevations=np.linspace(-2.0, 2.0, 91), max_range=6.0)
+    stamps = np.arange(90) * 0.1 + other_scanners.START
+    times = stamps[:, None] + lidar.beam_times
+    yaws = -np.radians(12.0) * (times - times.mean())
+    ones = np.ones(yaws.shape)
+    rotated = find_axis_mount(mount.T_base_axis, mount.T_base_lidar)
+    rotated[:3, 3] = 0.0
+    image = RangeImage(
+        stamps, yaws, ones, np.full(yaws.shape, -1), lidar, rotated, T_scan_axis=T_scan_axis
+    )
+    rays = image.directions
+    with np.errstate(divide="ignore"):
+        exits = (ROOM.T[:, None, None, :] - [0.0, 0.0, 0.5]) / rays
+    ranges = np.min(np.max(exits, axis=0), axis=-1)
+    return replace(image, ranges=ranges)
