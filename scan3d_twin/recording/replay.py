@@ -38,10 +38,15 @@ def replay(
     again = replace(session, config=config, panoramas=first, views=(), plans=(), misfits=())
     for k, view in enumerate(session.views):
         again = integrate(again, view.observation)
-        if k < len(session.plans) and view.observation.has_odometry:
+        if k < len(session.plans) and not _is_placed_by_hand(session, k + 1):
             again = _plan_again(again, session, planner)
         step(k)
     return again
+
+
+def _is_placed_by_hand(session: Session, k: int) -> bool:
+    """Return whether there is a view ``k``, and a person chose its place."""
+    return k < len(session.views) and not session.views[k].observation.has_odometry
 
 
 def _plan_again(again: Session, session: Session, planner: Planner) -> Session:

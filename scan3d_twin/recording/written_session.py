@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Metadata
 
+from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Observation, RangeImage, ScanLine, read_only
+from scan3d_twin.core.types import Observation, Pose2, RangeImage, ScanLine, read_only
 from scan3d_twin.recording.load import RecordedRun
 from scan3d_twin.recording.mcap import cdr, ros_display, ros_records
 from scan3d_twin.recording.mcap import ros_messages as ros
 from scan3d_twin.recording.mcap.file import McapFile
+from scan3d_twin.recording.mcap.recovering_reader import read_contents
 from scan3d_twin.recording.mcap.rewrite import reopen
 from scan3d_twin.recording.names import (
     ANGLES,
@@ -28,6 +32,8 @@ from scan3d_twin.recording.recorder import finish_file, write_display
 from scan3d_twin.recording.session_log import Mark, SessionLog
 from scan3d_twin.run.settings import Settings, settings_toml
 
+PLACES = "places"
+"""Metadata of the true places of a scanner that was set down by hand in the twin."""
 PAUSE = 1.0
 """Time between two views on the clock of a session [s], in which the scanner was set down anew."""
 
@@ -80,16 +86,30 @@ def write_session(
     return mark
 
 
-def append_views(recorded: RecordedRun, session: Session, wall: Callable[[], float]) -> Mark:
+def append_views(
+    recorded: RecordedRun,
+    session: Session,
+    wall: Callable[[], float],
+    places: Sequence[tuple[float, Pose2]] = (),
+) -> Mark:
     """Add to the file of ``recorded`` what ``session`` has more; return the last mark.
 
     The earlier file stays beside it, so that ``twin session undo`` takes the addition back.
+
+    Args:
+        recorded: The run.
+        session: The run with more views.
+        wall: Returns the computer's time [s]; only differences count.
+        places: In the twin, where the scanner truly stood from which time on, see ``read_places``.
 
     Raises:
         FileError: The file cannot be written, or a run is writing to it.
     """
     reopened = reopen(recorded.path, wall, whole=True)
     try:
+        if places:
+            rows = [[start, pose.x, pose.y, pose.yaw] for start, pose in places]
+            reopened.file.metadata(PLACES, {"json": json.dumps(rows)})
         mark = _append(reopened.file, recorded.session, session, recorded.mark)
         finish_file(reopened.file, recorded.path.with_name(SESSION_FILE))
     except BaseException:
@@ -97,6 +117,25 @@ def append_views(recorded: RecordedRun, session: Session, wall: Callable[[], flo
         reopened.restore_old()
         raise
     return mark
+
+
+def read_places(path: Path) -> list[tuple[float, Pose2]]:
+    """Return where the scanner of the twin stood by hand: since when [s], and ``T_map_base``.
+
+    Raises:
+        FileError: The file cannot be read, or the places are damaged.
+    """
+    text = "[]"
+    for each in read_contents(path, PLACES):
+        if isinstance(each, Metadata) and each.name == PLACES:
+            text = each.metadata.get("json", "[]")
+    try:
+        rows = np.array(json.loads(text), dtype=np.float64).reshape(-1, 4)
+    except (ValueError, TypeError, RecursionError):
+        raise FileError(f"{path}: the places of its scanner are damaged") from None
+    if not np.all(np.isfinite(rows)):
+        raise FileError(f"{path}: the places of its scanner are damaged")
+    return [(float(start), Pose2(*pose)) for start, *pose in rows]
 
 
 def _append(file: McapFile, before: Session | None, session: Session, mark: Mark) -> Mark:

@@ -56,7 +56,8 @@ def import_scans(
     without odometry: the scanner may be set down anew within about 1 m and 60 deg. The result is a
     run like any other, for `twin view`, `export`, `mesh` and `compare`.
 
-    Reads CSV, and sensor_msgs/LaserScan with /tf or joint states in MCAP files and rosbag2 folders.
+    Reads CSV, sensor_msgs/LaserScan with /tf or joint states in MCAP files and rosbag2 folders, and
+    the raw scans of PiLiDAR.
 
     Args:
         source: The file or folder.

@@ -15,12 +15,14 @@ from scan3d_twin.core.types import RangeImage
 from scan3d_twin.recording.importing.assemble import Mount, assemble, estimate_height, lift
 from scan3d_twin.recording.importing.csv_file import read_csv
 from scan3d_twin.recording.importing.laser_scans import read_laser_scans
+from scan3d_twin.recording.importing.pilidar import SUFFIX as PILIDAR
+from scan3d_twin.recording.importing.pilidar import read_pilidar
 from scan3d_twin.recording.importing.readings import Readings, split_sweeps
 from scan3d_twin.recording.importing.ros_log import DATABASE, MCAP, is_rosbag2
 
 TEXT_SUFFIXES, LOG_SUFFIXES = (".csv", ".tsv", ".txt"), (MCAP, DATABASE)
 """Suffixes of CSV files and of ROS 2 recordings."""
-SUFFIXES = (*TEXT_SUFFIXES, *LOG_SUFFIXES)
+SUFFIXES = (*TEXT_SUFFIXES, *LOG_SUFFIXES, PILIDAR)
 """Files that are read."""
 MAX_FILES = 1000
 """Most files of a folder."""
@@ -110,6 +112,8 @@ def _read(path: Path, options: ImportOptions) -> list[Readings]:
         return read_laser_scans(path, options.topic, options.joint)
     if suffix in TEXT_SUFFIXES:
         return read_csv(path)
+    if suffix == PILIDAR:
+        return read_pilidar(path)
     if suffix in CLOUDS:
         raise FileError(
             f"{path} holds points; lines with their angles are needed: {', '.join(SUFFIXES)}"

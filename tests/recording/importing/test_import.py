@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,6 +13,8 @@ import other_scanners
 import pytest
 import synthetic
 from rosbags.rosbag2 import StoragePlugin
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.scanning.patterns import find_axis_mount, find_mount
@@ -301,3 +304,68 @@ def tilted(pattern: str) -> RangeImage:
         exits = (ROOM.T[:, None, None, :] - [0.0, 0.0, 0.5]) / rays
     ranges = np.min(np.max(exits, axis=0), axis=-1)
     return replace(image, ranges=ranges)
+
+
+def write_pilidar(path: Path, image: RangeImage, *, protocol: int = 4) -> None:
+    """Write ``image``, of a lidar on PiLiDAR's mount, as its raw scan."""
+    planes = []
+    for k in range(image.n_lines):
+        r = np.nan_to_num(image.ranges[k]) * 1000.0
+        e = image.spec.elevations
+        planes.append(np.stack([r * np.cos(e), r * np.sin(e), 100.0 * np.ones(len(e))], axis=1))
+    content = {
+        "header": {"scan_id": "240824-1230", "device_id": None},
+        "z_angles": [np.degrees(-image.yaws[k, 0]) for k in range(image.n_lines)],
+        "angular": None,
+        "cartesian": [plane.astype(np.float32) for plane in planes],
+    }
+    path.write_bytes(pickle.dumps(content, protocol=protocol))
+
+
+@pytest.mark.parametrize("protocol", [4, 5])
+def test_a_raw_scan_of_pilidar_gives_the_points_that_its_own_program_makes(tmp_path, protocol):
+    image = sweep()
+    image = replace(image, yaws=np.repeat(image.yaws[:, :1], image.spec.n_beams, axis=1))
+    write_pilidar(tmp_path / "240824-1230_lidar.pkl", image, protocol=protocol)
+    options = ImportOptions(Mount(height=0.0))
+    (found,) = read_sweeps(tmp_path / "240824-1230_lidar.pkl", options, ignore)
+    check_image(found)
+
+    # As merge_2D_points: rotate about y by the offset angle, shift along y, rotate about z
+    e, r = image.spec.elevations, image.ranges
+    plane = np.stack([r * np.cos(e), np.zeros_like(r), r * np.sin(e)], axis=-1)
+    tilted = Rotation.from_rotvec([0.0, math.radians(-1.05), 0.0]).apply(plane.reshape(-1, 3))
+    shifted = tilted + np.array([0.0, -0.0375, 0.0])
+    z_angles = np.repeat(-image.yaws[:, 0], len(e))
+    turned = Rotation.from_rotvec(np.outer(-z_angles, [0.0, 0.0, 1.0])).apply(shifted)
+    middle = (image.yaws[0, 0] + image.yaws[-1, 0]) / 2
+    points = Pose2(0.0, 0.0, middle).apply(found.points[np.isfinite(found.ranges)])
+    turned = turned[np.isfinite(turned[:, 0])]
+    assert len(points) == len(turned)
+    assert cKDTree(points).query(turned)[0].max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"z_angles": [0.0], "cartesian": [Path("elsewhere")]},
+        {"z_angles": [0.0], "cartesian": [[1.0, 2.0]]},
+        {"z_angles": [0.0, 1.0], "cartesian": [np.ones((5, 3))]},
+        {"z_angles": [None], "cartesian": [np.ones((5, 3))]},
+        {"z_angles": [0.0], "cartesian": [np.array(["a", "b"])]},
+        {"z_angles": [0.0], "cartesian": [np.ones(5)]},
+        {"cartesian": []},
+        ["no", "dictionary"],
+    ],
+)
+def test_a_pickle_that_is_no_raw_scan_of_pilidar_is_refused(tmp_path, content):
+    (tmp_path / "scan.pkl").write_bytes(pickle.dumps(content))
+    with pytest.raises(FileError, match=r"scan\.pkl"):
+        read_sweeps(tmp_path / "scan.pkl", ImportOptions(), ignore)
+
+
+def test_a_pickle_makes_nothing_but_numbers(tmp_path):
+    """A path is refused by its name, whatever it would do."""
+    (tmp_path / "scan.pkl").write_bytes(pickle.dumps({"z_angles": Path("elsewhere")}))
+    with pytest.raises(FileError, match=r"it holds a pathlib\."):
+        read_sweeps(tmp_path / "scan.pkl", ImportOptions(), ignore)
