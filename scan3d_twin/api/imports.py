@@ -25,6 +25,7 @@ from scan3d_twin.run.report import Effort, Journey
 from scan3d_twin.run.run_warnings import describe_doubts
 from scan3d_twin.run.settings import REAL_SCENE, RunConfig, Settings, settings_toml
 from scan3d_twin.run.versions import collect_versions
+from scan3d_twin.sim.config import TwinConfig
 
 YAW_SCALE_SIGMA = 0.001
 """Standard deviation of the relative error of the angles of a turning axis with a sensor or steps
@@ -82,7 +83,8 @@ def import_scans(
         notify(f"warning: {words}")
 
     # Save session, report and pictures
-    settings = Settings(RunConfig(scene=REAL_SCENE, seed=seed), config)
+    twin = TwinConfig(robot="stand", pattern="yaw")
+    settings = Settings(RunConfig(scene=REAL_SCENE, seed=seed), config, twin)
     name = place.resolve().stem or "import"
     command = {"command": shlex.join(sys.argv), "started": _now()}
     mark = write_session(

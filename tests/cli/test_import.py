@@ -88,6 +88,33 @@ def test_a_sweep_that_fits_nowhere_is_left_out_and_named(twin, folder, tmp_path)
     assert "warning: Sweep 1 is left out" in result.err
 
 
+def test_a_view_that_fits_elsewhere_as_well_is_called_unsure(twin, tmp_path):
+    """A bare square room looks the same after a quarter turn."""
+    near, far, high = 1.5, 1.6, 2.5
+    square = (
+        synthetic.Box((near, -far, 0.0), (far, far, high)),
+        synthetic.Box((-far, -far, 0.0), (-near, far, high)),
+        synthetic.Box((-far, near, 0.0), (far, far, high)),
+        synthetic.Box((-far, -far, 0.0), (far, -near, high)),
+    )
+    (tmp_path / "hall").mkdir()
+    for k, place in enumerate((Pose2(), Pose2(0.1, 0.0, math.radians(44.0)))):
+        image = synthetic.observe(
+            place, square, width=math.radians(350), step=math.radians(2.0), sigma=0.003,
+            rng=np.random.default_rng(k), lidar=sweep(0).spec, room=False,
+        ).image  # fmt: skip
+        other_scanners.write_readings(tmp_path / f"hall/{k}.csv", image)
+    result = twin("import", "hall", "--out", "run", "--json")
+    assert result.code == 0
+    assert "warning: View 1 is unsure: another place fits almost as well" in result.err
+    assert any("View 1 is unsure" in words for words in json.loads(result.out)["warnings"])
+
+
+def test_a_file_beyond_the_limit_is_refused_before_it_is_read(fails, monkeypatch, folder):
+    monkeypatch.setenv("TWIN_FILE_LIMITS", "1e-5")
+    assert "TWIN_FILE_LIMITS=" in fails(FILE, "import", folder, "--out", "run")
+
+
 def test_sweeps_of_different_places_are_no_model(twin, folder, tmp_path):
     (tmp_path / "two").mkdir()
     (tmp_path / "two/a.csv").write_bytes((folder / "scan0.csv").read_bytes())

@@ -37,8 +37,8 @@ from scan3d_twin.recording.importing.readings import (
     number_lines,
 )
 
-MAX_SIZE = 1_000_000_000
-"""Largest file [bytes]: twenty million readings."""
+MAX_SIZE = 300_000_000
+"""Largest file [bytes]: ten million readings. Reading it takes ten times the memory."""
 MAX_COLUMNS = 100_000
 """Most columns of a row: a line of 50,000 beams."""
 UNITS = {
@@ -77,7 +77,7 @@ def read_csv(path: Path) -> list[Readings]:
     # Read the text
     try:
         if path.stat().st_size > scaled(MAX_SIZE):
-            raise FileError(f"{path} is larger than {MAX_SIZE / 1e9:g} GB; {how_to_raise()}")
+            raise FileError(f"{path} is larger than {MAX_SIZE / 1e6:g} MB; {how_to_raise()}")
         rows = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from None

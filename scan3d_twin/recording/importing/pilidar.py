@@ -27,7 +27,7 @@ from scan3d_twin.limits import how_to_raise, scaled
 from scan3d_twin.recording.importing.readings import MAX_READINGS, Readings, clean_ranges
 
 SUFFIX = ".pkl"
-MAX_SIZE = 1_000_000_000
+MAX_SIZE = 300_000_000
 """Largest file [bytes]; a scan of 990 planes takes 26 MB."""
 LIDAR_OFFSET_ANGLE = math.radians(-1.05)
 """Rotation of the plane about the axis to the left [rad], by PiLiDAR's ``config.json``."""
@@ -132,7 +132,7 @@ def read_pilidar(path: Path) -> list[Readings]:
     # Read the planes
     try:
         if path.stat().st_size > scaled(MAX_SIZE):
-            raise FileError(f"{path} is larger than {MAX_SIZE / 1e9:g} GB; {how_to_raise()}")
+            raise FileError(f"{path} is larger than {MAX_SIZE / 1e6:g} MB; {how_to_raise()}")
         with path.open("rb") as file:
             content = _Unpickler(file).load()
         degrees = np.array([float(each) for each in content["z_angles"]])

@@ -33,8 +33,8 @@ STANDSTILL = 0.1
 """Step of the axis, in usual steps, below which it stands."""
 MAX_RANGE = 1000.0
 """Longest range that is believed [m]: beyond it the unit is wrong."""
-MAX_READINGS = 50_000_000
-"""Largest number of readings of a file: thirty full turns in steps of 0.2 deg."""
+MAX_READINGS = 20_000_000
+"""Largest number of readings of a file: twelve full turns in steps of 0.2 deg."""
 
 
 @dataclass(frozen=True, eq=False)
