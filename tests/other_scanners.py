@@ -70,10 +70,15 @@ def write_laser_scans(
     image: RangeImage,
     *,
     joint: bool = False,
+    lever: bool = False,
     storage: StoragePlugin = StoragePlugin.MCAP,
 ) -> None:
-    """Write a rosbag2 folder: scans in frame ``laser``, and what turns it, as /tf or as a joint."""
-    messages = [*_scan_messages(image), *(_joints(image) if joint else _transforms(image))]
+    """Write a rosbag2 folder: scans in frame ``laser``, and what turns it, as /tf or as a joint.
+
+    With a ``lever`` the frame ``laser`` itself turns, away from the axis.
+    """
+    turning = _joints(image) if joint else _transforms(image, lever=lever)
+    messages = [*_scan_messages(image), *turning]
     with Writer(folder, version=9, storage_plugin=storage) as writer:
         topics = {}
         for topic, stamp, message in sorted(messages, key=lambda each: each[1]):
@@ -116,14 +121,19 @@ def _axis_at(image: RangeImage, times: FloatArray) -> FloatArray:
     return np.polyval(fit, times)
 
 
-def _transforms(image: RangeImage) -> Iterator[tuple[str, float, ros.Message]]:
+def _transforms(
+    image: RangeImage, *, lever: bool = False
+) -> Iterator[tuple[str, float, ros.Message]]:
     """Yield the mount, and the frame ``base`` that turns about z of a frame that may lie."""
-    yield "/tf_static", 0.0, ros.encode_mount(image.T_base_lidar)
+    mount = image.T_base_lidar @ ros.LASER_IN_LIDAR
+    if not lever:
+        yield "/tf_static", 0.0, ros.encode_mount(image.T_base_lidar)
     if image.T_scan_axis is not None:
         yield "/tf_static", 0.0, _edge(0.0, "floor", "stand", image.T_scan_axis)
     for stamp, yaw in zip(_clock(image), _axis_at(image, _clock(image)), strict=True):
         T = Pose2(3.0, 1.0, yaw).matrix()
-        yield "/tf", stamp, _edge(stamp, "stand", "base", T)
+        child, T = ("laser", T @ mount) if lever else ("base", T)
+        yield "/tf", stamp, _edge(stamp, "stand", child, T)
 
 
 def _edge(stamp: float, parent: str, child: str, T: FloatArray) -> ros.Message:

@@ -174,7 +174,7 @@ def _check_errors(session: Session, evaluation: Evaluation | None) -> Iterator[s
         if result is None:
             continue
         expected = config.registration.calibration * result.predicted_rmse
-        if expected > config.planning.epsilon:
+        if config.planning.epsilon < expected < math.inf:
             yield (
                 f"View {k}: its pose may be off by {1e3 * expected:.1f} mm (90 % of such poses are "
                 f"off by less), {wanted}."

@@ -214,7 +214,9 @@ def _find_basins(target: SurfelGrid, source: SurfelGrid) -> Iterator[RunResult]:
     free = Problem(target, source)
     for pose in kept[:MAX_BASINS]:
         with suppress(RegistrationError):
-            yield align(free, pose)
+            outcome = align(free, pose)
+            if outcome.settled:
+                yield outcome
 
 
 def _judge(

@@ -20,6 +20,11 @@ from scan3d_twin.core.types import FloatArray
 
 MIN_TURN = math.radians(5.0)
 """Least angle by which an axis turns in a recording [rad]."""
+MAX_OFF_CENTRE = 0.01
+"""Largest distance from its circle at which a frame goes round a fixed axis [m]: a robot that turns
+on the spot, and the noise of its transforms."""
+MAX_FITTED = 2000
+"""Number of samples by which that circle is fitted."""
 MAX_FRAMES = 100
 """Longest chain of frames."""
 
@@ -118,11 +123,31 @@ def find_turning_axis(tree: FrameTree, frame: str) -> TurningAxis | None:
         above = above @ _matrix(tree.samples[each][0])
     for each in reversed(chain[:k]):
         mount = mount @ _matrix(tree.samples[each][0])
+    offset, places = _find_centre(turning.as_matrix(), rows[:, 1:4])
     R_root_axis = above[:3, :3] @ (turning[0] * B).as_matrix()
+    mount[:3, 3] += offset - (offset @ u) * u  # along the axis, any origin is on it
     mount[:3] = B.as_matrix().T @ mount[:3]
-    return TurningAxis(
-        chain[k], rows[:, 0], np.unwrap(turned @ u), mount, R_root_axis, rows[:, 1:4]
-    )
+    return TurningAxis(chain[k], rows[:, 0], np.unwrap(turned @ u), mount, R_root_axis, places)
+
+
+def _find_centre(R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where a frame is from the axis about which it turns (3,), and the axis (n, 3) [m].
+
+    A frame that is not on the axis goes round it: t = p + R q, with p on the axis and the frame at
+    q from it, both fixed. Where no p and q fit, as on a robot that drives, the axis is the frame.
+
+    Args:
+        R: Rotations of the frame in its parent (n, 3, 3).
+        t: Its positions (n, 3) [m].
+    """
+    few = slice(None, None, max(1, len(t) // MAX_FITTED))
+    A = np.concatenate([np.broadcast_to(np.eye(3), R[few].shape), R[few]], axis=2).reshape(-1, 6)
+    found = np.linalg.lstsq(A, t[few].ravel(), rcond=1e-6)[0]
+    p, q = found[:3], found[3:]
+    off = np.linalg.norm(t - p - R @ q, axis=1)
+    if float(np.max(off)) > MAX_OFF_CENTRE:
+        return np.zeros(3), t
+    return q, np.broadcast_to(p, t.shape)
 
 
 def find_joint(

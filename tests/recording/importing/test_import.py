@@ -369,3 +369,12 @@ def test_a_pickle_makes_nothing_but_numbers(tmp_path):
     (tmp_path / "scan.pkl").write_bytes(pickle.dumps({"z_angles": Path("elsewhere")}))
     with pytest.raises(FileError, match=r"it holds a pathlib\."):
         read_sweeps(tmp_path / "scan.pkl", ImportOptions(), ignore)
+
+
+def test_a_frame_that_goes_round_its_axis_gives_the_same_points(tmp_path):
+    """The frame that turns is the lidar's own, 5 cm from the axis."""
+    image = replace(sweep(), T_scan_axis=None)
+    other_scanners.write_laser_scans(tmp_path / "bag", image, lever=True)
+    (found,) = read_sweeps(tmp_path / "bag", ImportOptions(Mount(height=0.3)), ignore)
+    assert np.allclose(found.T_base_lidar[:2, 3], sweep().T_base_lidar[:2, 3], atol=1e-6)
+    assert same_points(found, sweep()) < 1e-4
