@@ -81,7 +81,10 @@ def _read_raw(place: Path) -> Iterator[RawMessage]:
 
 
 def _read_database(path: Path) -> Iterator[RawMessage]:
-    """Yield the messages of the SQLite file of a rosbag2 folder."""
+    """Yield the messages of the SQLite file of a rosbag2 folder.
+
+    Only tables are read: a view could compute for ever. No value may exceed ``MAX_MESSAGE``.
+    """
     query = (
         "SELECT topics.name, topics.type, messages.timestamp, messages.data FROM messages "
         "JOIN topics ON topics.id = messages.topic_id "
@@ -90,6 +93,10 @@ def _read_database(path: Path) -> Iterator[RawMessage]:
     limit = scaled(MAX_MESSAGE)
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limit)
+            kinds = dict(database.execute("SELECT name, type FROM sqlite_master"))
+            if not kinds.get("topics") == kinds.get("messages") == "table":
+                raise FileError(f"{path} is no database of rosbag2: no tables of its messages")
             (largest,) = database.execute("SELECT max(length(data)) FROM messages").fetchone()
             if isinstance(largest, int) and largest > limit:
                 raise FileError(f"{path} holds a message of {largest} bytes; {how_to_raise()}")

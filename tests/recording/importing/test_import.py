@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import pickle
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -223,6 +225,15 @@ def test_other_files_are_refused_by_name(tmp_path: Path, name: str, message: str
     (tmp_path / name).write_bytes(b"something else")
     with pytest.raises(FileError, match=message):
         read_sweeps(tmp_path / name, ImportOptions(), ignore)
+
+
+def test_a_database_of_other_things_is_refused(tmp_path):
+    with closing(sqlite3.connect(tmp_path / "bag.db3")) as database:
+        database.execute("CREATE TABLE topics (id INTEGER, name TEXT, type TEXT)")
+        database.execute("CREATE VIEW messages AS SELECT 1 AS topic_id, 2 AS timestamp, 3 AS data")
+        database.commit()
+    with pytest.raises(FileError, match="no database of rosbag2: no tables"):
+        read_sweeps(tmp_path / "bag.db3", ImportOptions(), ignore)
 
 
 def test_an_empty_folder_and_a_missing_file_are_refused(tmp_path):
