@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from scan3d_twin.cli.defaults import PREFIX, default_text
+from scan3d_twin.core.config import Pattern
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.run.settings import Options, absolute_scene, merge_options, read_settings
 
@@ -29,7 +30,19 @@ def env(name: str, default: str | None = None) -> Parameter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneOptions:
+class TurntableOptions:
+    """What turns the lidar; None is not stated."""
+
+    pattern: Annotated[Pattern | None, env("PATTERN")] = None
+    """Base or table turns the lidar."""
+    turntable: Annotated[str | None, env("TURNTABLE"), Parameter(show=False)] = None
+    """Name of the turntable: xl330 or ideal."""
+    base: Annotated[str | None, Parameter(show=False)] = None
+    """Another name of ``--robot``: a stand is none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions(TurntableOptions):
     """What only the twin has a choice of; None is not stated."""
 
     scene: Annotated[str | None, env("SCENE", "{run.scene}")] = None
@@ -42,14 +55,8 @@ class SceneOptions:
     """Room of a mesh: WxD [m], or none."""
     keyframe: Annotated[str | None, env("KEYFRAME", "reference pose")] = None
     """Keyframe for an .xml."""
-    robot: Annotated[str | None, env("ROBOT", "{twin.robot}"), Parameter(alias="--base")] = None
+    robot: Annotated[str | None, env("ROBOT", "{twin.robot}")] = None
     """Name of the base (`twin devices`)."""
-    pattern: Annotated[
-        Literal["yaw-base", "yaw", "pitch", "roll"] | None, env("PATTERN", "{twin.pattern}")
-    ] = None
-    """What turns the lidar: the base, or a turntable about one of its axes."""
-    turntable: Annotated[str | None, env("TURNTABLE", "{twin.turntable}")] = None
-    """Name of the turntable: xl330 or ideal."""
     lidar: Annotated[str | None, env("LIDAR", "{twin.lidar_model}")] = None
     """Name of the lidar (`twin devices`)."""
     world: Annotated[str | None, env("WORLD", "{run.world}")] = None
@@ -65,8 +72,7 @@ class RunOptions:
     tour: Annotated[Literal["front", "full"] | None, env("TOUR", "front or scene's")] = None
     """Front or all round."""
     lidar_link: Annotated[str | None, env("LIDAR_LINK", "{twin.lidar_link}")] = None
-    """Link of the lidar; of urg04lx: usb (682 steps, 10 Hz), 115200 (357 steps, 10 Hz) or
-    115200-full (682 steps, 5 Hz)."""
+    """Link of the lidar; of urg04lx: usb, 115200 or 115200-full."""
     preset: Annotated[str | None, env("PRESET", "{run.preset}")] = None
     """Named set of options: paper or best."""
     planner: Annotated[str | None, env("PLANNER", "the preset's, {config.planner}")] = None
@@ -140,12 +146,25 @@ def _flat(options: RunOptions, sections: Options) -> Options:
             top[name] = value
         elif name == "lidar":
             top["lidar_model"] = value
+        elif name == "base":
+            top["robot"] = choose_base(top.get("robot"), value)
     planning = {}
     if options.epsilon is not None:
         if "epsilon" in sections.get("planning", {}):
             raise ConfigError("--epsilon [mm] and --planning.epsilon [m] are the same; give one")
         planning["epsilon"] = options.epsilon / 1e3
     return {**top, "run": run, "planning": planning}
+
+
+def choose_base(robot: str | None, base: str | None) -> str | None:
+    """Return the base that ``--robot`` or ``--base`` names; None where neither does.
+
+    Raises:
+        ConfigError: They name two.
+    """
+    if robot is not None and base is not None and robot != base:
+        raise ConfigError(f"--robot {robot} and --base {base} are the same; give one")
+    return robot if base is None else base
 
 
 def _given(options: RunOptions) -> Iterator[tuple[str, Any]]:

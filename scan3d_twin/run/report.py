@@ -17,6 +17,7 @@ import numpy as np
 
 from scan3d_twin.core.digitize import STAND_REASON
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
+from scan3d_twin.core.scanning.sphere_density import measure_density
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, wrap
 from scan3d_twin.run.run_warnings import find_warnings
@@ -118,7 +119,23 @@ def build_report(
         "peak_memory_mb": _number(effort.peak_memory / 1e6, 1),
         "points": points,
         "mesh_accuracy_mm": _distances(mesh_accuracy) if mesh_accuracy else None,
+        **_density(session),
         "warnings": find_warnings(session, evaluation, notes),
+    }
+
+
+def _density(session: Session) -> Report:
+    """Return the density of the first view over the sphere, where a turntable took it."""
+    if not session.views or session.views[0].observation.image.T_scan_axis is None:
+        return {}
+    density = measure_density(session.views[0].observation.image)
+    return {
+        "density": {
+            "seen_share": _number(density.seen, 4),
+            "low_per_deg2": _number(density.low, 2),
+            "median_per_deg2": _number(density.median, 2),
+            "high_per_deg2": _number(density.high, 2),
+        }
     }
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from scan3d_twin.cli.options import PortOptions, env
+from scan3d_twin.cli.options import PortOptions, TurntableOptions, choose_base, env
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, Devices
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OneScanOptions(PortOptions):
+class OneScanOptions(TurntableOptions, PortOptions):
     """What is scanned, and how finely."""
 
     scene: Annotated[str | None, env("SCENE", "none, the real robot")] = None
@@ -56,9 +56,10 @@ class OneScanOptions(PortOptions):
 def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOptions()) -> None:
     """Take one 3D image from where the robot stands.
 
-    The robot turns on the spot, and writes scan.ply, the points in the frame of the sweep, and
-    scan.npz, the raw range image; with --back also scan_back.npz. With --add the image becomes a
-    view of an earlier run, registered without odometry, and report and pictures are renewed.
+    The robot turns on the spot, or its turntable turns the lidar, and writes scan.ply, the points
+    in the frame of the sweep, and scan.npz, the raw range image; with --back also scan_back.npz.
+    With --add the image becomes a view of an earlier run, registered without odometry, and report
+    and pictures are renewed.
 
     Raises:
         TwinError: The image could not be taken; the robot is stopped.
@@ -74,11 +75,12 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
         raise ConfigError("--place is for --add RUN in the twin")
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
+    base = choose_base(options.robot, options.base)
     devices = Devices(
-        options.robot or DEFAULT_BASE,
+        base or DEFAULT_BASE,
         options.lidar or DEFAULT_LIDAR,
         options.lidar_link or "",
-        is_base_stated=options.robot is not None,
+        is_base_stated=base is not None,
     )
     if options.scene and (options.port or options.lidar_port):
         raise ConfigError("--scene is for the twin, --port and --lidar-port for the real robot")
@@ -111,7 +113,7 @@ def _add(options: OneScanOptions, run: Path) -> None:
 
     # Check the options
     default = OneScanOptions()
-    for name in ("scene", "width", "rate", "back", "seed", "out"):
+    for name in ("scene", "pattern", "turntable", "width", "rate", "back", "seed", "out"):
         if getattr(options, name) != getattr(default, name):
             raise ConfigError(f"--add takes {name} from the run; leave out --{name}")
     place = None if options.place is None else _parse_place(options.place)
@@ -119,11 +121,12 @@ def _add(options: OneScanOptions, run: Path) -> None:
     # Take the view and add it
     folder = run_folder(run)
     twin = load_session(folder).settings.twin
+    base = choose_base(options.robot, options.base)
     devices = Devices(
-        options.robot or twin.robot,
+        base or twin.robot,
         options.lidar or twin.lidar_model,
         options.lidar_link or twin.lidar_link,
-        is_base_stated=options.robot is not None,
+        is_base_stated=base is not None,
     )
     added = add_view(folder, place, lambda: open_robot(options, devices), say)
     shown = report_json(added.report) if options.json else summary(added.report, folder)
@@ -149,11 +152,18 @@ def _opening(
     from scan3d_twin.cli.commands.real import open_robot
 
     if options.scene is None:
+        if options.pattern is not None or options.turntable is not None:
+            raise ConfigError("--pattern and --turntable are for the twin: give it a --scene")
         return open_robot(options, devices)
     from scan3d_twin.sim.config import DEFAULT_WORLD, TwinConfig
     from scan3d_twin.sim.robot import open_sim
 
     config = TwinConfig.of(DEFAULT_WORLD, devices.base, devices.lidar, devices.link)
+    config = replace(
+        config,
+        pattern=options.pattern or config.pattern,
+        turntable=options.turntable or config.turntable,
+    )
     return open_sim(options.scene, options.seed, config)
 
 
