@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,12 +46,13 @@ def save_run(
     effort: Effort,
     truth: Truth | None = None,
     scene_picture: bytes = b"",
+    notes: Sequence[str] = (),
 ) -> Report:
     """Write the files of ``session`` to ``folder`` and return the report.
 
     The views are written once more, because the final alignment may have moved them. The model is
     evaluated only if it shows the target of the ground truth. ``scene_picture`` is a PNG of the
-    scene; empty for a real robot.
+    scene; empty for a real robot. The report's warnings begin with ``notes``.
     """
     # Evaluate against the ground truth
     seen = build_view_clouds(session)
@@ -75,7 +76,7 @@ def save_run(
         len(model),
         evaluation,
         None if reference is None else _mesh_accuracy(session, mesh, reference),
-        () if truth is None else (*truth.notes, *_note_other_thing(truth, reference, settings)),
+        (*notes, *(() if truth is None else _list_notes(truth, reference, settings))),
     )
 
     # Write views in their final poses
@@ -116,6 +117,12 @@ def _remove_views_from(count: int, folder: Path) -> None:
     while (path := view_path(folder, count)).exists():
         path.unlink()
         count += 1
+
+
+def _list_notes(truth: Truth, reference: Reference | None, settings: Settings) -> Iterator[str]:
+    """Yield what is known of the scene, and of a model that was not evaluated."""
+    yield from truth.notes
+    yield from _note_other_thing(truth, reference, settings)
 
 
 def _note_other_thing(

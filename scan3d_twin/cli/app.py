@@ -26,6 +26,7 @@ COMMANDS = {
     "sim": ("sim:sim", "Digitise a scene with the twin."),
     "real": ("real:real", "Digitise with the real robot."),
     "scan": ("scan:scan", "Take one 3D image from where the robot stands."),
+    "import": ("import_scans:import_scans", "Make an aligned model of another scanner's sweeps."),
     "view": ("view:view", "Show a recorded run on a web page."),
     "console": ("console:console", "Start, steer and compare runs on a web page."),
     "runs": ("runs:runs", "List the earlier runs."),

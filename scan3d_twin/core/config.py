@@ -28,6 +28,7 @@ PATTERNS: tuple[str, ...] = get_args(Pattern)
 Tour = Literal["front", "full"]
 Resource = Literal["speed", "memory"]
 Scope = Literal["target", "sweep"]
+Extraction = Literal["salient", "everything"]
 Turning = Literal["odometry", "look"]
 Border = Literal["drop", "keep"]
 Engine = Literal["icp", "grid"]
@@ -138,6 +139,9 @@ class TargetConfig:
     """Distance in the top view below which two things are one target [m]."""
     min_points: int = number(30, 1, 1_000_000)
     """Number of points below which a group is stray points."""
+    extraction: Extraction = "salient"
+    """What is modelled: the salient target, or everything within reach, with floor and walls, in
+    views of a scanner that is set down by hand."""
 
     __repr__ = repr_options
 

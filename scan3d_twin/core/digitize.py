@@ -22,6 +22,7 @@ from scan3d_twin.core.mapping.scan_matching import match_to_previous, predict_po
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.observer import Observer, Unobserved
+from scan3d_twin.core.placed_views import integrate_placed
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
 from scan3d_twin.core.planning.standoff import fit_standoff
@@ -242,6 +243,8 @@ def begin_session(
 
 def tune_config(session: Session, config: Config) -> Config:
     """Return ``config`` for a run that continues ``session``, tuned by its first panorama."""
+    if not session.panoramas:
+        return config
     panorama = session.panoramas[0][1]
     tuned = apply_yaw_scale(config, calibrate_on_panorama(panorama.image))
     return fit_standoff(tuned, panorama, session.hint)
@@ -352,12 +355,15 @@ def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
 def integrate(session: Session, observation: Observation) -> Session:
     """Return ``session`` with the view that ``observation`` makes, aligned on loop closure.
 
-    Pure: the same session and observation give the same result.
+    Pure: the same session and observation give the same result. A view without odometry is placed
+    by ``integrate_placed``.
     """
     # Place the lines of a tilted axis on an upright grid
     config, upright = session.config, make_upright(observation.image)
     if upright is not observation.image:
         observation = replace(observation, image=upright)
+    if not observation.has_odometry:
+        return integrate_placed(session, observation)
 
     # Clean the range image
     image = remove_mixed_pixels(observation.image, config.gaps)

@@ -418,16 +418,18 @@ class Observation:
 
     Attributes:
         image: The raw range image in frame ``scan``.
-        T_odom_scan: Pose of the sweep by odometry.
+        T_odom_scan: Pose of the sweep by odometry; the identity where there is none.
         touched: Places (x, y) in ``odom`` [m] where the robot bumped into something on the way.
         legs: How the wheels moved since the sweep before it: turn on the spot [rad], not wrapped,
             and length of the drive after it [m], again and again; empty where it is not known.
+        has_odometry: Whether ``T_odom_scan`` was measured; False for a scanner set down by hand.
     """
 
     image: RangeImage
     T_odom_scan: Pose2
     touched: tuple[tuple[float, float], ...] = ()
     legs: tuple[tuple[float, float], ...] = ()
+    has_odometry: bool = True
 
     def moved(self, T_odom_old: Pose2) -> Observation:
         """Return the same sweep in another ``odom``, in which the old one has the given pose."""

@@ -24,7 +24,8 @@ def replay(
 ) -> Session:
     """Return the session that the sweeps of ``session`` give with ``config`` and ``planner``.
 
-    Viewpoints and target stay as recorded: new plans are made, but not carried out.
+    Viewpoints and target stay as recorded: new plans are made, but not carried out. Views without
+    odometry, which a person has placed, are only registered.
 
     Args:
         session: A run before its end; its panoramas serve the plans that need one.
@@ -37,10 +38,15 @@ def replay(
     again = replace(session, config=config, panoramas=first, views=(), plans=(), misfits=())
     for k, view in enumerate(session.views):
         again = integrate(again, view.observation)
-        if k < len(session.plans):
+        if k < len(session.plans) and not _is_placed_by_hand(session, k + 1):
             again = _plan_again(again, session, planner)
         step(k)
     return again
+
+
+def _is_placed_by_hand(session: Session, k: int) -> bool:
+    """Return whether there is a view ``k``, and a person chose its place."""
+    return k < len(session.views) and not session.views[k].observation.has_odometry
 
 
 def _plan_again(again: Session, session: Session, planner: Planner) -> Session:

@@ -221,8 +221,13 @@ def _registration(session: Session, k: int, pair: PairError | None) -> Report:
 
 
 def odometry_correction(session: Session, k: int) -> tuple[float, float]:
-    """Return by how much registration moved [m] and turned [rad] view ``k`` from its odometry."""
+    """Return by how much registration moved [m] and turned [rad] view ``k`` from its odometry.
+
+    NaN where it has none.
+    """
     previous, view = session.views[k - 1], session.views[k]
+    if not view.observation.has_odometry:
+        return math.nan, math.nan
     odometry = previous.observation.T_odom_scan.inverse() @ view.observation.T_odom_scan
     registered = previous.T_world_scan.inverse() @ view.T_world_scan
     return odometry.distance(registered), abs(wrap(registered.yaw - odometry.yaw))

@@ -40,6 +40,15 @@ def find_warnings(
     return found if evaluation is None else [*found, *_check_model(evaluation)]
 
 
+def describe_doubts(session: Session) -> list[str]:
+    """Return one sentence for each doubt about the place of a view, as the report has them."""
+    return [
+        *_check_registrations(session),
+        *_check_misfits(session),
+        *_check_errors(session, None),
+    ]
+
+
 class OdometryCheck(Unobserved):
     """Warns once, as soon as several views show that the odometry is wrong."""
 
@@ -105,11 +114,20 @@ def _check_registrations(session: Session) -> Iterator[str]:
             yield f"View {k} is not registered ({why}): its pose is that of the odometry alone."
             continue
         if result.ambiguity_gap < MIN_AMBIGUITY_GAP:
-            yield f"View {k}: another place fits almost as well; compare it with its neighbours."
+            unsure = ":" if view.observation.has_odometry else " is unsure:"
+            yield (
+                f"View {k}{unsure} another place fits almost as well; compare it with its "
+                "neighbours."
+            )
         if len(result.degenerate_directions):
+            determines = (
+                "only odometry determines the pose"
+                if view.observation.has_odometry
+                else "nothing determines the pose"
+            )
             yield (
                 f"View {k}: the surfaces leave {len(result.degenerate_directions)} direction(s) "
-                "open, in which only odometry determines the pose. A bare wall or a round object?"
+                f"open, in which {determines}. A bare wall or a round object?"
             )
 
 
@@ -156,7 +174,7 @@ def _check_errors(session: Session, evaluation: Evaluation | None) -> Iterator[s
         if result is None:
             continue
         expected = config.registration.calibration * result.predicted_rmse
-        if expected > config.planning.epsilon:
+        if config.planning.epsilon < expected < math.inf:
             yield (
                 f"View {k}: its pose may be off by {1e3 * expected:.1f} mm (90 % of such poses are "
                 f"off by less), {wanted}."

@@ -138,7 +138,7 @@ def _cells(k: int, session: Session, row: dict[str, Any] | None, *, known: bool)
     if known:
         cells += [cell("error_mm", judged=True), cell("odometry_error_mm")]
     moved, turned = row["correction_mm"], row["correction_deg"]
-    corrected = (f"{moved:.1f} mm, {turned:.2f}°", False)
+    corrected = (dash if moved is None else f"{moved:.1f} mm, {turned:.2f}°", False)
     return [*cells, corrected, cell("fitness", "{:.0%}"), (escape(_note(row)), False)]
 
 

@@ -25,7 +25,7 @@ PAGES = [
     (), ("sim",), ("real",), ("scan",), ("bench",), ("bench", "report"), ("replay",), ("session",),
     ("session", "info"), ("session", "drop-view"), ("calibrate",), ("doctor",), ("view",),
     ("mesh",), ("export",), ("emulate",), ("options",), ("scenes",), ("planners",),
-    ("devices",), ("runs",), ("compare",), ("film",), ("console",),
+    ("devices",), ("runs",), ("compare",), ("film",), ("console",), ("import",),
 ]  # fmt: skip
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from scan3d_twin.core.hal import Robot
-    from scan3d_twin.core.types import Observation
+    from scan3d_twin.core.types import Observation, Pose2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +40,13 @@ class OneScanOptions(TurntableOptions, PortOptions):
     350 deg."""
     seed: int = 0
     """Seed of the twin's errors and noise."""
+    add: Path | None = None
+    """Run to which the image is added as a view: set the scanner down within about 1 m and 60 deg
+    of an earlier place."""
+    place: Annotated[
+        str | None, Parameter(allow_leading_hyphen=True, show_default=lambda _: "drawn")
+    ] = None
+    """With --add in the twin: x,y,yaw [m, deg] of the stand from its first place."""
     out: Annotated[Path | None, env("OUT", "runs/scan-TIME")] = None
     """Folder for the results, new or empty."""
     json: bool = False
@@ -51,6 +58,8 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
 
     The robot turns on the spot, or its turntable turns the lidar, and writes scan.ply, the points
     in the frame of the sweep, and scan.npz, the raw range image; with --back also scan_back.npz.
+    With --add the image becomes a view of an earlier run, registered without odometry, and report
+    and pictures are renewed.
 
     Raises:
         TwinError: The image could not be taken; the robot is stopped.
@@ -59,6 +68,11 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     from scan3d_twin.core.scanning.sweep import sweep
     from scan3d_twin.run.folder import claim_folder, find_free_folder, release_folder
 
+    if options.add is not None:
+        _add(options, options.add)
+        return
+    if options.place is not None:
+        raise ConfigError("--place is for --add RUN in the twin")
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
     base = choose_base(options.robot, options.base)
@@ -84,6 +98,52 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
         _save(observations, folder, as_json=options.json)
     finally:
         release_folder(folder)
+
+
+def _add(options: OneScanOptions, run: Path) -> None:
+    """Add a view to ``run`` and print the new report."""
+    import sys
+
+    from scan3d_twin.api.add_view import add_view
+    from scan3d_twin.cli.commands.real import open_robot
+    from scan3d_twin.cli.output import say
+    from scan3d_twin.cli.summary import summary
+    from scan3d_twin.recording.load import load_session, run_folder
+    from scan3d_twin.run.report import report_json
+
+    # Check the options
+    default = OneScanOptions()
+    for name in ("scene", "pattern", "turntable", "width", "rate", "back", "seed", "out"):
+        if getattr(options, name) != getattr(default, name):
+            raise ConfigError(f"--add takes {name} from the run; leave out --{name}")
+    place = None if options.place is None else _parse_place(options.place)
+
+    # Take the view and add it
+    folder = run_folder(run)
+    twin = load_session(folder).settings.twin
+    base = choose_base(options.robot, options.base)
+    devices = Devices(
+        base or twin.robot,
+        options.lidar or twin.lidar_model,
+        options.lidar_link or twin.lidar_link,
+        is_base_stated=base is not None,
+    )
+    added = add_view(folder, place, lambda: open_robot(options, devices), say)
+    shown = report_json(added.report) if options.json else summary(added.report, folder)
+    say(shown, sys.stdout, end="")
+
+
+def _parse_place(text: str) -> Pose2:
+    """Return the place that ``text`` states as x,y,yaw in metres and degrees."""
+    from scan3d_twin.core.types import Pose2
+
+    try:
+        x, y, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = yaw = math.nan
+    if not (abs(x) < 1e3 and abs(y) < 1e3 and math.isfinite(yaw)):
+        raise ConfigError(f"--place must be x,y,yaw in metres and degrees, got {text!r}")
+    return Pose2(x, y, math.radians(yaw))
 
 
 def _opening(

@@ -184,7 +184,7 @@ def drop_view(folder: Path, view: int, /, *, json: bool = False) -> None:
 
 @app.command
 def undo(folder: Path, /, *, json: bool = False) -> None:
-    """Take back the last drop-view, recover or --resume; a second undo takes back the first.
+    """Take back the last drop-view, recover, --resume or scan --add; a second undo redoes it.
 
     Args:
         folder: Folder of a run.
@@ -209,6 +209,7 @@ def _save_again(recorded: RecordedRun) -> Report:
     from scan3d_twin.cli.progress import make_progress
     from scan3d_twin.recording.load import read_commands, read_journey
     from scan3d_twin.recording.resume import reenact
+    from scan3d_twin.recording.written_session import read_places
     from scan3d_twin.run.settings import REAL_SCENE
 
     run, mark, folder = recorded.settings.run, recorded.mark, recorded.path.parent
@@ -219,6 +220,7 @@ def _save_again(recorded: RecordedRun) -> Report:
             progress.on_event("saving")
             return save_run(folder, *what)
         from scan3d_twin.run.resolve import load_run_scene
+        from scan3d_twin.sim.placed_truth import PlacedTruth
         from scan3d_twin.sim.robot import open_sim
 
         progress.on_event(f"driving through {mark.stamp:.0f} s again for the truth")
@@ -226,7 +228,9 @@ def _save_again(recorded: RecordedRun) -> Report:
         with open_sim(scene, run.seed, recorded.settings.twin) as (robot, truth):
             reenact(robot, read_commands(recorded.path), mark)
             progress.on_event("evaluating and saving")
-            return save_run(folder, *what, truth)
+            places = read_places(recorded.path)
+            known = PlacedTruth(truth, scene.spawn, places) if places else truth
+            return save_run(folder, *what, known)
 
 
 def _effort(folder: Path) -> Any:

@@ -9,6 +9,7 @@ The prior of each registration is removed again (``prior_removal``), so that odo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -43,6 +44,12 @@ OVERLAP_STRIDE = 8
 """Stride of the surfels by which overlap is measured."""
 SINGLE_BASIN_SPREAD = 0.03
 """Spread of the prior below which one basin is expected [m]: a quarter of the starts is enough."""
+LOCATED_XY, LOCATED_YAW = 0.03, math.radians(1.0)
+"""Prior of a view without odometry about the place where global registration has found it [m],
+[rad]: ten times the error of a registration and more."""
+UNKNOWN_XY, UNKNOWN_YAW = 1.0, 1.0
+"""Information on such a view besides its registrations [m], [rad]: only to keep the graph
+determined."""
 
 
 Grids = Sequence[SurfelGrid | None] | SurfelStore
@@ -218,12 +225,29 @@ def align_views(views: Sequence[View], config: Config) -> tuple[list[Edge], Solu
     """Return the registered pairs of two or more views, and the solution of their pose graph."""
     learned = views if config.registration.engine == "grid" else ()
     model = MotionModel.of(learned, config)
+    steps = [_expect_step(model, a, b) for a, b in pairwise(views)]
     return align_grids(
         SurfelStore(views, config),
-        [model.prior(*describe_move(a, b.observation)) for a, b in pairwise(views)],
+        [step for step, _ in steps],
+        searched=[searched for _, searched in steps],
         first=views[0].T_world_scan,
         starts=config.registration.starts,
         min_overlap=config.alignment.min_overlap,
+    )
+
+
+def _expect_step(model: MotionModel, before: View, after: View) -> tuple[PosePrior, PosePrior]:
+    """Return the prior of a view in the one before it, and the one of their registration.
+
+    Both are the odometry's. A view without odometry is searched where it was found.
+    """
+    if after.observation.has_odometry:
+        prior = model.prior(*describe_move(before, after.observation))
+        return prior, prior
+    found = before.T_world_scan.inverse() @ after.T_world_scan
+    return (
+        PosePrior.planar(found, UNKNOWN_XY, UNKNOWN_YAW),
+        PosePrior.planar(found, LOCATED_XY, LOCATED_YAW),
     )
 
 
@@ -231,6 +255,7 @@ def align_grids(
     grids: Grids,
     odometry: Sequence[PosePrior],
     *,
+    searched: Sequence[PosePrior] | None = None,
     first: Pose2 | None = None,
     starts: int = 4,
     min_overlap: float = 0.15,
@@ -240,6 +265,7 @@ def align_grids(
     Args:
         grids: The scans in the order in which they were taken; None for one without a surface.
         odometry: Prior of each scan in the one before it, so one fewer.
+        searched: Prior for the registration of these neighbours; ``odometry`` by default.
         first: Pose of the first scan; the origin by default.
         starts: Number of starting poses of each registration.
         min_overlap: Share of the smaller scan that must overlap for two scans to be registered.
@@ -250,7 +276,8 @@ def align_grids(
         poses.append(poses[-1] @ Pose2.from_matrix(prior.T))
 
     # Register neighbours
-    chain = (register_pair(grids, k, k + 1, prior, starts) for k, prior in enumerate(odometry))
+    priors = odometry if searched is None else searched
+    chain = (register_pair(grids, k, k + 1, prior, starts) for k, prior in enumerate(priors))
     edges = [edge for edge in chain if edge is not None]
     solution = _optimize_graph(poses, odometry, edges)
 

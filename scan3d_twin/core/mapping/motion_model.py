@@ -85,7 +85,7 @@ class MotionModel:
         square, count = PRIOR_INNOVATIONS, PRIOR_INNOVATIONS
         for previous, view in pairwise(views):
             result = view.registration
-            if result is None or not result.converged:
+            if result is None or not result.converged or not view.observation.has_odometry:
                 continue
             move, legs = describe_move(previous, view.observation)
             innovation = _normalise_innovation(replace(model, scale=1.0).prior(move, legs), result)

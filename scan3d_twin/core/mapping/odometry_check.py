@@ -60,7 +60,7 @@ def measure_turn_error(session: Session) -> TurnError:
     config, planning = session.config, session.config.planning
     wide = replace(planning, gamma=WIDE_GAMMA, motion_variation=VARIATION)
     model = MotionModel.of(session.views, replace(config, planning=wide))
-    results = (view.registration for view in session.views)
+    results = (v.registration for v in session.views if v.observation.has_odometry)
     proofs = sum(result is not None and result.converged for result in results)
     proofs += config.mount.yaw_scale != 0.0
     sigma = math.sqrt(float(model.covariance[TURNS, TURNS]))

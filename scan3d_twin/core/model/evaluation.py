@@ -6,6 +6,7 @@ the Surface Edge Explorer (coverage). The model is aligned to the truth by its f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -72,7 +73,7 @@ class PairError:
         view: Index of the view.
         error: RMS displacement of its target points by ``T_prev_new`` from the true one [m].
         pose_error: RMS displacement of its target points in the world, after final alignment [m].
-        odometry_error: ``error`` of the odometry, before registration [m].
+        odometry_error: ``error`` of the odometry, before registration [m]; NaN without odometry.
     """
 
     view: int
@@ -428,7 +429,9 @@ def _measure_pair_error(k: int, session: Session, reference: Reference) -> PairE
         pose_error=measure_displacement(
             points, reference.T_map_world @ view.T_world_scan, reference.poses[k]
         ),
-        odometry_error=measure_displacement(points, odometry, true),
+        odometry_error=measure_displacement(points, odometry, true)
+        if view.observation.has_odometry
+        else math.nan,
     )
 
 

@@ -77,7 +77,7 @@ def drive(
     odom = Pose2()
     for k, legs in enumerate(((), *moves)):
         odom = odom @ follow(legs)
-        seen = SimpleNamespace(T_odom_scan=odom, legs=legs, image=image)
+        seen = SimpleNamespace(T_odom_scan=odom, legs=legs, image=image, has_odometry=True)
         result = None
         if views:
             prior = MotionModel.of(views, config).prior(*describe_move(views[-1], seen))  # type: ignore[arg-type]
