@@ -82,18 +82,24 @@ class SweepConfig:
 
 @dataclass(frozen=True, slots=True)
 class MountConfig:
-    """Extrinsics: corrections of the lidar's mount by `twin calibrate lidar`; 0 is as designed."""
+    """Extrinsics: how the lidar's mount differs from the designed one; 0 is as designed.
+
+    `twin calibrate lidar` finds small errors. A lidar may also be mounted otherwise: turned by yaw,
+    then pitch, then roll, of any size.
+    """
 
     lateral: float = number(0.0, -0.2, 0.2)
     """Offset of the lidar to the left [m]."""
-    roll: float = number(0.0, -0.5, 0.5)
+    roll: float = number(0.0, -math.pi, math.pi)
     """Lean of the lidar to its right, about the axis ahead [rad]."""
-    pitch: float = number(0.0, -0.5, 0.5)
+    pitch: float = number(0.0, -math.pi, math.pi)
     """Tilt of the lidar downwards, about the axis to the left [rad]."""
     yaw_scale: float = number(0.0, -0.2, 0.2)
     """Relative error of turns: the robot turns by this share more than odometry measures."""
     time_offset: float = number(0.0, -1.0, 1.0)
     """Delay of the readings relative to their timestamps [s]."""
+    yaw: float = number(0.0, -math.pi, math.pi)
+    """Turn of the lidar to the left, about the vertical axis [rad]; not calibrated."""
 
     __repr__ = repr_options
 

@@ -6,11 +6,12 @@ Default is the `typical` robot: each seed draws its own errors from these distri
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from scan3d_twin.core.config import Pattern
+from scan3d_twin.core.config import MountConfig, Pattern
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.options import check_options, number, repr_options
 from scan3d_twin.devices.registry import (
@@ -133,6 +134,13 @@ class TwinConfig:
     or a turntable about the vertical (yaw), the axis to the left (pitch) or that ahead (roll)."""
     turntable: str = DEFAULT_TURNTABLE
     """Name of the turntable: xl330 or ideal. With the pattern yaw-base there is none."""
+    lidar_yaw: float = number(0.0, -math.pi, math.pi)
+    """Turn of the lidar to the left on its mount, which the robot knows, unlike errors.mount_roll
+    [rad]; then lidar_pitch, then lidar_roll."""
+    lidar_pitch: float = number(0.0, -math.pi, math.pi)
+    """Turn of the lidar downwards on its mount [rad]."""
+    lidar_roll: float = number(0.0, -math.pi, math.pi)
+    """Turn of the lidar to its right on its mount [rad]."""
     lidar: LidarModelConfig = field(default_factory=LidarModelConfig)
     errors: RobotErrorConfig = field(default_factory=RobotErrorConfig)
 
@@ -142,6 +150,11 @@ class TwinConfig:
         check_options(self)
         find_turntable(self.turntable)
         object.__setattr__(self, "lidar_link", self.devices.link)
+
+    @property
+    def turn(self) -> MountConfig:
+        """How the lidar is turned on its mount."""
+        return MountConfig(roll=self.lidar_roll, pitch=self.lidar_pitch, yaw=self.lidar_yaw)
 
     @property
     def devices(self) -> Devices:

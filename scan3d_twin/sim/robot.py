@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from enum import IntEnum
 from typing import Any
 
@@ -12,10 +13,10 @@ import numpy as np
 
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.hal import Robot
+from scan3d_twin.core.hal import Robot, default_mount
 from scan3d_twin.core.scanning.extrinsics import apply_mount
 from scan3d_twin.core.scanning.patterns import TableMount, find_mount
-from scan3d_twin.core.types import LidarSpec
+from scan3d_twin.core.types import FloatArray, LidarSpec
 from scan3d_twin.devices.registry import base_device, lidar_device
 from scan3d_twin.sim.base.drive_base import SimBase
 from scan3d_twin.sim.base.stand import SimStand
@@ -102,7 +103,7 @@ def open_sim(
         trace = PoseTrace(world)
         clock.attach(trace)
         truth = Truth(scene, trace, _reference(scene.model, caster), lidar.evidence)
-        yield _assemble(base, lidar, clock, table), truth
+        yield _assemble(base, lidar, clock, table, config), truth
 
 
 def _reference(model: Any, caster: RayCaster) -> RayCaster:
@@ -122,15 +123,20 @@ def open_robot(scene: Scene | str, seed: int, config: TwinConfig | None = None) 
     """
     scene = load_scene(scene) if isinstance(scene, str) else scene
     with _open_twin(scene, seed, config, None, None) as (parts, _):
-        yield _assemble(*parts[1:])
+        yield _assemble(*parts[1:], config)
 
 
 def _assemble(
-    base: SimBase | SimStand, lidar: SimLidar, clock: SimClock, table: Table | None
+    base: SimBase | SimStand,
+    lidar: SimLidar,
+    clock: SimClock,
+    table: Table | None,
+    config: TwinConfig | None,
 ) -> Robot:
-    """Return the robot of these parts."""
+    """Return the robot of these parts; it knows how its lidar is turned on its mount."""
+    turn = MountConfig() if config is None else config.turn
     if table is None:
-        return Robot(base, lidar, clock)
+        return Robot(base, lidar, clock, _turn_mount(turn))
     mount, turntable = table
     return Robot(base, lidar, clock, mount.T_base_lidar, turntable, mount.T_base_axis)
 
@@ -150,7 +156,8 @@ def _open_twin(
     if seed < 0:
         raise ConfigError(f"seed must be >= 0, got {seed}")
     errors = draw_robot(scene, seed, config.errors)
-    model = build_model(scene, config.robot, errors, solver, config.pattern)
+    turn = None if config.turn == MountConfig() else apply_mount(np.eye(4), config.turn)[:3, :3]
+    model = build_model(scene, config.robot, errors, solver, config.pattern, turn)
     start = (scene.spawn.x, scene.spawn.y)
     check_place(model, scene.name, start)
     world = World(scene, model)
@@ -172,7 +179,7 @@ def _open_twin(
     spec = device.spec(config.lidar_link) if spec is None else spec
     scanner = Scanner(
         scene.model, config.robot, spec, config.lidar, caster, surfaces, device.sensor,
-        config.pattern,
+        config.pattern, turn,
     )  # fmt: skip
     own = [seed, Stream.LIDAR]
     if fixed_angles or device.sample_rate is None:
@@ -189,6 +196,11 @@ def _open_twin(
         base.stop()
 
 
+def _turn_mount(turn: MountConfig) -> FloatArray:
+    """Return ``T_base_lidar`` of a lidar without a turntable, turned on its mount by ``turn``."""
+    return default_mount() if turn == MountConfig() else apply_mount(default_mount(), turn)
+
+
 def _open_turntable(world: World, seed: int, config: TwinConfig) -> Table | None:
     """Return the turntable of ``config`` and its mount, in ``world``; None if the base turns."""
     mount = find_mount(config.pattern)
@@ -197,6 +209,7 @@ def _open_turntable(world: World, seed: int, config: TwinConfig) -> Table | None
     model = find_turntable(config.turntable)
     turntable = SimTurntable(world, model, stream(seed, Stream.TURNTABLE))
     errors = config.errors
+    mount = replace(mount, T_base_lidar=apply_mount(mount.T_base_lidar, config.turn))
     error = MountConfig(errors.mount_lateral, errors.mount_roll, errors.mount_pitch)
     T_axis_lidar = apply_mount(mount.T_axis_lidar, error)
     world.carriage = Carriage(turntable.carried_at, T_axis_lidar)

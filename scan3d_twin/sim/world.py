@@ -121,10 +121,12 @@ def build_model(
     errors: RobotErrors,
     solver: Solver | None = None,
     pattern: str = YAW_BASE,
+    turn: FloatArray | None = None,
 ) -> Any:
     """Return the compiled model of ``scene`` with a robot of these ``errors`` at its spawn.
 
-    A turntable for a ``pattern`` is on its mast.
+    A turntable for a ``pattern`` is on its mast; without one, the lidar is turned by ``turn``
+    (3, 3) on its mount.
 
     Raises:
         SceneError: They do not compile together, as with a keyframe without the robot's joints.
@@ -143,6 +145,8 @@ def build_model(
         _apply_wheel_errors(child, errors)
     if pattern == YAW_BASE and any(errors.mount):
         _tilt_lidar(child.site("lidar"), errors.mount)
+    if pattern == YAW_BASE and turn is not None:
+        _turn_lidar(child.site("lidar"), turn)
     spec.attach(child, prefix=PREFIX, frame=frame)
     if errors.floor is not None:
         lay_floor(spec, errors.floor, find_floor_planes(scene.model))
@@ -180,6 +184,14 @@ def _tilt_lidar(site: Any, mount: tuple[float, float, float]) -> None:
     half = np.array([roll, pitch]) / 2
     (cr, cp), (sr, sp) = np.cos(half), np.sin(half)
     site.quat = [cp * cr, cp * sr, sp * cr, -sp * sr]  # about y after about x
+
+
+def _turn_lidar(site: Any, turn: FloatArray) -> None:
+    """Turn the lidar's ``site`` by ``turn`` (3, 3), before its errors."""
+    quaternion, turned = np.empty(4), np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(turn).ravel())
+    mujoco.mju_mulQuat(turned, quaternion, site.quat)
+    site.quat = turned
 
 
 def _set_options(option: Any, solver: Solver) -> None:

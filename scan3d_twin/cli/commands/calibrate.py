@@ -69,8 +69,13 @@ def _taken_with(folder: Path) -> MountConfig:
     return build_settings([read_settings(path)]).config.mount if path.exists() else MountConfig()
 
 
+def _estimated(mount: MountConfig) -> dict[str, float]:
+    """Return the values of ``mount`` that a calibration estimates, by name."""
+    return {name: value for name, value in asdict(mount).items() if name in _UNITS}
+
+
 def _document(mount: MountConfig, found: Calibration) -> dict[str, object]:
-    values = asdict(mount)
+    values = _estimated(mount)
     return {
         "mount": values,
         "standard_errors": dict(zip(values, found.sigmas.tolist(), strict=True)),
@@ -82,7 +87,7 @@ def _document(mount: MountConfig, found: Calibration) -> dict[str, object]:
 
 
 def _lines(mount: MountConfig, found: Calibration) -> Iterator[str]:
-    values = asdict(mount)
+    values = _estimated(mount)
     yield (
         f"{found.planes} planes, {found.readings} readings on them, flat to "
         f"{1e3 * found.flatness:.1f} mm"

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,10 @@ PARAMETERS = ("lateral", "roll", "pitch", "yaw_scale", "time_offset")
 PRIOR_SIGMAS = np.array([0.05, 0.1, 0.1, 0.05, 0.2, 0.01])
 """Prior standard deviations of the parameters: a mount aligned by eye, and for the range error the
 lidar's data sheet (+-10 mm)."""
+ALONG_AXIS = math.cos(math.radians(15.0))
+"""Cosine of the angle to the turning axis within which a lidar looks along it."""
+FIXED_SIGMA = 1e-9
+"""Prior standard deviation of a parameter that stays 0."""
 DERIVATIVE_STEP = 1e-4
 """Step of numerical derivatives, in the units of the parameters."""
 KERNEL_WIDTH = 2.0
@@ -163,6 +167,7 @@ def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
     """
     # Start with the yaw scale
     samples = _gather_samples(places)
+    prior = _find_prior(samples.T_base_lidar)
     values = np.zeros(6)
     values[3] = _estimate_yaw_scale(places)
 
@@ -175,12 +180,13 @@ def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
             )
         for _ in range(STEPS_PER_SEARCH):
             H, g, square = _build_equations(samples, planes, values)
-            right = g.sum(axis=0) + values / PRIOR_SIGMAS**2
-            values = values - np.linalg.solve(H.sum(axis=0) + np.diag(PRIOR_SIGMAS**-2.0), right)
+            right = g.sum(axis=0) + values / prior**2
+            values = values - np.linalg.solve(H.sum(axis=0) + np.diag(prior**-2.0), right)
 
     # Keep what is determined
-    sigmas = _jackknife_errors(H, g, values)[:5]
-    known = sigmas < MAX_KNOWN_SHARE * PRIOR_SIGMAS[:5]
+    sigmas = _jackknife_errors(H, g, values, prior)[:5]
+    known = (sigmas < MAX_KNOWN_SHARE * PRIOR_SIGMAS[:5]) & (prior[:5] == PRIOR_SIGMAS[:5])
+    sigmas = np.where(prior[:5] == PRIOR_SIGMAS[:5], sigmas, PRIOR_SIGMAS[:5])
     count = sum(len(plane) for plane in planes)
     return Calibration(
         MountConfig(*np.where(known, values[:5], 0.0).tolist()),
@@ -212,7 +218,7 @@ def describe_suspicion(found: Calibration | None) -> str:
     """
     if found is None:
         return ""
-    values = np.array(astuple(found.mount))
+    values = np.array([getattr(found.mount, name) for name in PARAMETERS])
     if not np.any(np.abs(values) > np.maximum(WARNING_LIMITS, WARNING_SIGMAS * found.sigmas)):
         return ""
     return f"the lidar seems mounted {describe_mount(found.mount)}: run `twin calibrate lidar`"
@@ -435,13 +441,34 @@ def _build_equations(
     return H, g, square
 
 
-def _jackknife_errors(H: FloatArray, g: FloatArray, values: FloatArray) -> FloatArray:
-    """Return standard errors (6,) by the jackknife: the scatter when each plane is left out."""
-    prior = np.diag(PRIOR_SIGMAS**-2.0)
+def _find_prior(T_axis_lidar: FloatArray) -> FloatArray:
+    """Return the prior standard deviations of the parameters for a lidar that is mounted so (6,).
+
+    A lidar that looks along the axis about which it is turned rolls about it too: planes do not
+    tell its roll from the zero of the angle, so that it stays 0.
+    """
+    sigmas = PRIOR_SIGMAS.copy()
+    if abs(T_axis_lidar[2, 0]) > ALONG_AXIS:
+        sigmas[PARAMETERS.index("roll")] = FIXED_SIGMA
+    return sigmas
+
+
+def _jackknife_errors(
+    H: FloatArray, g: FloatArray, values: FloatArray, sigmas: FloatArray
+) -> FloatArray:
+    """Return standard errors (6,) by the jackknife: the scatter when each plane is left out.
+
+    Args:
+        H: Information matrix of each plane (p, 6, 6).
+        g: Gradient of each plane (p, 6).
+        values: The parameters (6,).
+        sigmas: Their prior standard deviations (6,).
+    """
+    prior = np.diag(sigmas**-2.0)
     count = len(H)
     if count < 2:
         return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(H.sum(axis=0) + prior))))
-    left, right = H.sum(axis=0) + prior, g.sum(axis=0) + values / PRIOR_SIGMAS**2
+    left, right = H.sum(axis=0) + prior, g.sum(axis=0) + values / sigmas**2
     steps = np.array([-np.linalg.solve(left - H[k], right - g[k]) for k in range(count)])
     spread = np.sum((steps - steps.mean(axis=0)) ** 2, axis=0) * (count - 1) / count
     floor = np.diagonal(np.linalg.inv(left))

@@ -12,11 +12,19 @@ from scan3d_twin.core.types import FloatArray, Observation, RangeImage, read_onl
 
 
 def apply_mount(T_base_lidar: FloatArray, mount: MountConfig) -> FloatArray:
-    """Return the extrinsics ``T_base_lidar`` (4, 4), corrected by offset and tilt of ``mount``."""
+    """Return the extrinsics ``T_base_lidar`` (4, 4), corrected by offset and turns of ``mount``."""
     T = T_base_lidar.copy()
     T[1, 3] += mount.lateral
+    if mount.yaw != 0.0:
+        T[:3, :3] = T[:3, :3] @ yaw_matrix(mount.yaw)
     T[:3, :3] = T[:3, :3] @ tilt_matrix(mount.roll, mount.pitch)
     return T
+
+
+def yaw_matrix(yaw: float) -> FloatArray:
+    """Return the rotation matrix Rz(yaw) (3, 3)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def tilt_matrix(roll: float, pitch: float) -> FloatArray:
@@ -57,6 +65,7 @@ def compose_mounts(first: MountConfig, then: MountConfig) -> MountConfig:
         pitch=first.pitch + then.pitch,
         yaw_scale=(1.0 + first.yaw_scale) * (1.0 + then.yaw_scale) - 1.0,
         time_offset=first.time_offset + then.time_offset,
+        yaw=first.yaw + then.yaw,
     )
 
 

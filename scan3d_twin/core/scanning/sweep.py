@@ -28,7 +28,7 @@ from scan3d_twin.core.scanning.lost_readings import (
     merge_intervals,
 )
 from scan3d_twin.core.scanning.turning import BaseTurner, Turner, choose_turner
-from scan3d_twin.core.scanning.upright import make_upright
+from scan3d_twin.core.scanning.upright import is_upright, make_upright
 from scan3d_twin.core.types import (
     LOST,
     FloatArray,
@@ -139,14 +139,14 @@ def take_panorama(
     turner = BaseTurner(robot, yaw, config)
     turner.park_table()
     both_halves = sees_all_round(robot.lidar.spec)
-    half = math.pi / 2 if both_halves or not turner.looks_ahead else math.pi
+    half = math.pi / 2 if both_halves or turner.looks_up else math.pi
     sector = _Sector(yaw, half, config.sweep.look_rate, PANORAMA_GAP, turner, rightwards=False)
     lines = _scan_sector(robot, sector, config, on_line)
     turn_by(robot, -half, config.motion)
     turn_to(robot, yaw, config.motion)
     observation = _assemble_observation(robot, lines, sector, started, config)
     seen = correct_extrinsics(observation, config.mount)
-    if not turner.looks_ahead:
+    if not is_upright(seen.image):
         return replace(seen, image=make_upright(seen.image))
     return replace(seen, image=unfold(seen.image)) if both_halves else seen
 

@@ -107,9 +107,9 @@ class BaseTurner:
         self._T_base_lidar = turn_lidar(robot.T_base_axis, robot.T_base_lidar, carried)
 
     @property
-    def looks_ahead(self) -> bool:
-        """Whether the front of the lidar looks ahead, but for the error of a mount."""
-        return bool(self._T_base_lidar[0, 0] > math.cos(MAX_LEAN))
+    def looks_up(self) -> bool:
+        """Whether the lidar looks up, to both sides of the robot: half a turn shows all round."""
+        return bool(self._T_base_lidar[2, 0] > math.cos(MAX_LEAN))
 
     def limit(self, half: float, whole: float, run_up: float) -> float:
         """See ``Turner``: it turns on and on."""

@@ -85,7 +85,7 @@ def make_upright(image: RangeImage) -> RangeImage:
         (grid_yaws, yaws), (grid_elevations, elevations), (ranges, seen), (codes, image.codes),
     ):  # fmt: skip
         grid.flat[cell] = values.ravel()[source]
-    stamps = np.linspace(image.stamps.min(), image.stamps.max(), n)
+    stamps = _choose_stamps(image, n)
     T_base_lidar = np.eye(4)
     T_base_lidar[2, 3] = centre
     return RangeImage(
@@ -103,6 +103,21 @@ def make_upright(image: RangeImage) -> RangeImage:
         elevations=read_only(grid_elevations),
         T_scan_axis=read_only(np.eye(4)),
     )
+
+
+def _choose_stamps(image: RangeImage, n: int) -> FloatArray:
+    """Return the stamps of ``n`` lines [s].
+
+    A line of the grid was measured at many times. By a turntable, they are spread over the time of
+    the sweep. Where the base turned, all are of the moment at which it stood as the frame ``scan``
+    does, for its pose then is that of the frame.
+    """
+    if image.T_scan_axis is not None:
+        return np.linspace(image.stamps.min(), image.stamps.max(), n)
+    middle = image.spec.n_beams // 2
+    order = np.argsort(image.yaws[:, middle], kind="stable")
+    times = image.stamps[order] + image.spec.beam_times[middle]
+    return np.full(n, np.interp(0.0, image.yaws[order, middle], times))
 
 
 def _choose_spacing(

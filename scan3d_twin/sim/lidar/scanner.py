@@ -40,12 +40,16 @@ def _posed_robot(robot: str, pattern: str) -> tuple[Any, Any]:
 
 
 def own_housing(
-    robot: str | None, elevations: FloatArray, pattern: str = YAW_BASE, angle: float = 0.0
+    robot: str | None,
+    elevations: FloatArray,
+    pattern: str = YAW_BASE,
+    angle: float = 0.0,
+    turn: FloatArray | None = None,
 ) -> Hits:
     """Return what beams at ``elevations`` (n,) [rad] see of the robot itself.
 
     It moves with the lidar, so this is constant, but for the ``angle`` of a turntable [rad].
-    Without a ``robot`` they see nothing of it.
+    Without a ``robot`` they see nothing of it. The lidar is turned by ``turn`` (3, 3) on its mount.
     """
     n = len(elevations)
     if robot is None:
@@ -53,6 +57,7 @@ def own_housing(
     model, data = _posed_robot(robot, pattern)
     geoms, distances, normals = np.zeros(n, np.int32), np.zeros(n), np.zeros(3 * n)
     lidar, own_body, rays = data.site("lidar"), "mast", beam_directions(elevations)
+    rays = rays if turn is None else rays @ turn.T
     if pattern != YAW_BASE:
         data.joint(HINGE).qpos[0] = angle
         mujoco.mj_kinematics(model, data)
@@ -65,6 +70,7 @@ def own_housing(
     facing = normals.reshape(n, 3)
     if pattern != YAW_BASE:
         facing = facing @ lidar.xmat.reshape(3, 3)
+    facing = facing if turn is None else facing @ turn
     return Hits(np.where(geoms < 0, np.inf, distances), facing, np.full(n, -1, np.int64))
 
 
@@ -138,6 +144,7 @@ class Scanner:
         rng: np.random.Generator,
         sensor: LidarSensor,
         pattern: str = YAW_BASE,
+        turn: FloatArray | None = None,
     ) -> None:
         self.spec = spec
         self.sensor = sensor
@@ -146,7 +153,7 @@ class Scanner:
         self.materials = Materials.of(scene_model, config)
         self._panes = Panes.of(scene_model, caster)
         self.surface_bias = config.surface_bias * rng.standard_normal(scene_model.ngeom + 1)
-        self._robot, self.pattern = robot, pattern
+        self._robot, self.pattern, self._turn = robot, pattern, turn
         self._usual = self.make_fan(spec.elevations)
 
     @property
@@ -158,7 +165,7 @@ class Scanner:
         """Return beams at ``elevations`` (n_beams,) [rad], at an ``angle`` of the turntable."""
         # Find what they see of the robot itself
         beams = read_only(beam_directions(elevations))
-        own = own_housing(self._robot, elevations, self.pattern, angle)
+        own = own_housing(self._robot, elevations, self.pattern, angle, self._turn)
         cosines = np.abs(np.einsum("ni,ni->n", own.normals, beams))
         light = Light(
             own.distances[None],

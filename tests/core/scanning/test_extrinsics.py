@@ -15,6 +15,7 @@ from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.hal import default_mount
 from scan3d_twin.core.scanning.extrinsic_calibration import (
+    PARAMETERS,
     Calibration,
     apply_yaw_scale,
     calibrate,
@@ -193,3 +194,16 @@ def test_a_look_at_nothing_tells_nothing() -> None:
     blind = replace(look, ranges=read_only(np.full(look.ranges.shape, np.nan)))
     assert calibrate_on_panorama(blind) is None
     assert apply_yaw_scale(config, None) == config
+
+
+def test_the_roll_of_a_lidar_that_looks_along_its_axis_is_not_found():
+    image = take(MountConfig()).image
+    T = np.array(image.T_base_lidar)
+    # The same beams of a lidar that looks along the axis
+    T[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+    spec = replace(image.spec, elevations=image.spec.elevations - math.pi / 2)
+    rolled = replace(image, T_base_lidar=T, spec=spec)
+    assert np.nanmax(np.abs(rolled.points - image.points)) < 1e-9
+    found = calibrate([[rolled]])
+    assert not found.known[PARAMETERS.index("roll")]
+    assert found.mount.roll == 0.0

@@ -6,15 +6,17 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, MotionConfig, SweepConfig
 from scan3d_twin.core.errors import ConfigError, MotionTimeoutError
+from scan3d_twin.core.planning.voxels import is_passed
 from scan3d_twin.core.scanning.patterns import find_mount, rotate_z
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.scanning.turning import turn_table
 from scan3d_twin.core.scanning.upright import make_upright
-from scan3d_twin.core.types import Pose2
+from scan3d_twin.core.types import UNMEASURED, Pose2
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_robot, open_sim
 from scan3d_twin.sim.turntable.body import CARRIED_SITE, HINGE
@@ -144,6 +146,21 @@ def test_an_upright_grid_moves_no_point(swept):
     assert np.max(distances) < 1e-9
     middle = upright.yaws[:, upright.spec.n_beams // 2]
     assert np.all(np.diff(middle) < 0)
+
+
+def test_where_no_beam_looked_nothing_is_known_to_be_free(swept):
+    upright = make_upright(swept.image)
+    if swept.image is upright:
+        return
+    unseen = ndimage.binary_erosion(upright.codes == UNMEASURED, iterations=4)
+    line, beam = (part[::20] for part in np.nonzero(unseen))
+    blank = replace(upright, ranges=np.ones_like(upright.ranges))
+    points = blank.points_at(line, beam)
+    passed = is_passed(points, upright, 0.1)
+    seen = is_passed(0.5 * swept.image.points[swept.image.ranges > 0.8][::500], upright, 0.1)
+    assert len(passed) > 100
+    assert not np.any(passed)
+    assert np.mean(seen) > 0.5
 
 
 def test_a_sweep_scans_lost_lines_again_and_the_base_stands():
