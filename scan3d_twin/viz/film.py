@@ -104,8 +104,7 @@ def prepare_film(run: RecordedRun) -> Film:
 
     # Place the run in it
     T_map_world = Pose2() if real else lay_on_scene(session, scene)
-    track = read_track(run.path)
-    placed = place_track(track, session)
+    times, placed = _read_way(run)
     placed = np.column_stack([T_map_world.apply(placed[:, :2]), placed[:, 2] + T_map_world.yaw])
     points, stamps, colours = _points_by_time(session, T_map_world)
 
@@ -121,12 +120,28 @@ def prepare_film(run: RecordedRun) -> Film:
     picture, depth = Painter(bare).draw(data.qpos, eye, WIDTH, HEIGHT)
     base = model.body(PREFIX + "base").jntadr[0]
     return Film(
-        end=float(track[-1, 0]), eye=eye, scene=picture, depth=depth, painter=Painter(model),
+        end=float(times[-1]), eye=eye, scene=picture, depth=depth, painter=Painter(model),
         qpos=data.qpos.copy(), place=int(model.jnt_qposadr[base]),
-        track=np.column_stack([track[:, 0], placed]), points=points, stamps=stamps,
+        track=np.column_stack([times, placed]), points=points, stamps=stamps,
         colours=colours, errors=_errors(run), epsilon=1e3 * session.config.planning.epsilon,
         title=f"{run.name}: {count_views({'views': len(session.views)})}",
     )  # fmt: skip
+
+
+def _read_way(run: RecordedRun) -> tuple[FloatArray, FloatArray]:
+    """Return times (n,) [s] and poses x, y [m], yaw [rad] (n, 3) in ``world`` of the robot.
+
+    Without odometry it stands at a viewpoint from the first line of its view to the last.
+    """
+    track = read_track(run.path)
+    if len(track):
+        return track[:, 0], place_track(track, run.session)
+    times, poses = [], []
+    for view in run.session.views:
+        stamps, pose = view.observation.image.stamps, view.T_world_scan
+        times += [float(stamps.min()), float(stamps.max())]
+        poses += [(pose.x, pose.y, pose.yaw)] * 2
+    return np.array(times), np.array(poses)
 
 
 def draw_frames(film: Film, count: int) -> Iterator[Picture]:

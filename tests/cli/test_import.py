@@ -17,6 +17,7 @@ import synthetic
 from scan3d_twin.core.types import Pose2, RangeImage
 from scan3d_twin.recording.load import load_session
 from scan3d_twin.run.report import report_schema
+from scan3d_twin.viz.film import prepare_film
 
 PLACES = (Pose2(-0.4, 0.1, 0.1), Pose2(0.1, -0.4, 0.7), Pose2(-0.8, 0.3, -0.2))
 ELSEWHERE = (synthetic.Box((0.5, -3.0, 0.0), (0.6, 3.0, 1.0)),)
@@ -68,6 +69,10 @@ def test_the_sweeps_of_a_folder_become_one_model(twin, folder):
     assert twin("mesh", "run").code == 0
     assert twin("compare", "run", "run").code == 0
     assert "identical" in twin("replay", "run").out
+    film = prepare_film(load_session(Path("run")))
+    assert film.track[::2, 1:3] == pytest.approx(
+        np.array([(v.T_world_scan.x, v.T_world_scan.y) for v in session.views])
+    )
     assert twin("session", "drop-view", "run", "1").code == 0
     assert json.loads(Path("run/report.json").read_text())["views"] == 2
     assert twin("session", "undo", "run").code == 0
