@@ -130,6 +130,19 @@ def test_sweeps_of_different_places_are_no_model(twin, folder, tmp_path):
     assert not Path("run").exists()
 
 
+def test_the_session_of_an_import_is_imported_again(twin, folder):
+    """Its scan lines and transforms say where each reading was, as those of a robot do."""
+    assert twin("import", folder / "scan0.csv", "--out", "run").code == 0
+    result = twin("import", "run/session.mcap", "--out", "again", "--json")
+    assert result.code == 0
+    points, again = (json.loads(Path(run, "report.json").read_text())["points"]
+                     for run in ("run", "again"))  # fmt: skip
+    assert again == pytest.approx(points, rel=0.03)
+    heights = [load_session(Path(run)).session.views[0].target.points[:, 2]
+               for run in ("run", "again")]  # fmt: skip
+    assert np.median(heights[0]) == pytest.approx(np.median(heights[1]), abs=0.02)
+
+
 def test_laser_scans_are_imported_with_the_thing_that_stands_out(twin, tmp_path):
     other_scanners.write_laser_scans(tmp_path / "bag", other_scanners.turn_like_a_robot(sweep(0)))
     result = twin("import", "bag", "--model", "salient", "--out", "run", "--json")
