@@ -29,7 +29,7 @@ from scan3d_twin.sim.scenes.scene import Scene, scene_from_spec
 from scan3d_twin.sim.world import PREFIX, RobotErrors
 from scan3d_twin.sim.world import build_model as build_physics
 from scan3d_twin.viz.cloud import is_off_target
-from scan3d_twin.viz.track import place_track
+from scan3d_twin.viz.timeline import Timeline
 from scan3d_twin.viz.true_scene import lay_on_scene
 from scan3d_twin.viz.view_errors import read_view_errors
 
@@ -104,8 +104,9 @@ def prepare_film(run: RecordedRun) -> Film:
 
     # Place the run in it
     T_map_world = Pose2() if real else lay_on_scene(session, scene)
-    times, placed = _read_way(run)
-    placed = np.column_stack([T_map_world.apply(placed[:, :2]), placed[:, 2] + T_map_world.yaw])
+    timeline = Timeline.of(session, read_track(run.path))
+    x_y, yaw = timeline.poses[:, :2], timeline.poses[:, 2]
+    placed = np.column_stack([T_map_world.apply(x_y), yaw + T_map_world.yaw])
     points, stamps, colours = _points_by_time(session, T_map_world)
 
     # Draw the scene without the robot
@@ -120,28 +121,12 @@ def prepare_film(run: RecordedRun) -> Film:
     picture, depth = Painter(bare).draw(data.qpos, eye, WIDTH, HEIGHT)
     base = model.body(PREFIX + "base").jntadr[0]
     return Film(
-        end=float(times[-1]), eye=eye, scene=picture, depth=depth, painter=Painter(model),
+        end=timeline.end, eye=eye, scene=picture, depth=depth, painter=Painter(model),
         qpos=data.qpos.copy(), place=int(model.jnt_qposadr[base]),
-        track=np.column_stack([times, placed]), points=points, stamps=stamps,
+        track=np.column_stack([timeline.stamps, placed]), points=points, stamps=stamps,
         colours=colours, errors=_errors(run), epsilon=1e3 * session.config.planning.epsilon,
         title=f"{run.name}: {count_views({'views': len(session.views)})}",
     )  # fmt: skip
-
-
-def _read_way(run: RecordedRun) -> tuple[FloatArray, FloatArray]:
-    """Return times (n,) [s] and poses x, y [m], yaw [rad] (n, 3) in ``world`` of the robot.
-
-    Without odometry it stands at a viewpoint from the first line of its view to the last.
-    """
-    track = read_track(run.path)
-    if len(track):
-        return track[:, 0], place_track(track, run.session)
-    times, poses = [], []
-    for view in run.session.views:
-        stamps, pose = view.observation.image.stamps, view.T_world_scan
-        times += [float(stamps.min()), float(stamps.max())]
-        poses += [(pose.x, pose.y, pose.yaw)] * 2
-    return np.array(times), np.array(poses)
 
 
 def draw_frames(film: Film, count: int) -> Iterator[Picture]:
