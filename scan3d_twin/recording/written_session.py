@@ -12,8 +12,16 @@ import numpy as np
 from mcap.records import Metadata
 
 from scan3d_twin.core.errors import FileError
+from scan3d_twin.core.scanning.patterns import rotate_z
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import Observation, Pose2, RangeImage, ScanLine, read_only
+from scan3d_twin.core.types import (
+    FloatArray,
+    Observation,
+    Pose2,
+    RangeImage,
+    ScanLine,
+    read_only,
+)
 from scan3d_twin.recording.load import RecordedRun
 from scan3d_twin.recording.mcap import cdr, ros_display, ros_records
 from scan3d_twin.recording.mcap import ros_messages as ros
@@ -75,8 +83,6 @@ def write_session(
     try:
         file.metadata("provenance", provenance)
         file.metadata("settings", {"name": name, "toml": settings_toml(settings)})
-        mount = session.views[0].observation.image.T_base_lidar
-        file.write("/tf_static", 0.0, ros.encode_mount(mount), latched=True)
         mark = _append(file, None, session, Mark())
         finish_file(file, path)
     except BaseException:
@@ -143,8 +149,11 @@ def _append(file: McapFile, before: Session | None, session: Session, mark: Mark
     # The lines and clouds of the new views
     known = 0 if before is None else len(before.views)
     for k, view in enumerate(session.views[known:], known):
-        image = view.observation.image
-        for line in _read_lines(image):
+        image, frames = view.observation.image, view.T_world_scan
+        first = float(image.stamps.min())
+        file.write("/tf", first, cdr.encode_frames(first, frames, Pose2()))
+        for line, T_base_lidar in _read_lines(image):
+            file.write("/tf", line.stamp, ros.encode_mount(T_base_lidar, line.stamp))
             complete = line.stamp + image.spec.line_period
             if line.elevations is not None:
                 file.write(ANGLES, complete, ros_records.encode_angles(line, image.spec))
@@ -170,10 +179,16 @@ def _find_end(image: RangeImage) -> float:
     return float(image.stamps.max()) + max(image.spec.line_period, 0.0)
 
 
-def _read_lines(image: RangeImage) -> Iterator[ScanLine]:
-    """Yield the lines of ``image`` in the order of time."""
+def _read_lines(image: RangeImage) -> Iterator[tuple[ScanLine, FloatArray]]:
+    """Yield the lines of ``image`` in the order of time, and where the lidar was (4, 4).
+
+    The frames ``base`` and ``scan`` are one, and the lidar turns in them.
+    """
+    T_scan_axis = np.eye(4) if image.T_scan_axis is None else image.T_scan_axis
+    middle = image.spec.n_beams // 2
     for k in np.argsort(image.stamps, kind="stable"):
         own = None if image.elevations is None else image.elevations[k]
         stamp = float(image.stamps[k])
         assert math.isfinite(stamp)
-        yield ScanLine(stamp, image.ranges[k], image.codes[k], own)
+        T_base_lidar = T_scan_axis @ rotate_z(float(image.yaws[k, middle])) @ image.T_base_lidar
+        yield ScanLine(stamp, image.ranges[k], image.codes[k], own), T_base_lidar

@@ -17,6 +17,7 @@ import synthetic
 from scan3d_twin.core.types import Pose2, RangeImage
 from scan3d_twin.recording.load import load_session
 from scan3d_twin.run.report import report_schema
+from scan3d_twin.viz.film import prepare_film
 
 PLACES = (Pose2(-0.4, 0.1, 0.1), Pose2(0.1, -0.4, 0.7), Pose2(-0.8, 0.3, -0.2))
 ELSEWHERE = (synthetic.Box((0.5, -3.0, 0.0), (0.6, 3.0, 1.0)),)
@@ -68,6 +69,10 @@ def test_the_sweeps_of_a_folder_become_one_model(twin, folder):
     assert twin("mesh", "run").code == 0
     assert twin("compare", "run", "run").code == 0
     assert "identical" in twin("replay", "run").out
+    film = prepare_film(load_session(Path("run")))
+    assert film.track[:, 1:3] == pytest.approx(
+        np.array([(v.T_world_scan.x, v.T_world_scan.y) for v in session.views])
+    )
     assert twin("session", "drop-view", "run", "1").code == 0
     assert json.loads(Path("run/report.json").read_text())["views"] == 2
     assert twin("session", "undo", "run").code == 0
@@ -123,6 +128,19 @@ def test_sweeps_of_different_places_are_no_model(twin, folder, tmp_path):
     assert result.code == FAILED
     assert "error: none of the 2 sweeps fits the first" in result.err
     assert not Path("run").exists()
+
+
+def test_the_session_of_an_import_is_imported_again(twin, folder):
+    """Its scan lines and transforms say where each reading was, as those of a robot do."""
+    assert twin("import", folder / "scan0.csv", "--out", "run").code == 0
+    result = twin("import", "run/session.mcap", "--out", "again", "--json")
+    assert result.code == 0
+    points, again = (json.loads(Path(run, "report.json").read_text())["points"]
+                     for run in ("run", "again"))  # fmt: skip
+    assert again == pytest.approx(points, rel=0.03)
+    heights = [load_session(Path(run)).session.views[0].target.points[:, 2]
+               for run in ("run", "again")]  # fmt: skip
+    assert np.median(heights[0]) == pytest.approx(np.median(heights[1]), abs=0.02)
 
 
 def test_laser_scans_are_imported_with_the_thing_that_stands_out(twin, tmp_path):

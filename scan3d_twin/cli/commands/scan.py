@@ -128,7 +128,9 @@ def _add(options: OneScanOptions, run: Path) -> None:
         options.lidar_link or twin.lidar_link,
         is_base_stated=base is not None,
     )
-    added = add_view(folder, place, lambda: open_robot(options, devices), say)
+    table = None if twin.pattern == "yaw-base" else twin.turntable
+    carried = replace(options, pattern=twin.pattern, turntable=table)
+    added = add_view(folder, place, lambda: open_robot(carried, devices), say)
     shown = report_json(added.report) if options.json else summary(added.report, folder)
     say(shown, sys.stdout, end="")
 

@@ -181,7 +181,7 @@ def estimate_height(images: Sequence[RangeImage]) -> float | None:
     if not looks_down:
         return None
     every = np.concatenate(heights)
-    lowest = float(np.percentile(every, LOWEST_SHARE))
+    lowest = float(np.percentile(every, LOWEST_SHARE, method="lower"))
     return -float(np.median(every[np.abs(every - lowest) < FLOOR_BAND]))
 
 

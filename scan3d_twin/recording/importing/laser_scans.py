@@ -16,7 +16,12 @@ import numpy as np
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.limits import how_to_raise, scaled
-from scan3d_twin.recording.importing.readings import MAX_READINGS, Readings, clean_ranges
+from scan3d_twin.recording.importing.readings import (
+    MAX_RANGE,
+    MAX_READINGS,
+    Readings,
+    clean_ranges,
+)
 from scan3d_twin.recording.importing.ros_log import JOINTS, SCAN, TRANSFORMS, read_messages
 from scan3d_twin.recording.importing.turning_frame import (
     FrameTree,
@@ -25,6 +30,9 @@ from scan3d_twin.recording.importing.turning_frame import (
     find_turning_axis,
 )
 from scan3d_twin.recording.mcap.ros_messages import LASER_IN_LIDAR
+
+MAX_ANGLE = 100.0
+"""Largest angle of a beam that is believed [rad]: more than ten turns."""
 
 
 @dataclass
@@ -109,11 +117,14 @@ def _join(scans: list[Any], axis: TurningAxis, place: Path) -> Readings:
     # Describe the beams of each scan
     parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for scan in scans:
+        first, step = float(scan.angle_min), float(scan.angle_increment)
+        if not (abs(first) < MAX_ANGLE and abs(step) < MAX_ANGLE):
+            raise FileError(f"{place}: a scan from {first:g} rad in steps of {step:g} rad")
         beams = np.arange(len(scan.ranges), dtype=np.float64)
         period = _beam_period(scan)
         times = np.asarray(_stamp(scan) + period * beams, dtype=np.float64)
         if len(beams) and np.all(np.isfinite(axis.at(times))):
-            angles = np.asarray(float(scan.angle_min) + float(scan.angle_increment) * beams)
+            angles = np.asarray(first + step * beams)
             parts.append((times, angles, _valid_ranges(scan)))
     if not parts:
         raise FileError(f"{place}: the angle of {axis.name} is not known at the time of any scan")
@@ -122,9 +133,7 @@ def _join(scans: list[Any], axis: TurningAxis, place: Path) -> Readings:
     times, angles, ranges = (
         np.asarray(np.concatenate([part[k] for part in parts]), dtype=np.float64) for k in range(3)
     )
-    if not np.all(np.isfinite(angles)):
-        raise FileError(f"{place}: scans without finite angles")
-    first, last = float(scans[0].range_min), float(scans[0].range_max)
+    nearest, farthest = float(scans[0].range_min), float(scans[0].range_max)
     laser = axis.T_axis_laser
     return Readings(
         str(place),
@@ -133,8 +142,8 @@ def _join(scans: list[Any], axis: TurningAxis, place: Path) -> Readings:
         axis.at(times),
         angles,
         clean_ranges(ranges, str(place)),
-        first if math.isfinite(first) and first > 0 else 0.0,
-        last if math.isfinite(last) and last > 0 else math.nan,
+        nearest if 0 < nearest < MAX_RANGE else 0.0,
+        farthest if 0 < farthest < MAX_RANGE else math.nan,
         None if laser is None else laser @ np.linalg.inv(LASER_IN_LIDAR),
         axis.R_root_axis,
         axis.place_at(times),

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.types import FloatArray
+from scan3d_twin.recording.checks import MAX_LENGTH
 
 MIN_TURN = math.radians(5.0)
 """Least angle by which an axis turns in a recording [rad]."""
@@ -25,6 +26,8 @@ MAX_OFF_CENTRE = 0.01
 on the spot, and the noise of its transforms."""
 MAX_FITTED = 2000
 """Number of samples by which that circle is fitted."""
+MAX_NORM_ERROR = 0.1
+"""Largest difference of the norm of a quaternion from 1; others are no rotation."""
 MAX_FRAMES = 100
 """Longest chain of frames."""
 
@@ -47,7 +50,8 @@ class FrameTree:
             child, parent = each.child_frame_id.lstrip("/"), each.header.frame_id.lstrip("/")
             place, turn = each.transform.translation, each.transform.rotation
             row = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
-            if all(math.isfinite(value) for value in row) and any(row[3:]):
+            far = max(abs(value) for value in row[:3])
+            if far <= MAX_LENGTH and abs(math.hypot(*row[3:]) - 1.0) < MAX_NORM_ERROR:
                 self.parents[child] = parent
                 stamp = each.header.stamp.sec + each.header.stamp.nanosec / 1e9
                 self.samples.setdefault(child, []).append((stamp, *row))

@@ -23,9 +23,11 @@ from scan3d_twin.core.scanning.patterns import find_axis_mount, find_mount
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.types import Pose2, RangeImage
 from scan3d_twin.recording.checks import check_image
-from scan3d_twin.recording.importing.assemble import Mount, assemble
+from scan3d_twin.recording.importing.assemble import Mount, assemble, estimate_height
 from scan3d_twin.recording.importing.readings import Readings, split_sweeps
 from scan3d_twin.recording.importing.source import ImportOptions, read_sweeps
+from scan3d_twin.recording.importing.turning_frame import FrameTree
+from scan3d_twin.recording.mcap.ros_messages import make_message, typestore
 
 KNOWN = ImportOptions(Mount("yaw", (0.05, 0.0, 0.0), height=0.30))
 
@@ -389,3 +391,31 @@ def test_a_frame_that_goes_round_its_axis_gives_the_same_points(tmp_path):
     (found,) = read_sweeps(tmp_path / "bag", ImportOptions(Mount(height=0.3)), ignore)
     assert np.allclose(found.T_base_lidar[:2, 3], sweep().T_base_lidar[:2, 3], atol=1e-6)
     assert same_points(found, sweep()) < 1e-4
+
+
+def test_few_low_points_far_apart_tell_the_height_as_well():
+    plain = readings(np.radians(np.arange(-30.0, 30.0)))
+    ranges = np.full(len(plain), np.nan)
+    ranges[[0, 30]] = 2.0, 3.0
+    image = assemble(replace(plain, ranges=ranges), Mount())
+    assert estimate_height([image]) == pytest.approx(3.0 * math.sin(1.0))
+
+
+@pytest.mark.parametrize("quaternion", [0.0, 3.0])
+def test_a_transform_that_is_no_rotation_is_left_out(quaternion):
+    tree, T = FrameTree(), np.eye(4)
+    edge = make_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=quaternion)
+    message = typestore().deserialize_cdr(
+        other_scanners._edge(0.0, "stand", "laser", T).data, "tf2_msgs/msg/TFMessage"
+    )
+    message.transforms[0].transform.rotation = edge
+    tree.add(message)
+    assert tree.samples == {}
+
+
+def test_a_scan_of_impossible_angles_is_refused(tmp_path):
+    image = sweep()
+    spec = replace(image.spec, elevations=1e4 * image.spec.elevations)
+    other_scanners.write_laser_scans(tmp_path / "bag", replace(image, spec=spec))
+    with pytest.raises(FileError, match="a scan from"):
+        read_sweeps(tmp_path / "bag", ImportOptions(), ignore)
