@@ -15,7 +15,7 @@ def twin(pattern, robot="create2"):
     return replace(s3d.TwinConfig.of("typical", robot), pattern=pattern)
 
 
-@pytest.mark.parametrize("pattern", ["pitch"])  # 30 seeds of each: docs/patterns.md
+@pytest.mark.parametrize("pattern", ["pitch"])  # more of each: docs/patterns.md
 def test_two_views_by_a_servo_are_registered_within_the_accuracy(pattern):
     config = twin(pattern)
     with s3d.open_sim("three_boxes", SEED, config) as (robot, truth):
