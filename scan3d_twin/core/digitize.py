@@ -6,7 +6,6 @@ simulation, the real robot, replay and tests all run the same algorithm.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Generator
 from dataclasses import replace
 from typing import Protocol
@@ -37,6 +36,7 @@ from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target, find_target
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.stand import StandPlanner, start_stand_session
 from scan3d_twin.core.types import (
     FloatArray,
     Observation,
@@ -55,8 +55,6 @@ DEFAULT_CONFIG = Config()
 PLANNING_STREAM = 2
 """Random stream of planning: view k draws from ``default_rng([seed, k, stream])``; stream 0 belongs
 to the sensor and the motion, stream 1 to registration."""
-STAND_REASON = "a stand does not drive"
-"""Why the loop of a stand ends after its view."""
 PAUSE_PERIOD = 0.1
 """Period at which a paused run asks for the next command [s]."""
 
@@ -295,30 +293,6 @@ def start_session(
             "another planning.standoff"
         )
     return session, here @ viewpoint
-
-
-def start_stand_session(
-    panorama: Observation,
-    here: Pose2,
-    config: Config,
-    seed: int,
-    target: tuple[float, float] | None,
-) -> Session:
-    """Return an empty session of a stand, which sees the target from where it stands.
-
-    Args and errors as for ``start_session``; every place is a viewpoint.
-    """
-    hint = find_target(panorama, target, config)
-    contour = extract_panorama_contour(here.inverse().apply(hint))
-    return Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, panorama),))
-
-
-class StandPlanner:
-    """The planner of a stand: it stays where it is."""
-
-    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
-        """See ``Planner.plan``: one view, and no other."""
-        return Plan(None, 0.0, math.nan, False, (), STAND_REASON)
 
 
 def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer) -> Observation:

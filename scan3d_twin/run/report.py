@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from scan3d_twin.core.digitize import STAND_REASON
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.scanning.sphere_density import measure_density
 from scan3d_twin.core.session import Session
+from scan3d_twin.core.stand import STAND_REASON
 from scan3d_twin.core.types import FloatArray, wrap
 from scan3d_twin.run.run_warnings import find_warnings
 from scan3d_twin.run.settings import Settings

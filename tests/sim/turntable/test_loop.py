@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 import scan3d_twin as s3d
-from scan3d_twin.core.digitize import STAND_REASON
+from scan3d_twin.core.stand import STAND_REASON
 from scan3d_twin.run.report import failure_reason
 
 SEED = 1001
