@@ -30,15 +30,28 @@ def env(name: str, default: str | None = None) -> Parameter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TurntableOptions:
+class BaseName:
+    """The other name of an option ``robot``, which is the one that is read."""
+
+    base: Annotated[str | None, Parameter(show=False)] = None
+    """Another name of ``--robot``: a stand is none."""
+
+    def __post_init__(self) -> None:
+        robot = getattr(self, "robot", None)
+        if robot is not None and self.base is not None and robot != self.base:
+            raise ConfigError(f"--robot {robot} and --base {self.base} are the same; give one")
+        object.__setattr__(self, "robot", self.base if robot is None else robot)
+        object.__setattr__(self, "base", None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurntableOptions(BaseName):
     """What turns the lidar; None is not stated."""
 
     pattern: Annotated[Pattern | None, env("PATTERN")] = None
     """Base or table turns the lidar."""
     turntable: Annotated[str | None, env("TURNTABLE"), Parameter(show=False)] = None
     """Name of the turntable: xl330 or ideal."""
-    base: Annotated[str | None, Parameter(show=False)] = None
-    """Another name of ``--robot``: a stand is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +118,7 @@ class RunOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PortOptions:
+class PortOptions(BaseName):
     """What the robot is made of, and where it is plugged in."""
 
     robot: Annotated[str | None, env("ROBOT", "by its answers")] = None
@@ -166,25 +179,12 @@ def _flat(options: RunOptions, sections: Options) -> Options:
             top[name] = value
         elif name == "lidar":
             top["lidar_model"] = value
-        elif name == "base":
-            top["robot"] = choose_base(top.get("robot"), value)
     planning = {}
     if options.epsilon is not None:
         if "epsilon" in sections.get("planning", {}):
             raise ConfigError("--epsilon [mm] and --planning.epsilon [m] are the same; give one")
         planning["epsilon"] = options.epsilon / 1e3
     return {**top, "run": run, "planning": planning}
-
-
-def choose_base(robot: str | None, base: str | None) -> str | None:
-    """Return the base that ``--robot`` or ``--base`` names; None where neither does.
-
-    Raises:
-        ConfigError: They name two.
-    """
-    if robot is not None and base is not None and robot != base:
-        raise ConfigError(f"--robot {robot} and --base {base} are the same; give one")
-    return robot if base is None else base
 
 
 def _given(options: RunOptions) -> Iterator[tuple[str, Any]]:

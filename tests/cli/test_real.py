@@ -237,3 +237,9 @@ def test_auto_is_the_lidar_that_is_plugged_in(monkeypatch, capsys):
     assert steps == ["open /dev/pts/8", "identify the base", "close", "ask the lidar"]
     stated = RealOptions(lidar="urg04lx")
     assert name_lidar(stated) is stated
+
+
+@pytest.mark.parametrize("command", ["sim", "real", "doctor", "scan"])
+def test_base_is_another_name_of_robot(command, fails):
+    found = fails(2, command, "--base", "stand", "--robot", "create1")
+    assert "--robot create1 and --base stand are the same; give one" in found

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from scan3d_twin.cli.options import PortOptions, TurntableOptions, choose_base, env
+from scan3d_twin.cli.options import PortOptions, TurntableOptions, env
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.devices.registry import DEFAULT_BASE, DEFAULT_LIDAR, Devices
 
@@ -75,12 +75,11 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
         raise ConfigError("--place is for --add RUN in the twin")
     if options.back and options.width >= 350.0:
         raise ConfigError(f"--back needs --width below 350 deg, got {options.width:g}")
-    base = choose_base(options.robot, options.base)
     devices = Devices(
-        base or DEFAULT_BASE,
+        options.robot or DEFAULT_BASE,
         options.lidar or DEFAULT_LIDAR,
         options.lidar_link or "",
-        is_base_stated=base is not None,
+        is_base_stated=options.robot is not None,
     )
     if options.scene and (options.port or options.lidar_port):
         raise ConfigError("--scene is for the twin, --port and --lidar-port for the real robot")
@@ -121,12 +120,11 @@ def _add(options: OneScanOptions, run: Path) -> None:
     # Take the view and add it
     folder = run_folder(run)
     twin = load_session(folder).settings.twin
-    base = choose_base(options.robot, options.base)
     devices = Devices(
-        base or twin.robot,
+        options.robot or twin.robot,
         options.lidar or twin.lidar_model,
         options.lidar_link or twin.lidar_link,
-        is_base_stated=base is not None,
+        is_base_stated=options.robot is not None,
     )
     table = None if twin.pattern == "yaw-base" else twin.turntable
     carried = replace(options, pattern=twin.pattern, turntable=table)
