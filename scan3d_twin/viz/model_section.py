@@ -97,6 +97,7 @@ def _render_controls(shown: Shown) -> str:
 <button type="button" id="measure" aria-pressed="false">Measure</button>
 <button type="button" id="reset">Reset view</button>
 <span class="files">Save <button type="button" data-file="ply">PLY</button>
+<button type="button" data-file="e57">E57</button>
 {glb}<button type="button" data-file="json">JSON</button>
 <button type="button" data-file="svg">SVG</button></span>
 </div>"""

@@ -15,7 +15,7 @@ OFFLINE_POLICY = (
     "base-uri 'none'; form-action 'none'\">"
 )
 """What the page may load: nothing, whatever the names in it hold."""
-SCRIPTS = ("report_drawing.js", "report_files.js", "report.js")
+SCRIPTS = ("report_drawing.js", "report_files.js", "report_e57.js", "report.js")
 """Scripts of a page with a model: they read what the page holds, and stand at its end."""
 
 Cell = tuple[str, bool]

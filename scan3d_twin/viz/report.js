@@ -175,6 +175,7 @@
   const svg = () => [Uint8Array.from(atob(topView.src.split(",")[1]), (letter) => letter.charCodeAt(0))];
   const files = {
     ply: ["model.ply", "application/octet-stream", () => makePly(meta, bytes)],
+    e57: ["model.e57", "application/octet-stream", () => makeE57(meta, bytes)],
     glb: ["mesh.glb", "model/gltf-binary", () => makeGlb(meta, bytes, faces)],
     json: ["report.json", "application/json", () => [read("report")]],
     svg: ["top_view.svg", "image/svg+xml", svg],

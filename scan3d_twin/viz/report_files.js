@@ -13,25 +13,33 @@ const placesOf = (meta, bytes, [first, count]) => {
   return places;
 };
 
-// The points of all views as a PLY file, coloured by view.
-const makePly = (meta, bytes) => {
+// The points of all views, three numbers each, and the colours of their views.
+const colouredPoints = (meta, bytes) => {
   const total = meta.ranges.views.reduce((sum, range) => sum + range[1], 0);
+  const places = new Float32Array(3 * total), colours = new Uint8Array(3 * total);
+  let at = 0;
+  meta.ranges.views.forEach((range, view) => {
+    places.set(placesOf(meta, bytes, range), at);
+    const colour = [1, 3, 5].map((i) => parseInt(meta.colours[view].slice(i, i + 2), 16));
+    for (const end = at + 3 * range[1]; at < end; at += 3) colours.set(colour, at);
+  });
+  return { places, colours };
+};
+
+// The points of all views as a PLY file.
+const makePly = (meta, bytes) => {
+  const { places, colours } = colouredPoints(meta, bytes), total = places.length / 3;
   const header = new TextEncoder().encode(
     `ply\nformat binary_little_endian 1.0\nelement vertex ${total}\n` +
     ["x", "y", "z"].map((name) => `property float ${name}\n`).join("") +
     ["red", "green", "blue"].map((name) => `property uchar ${name}\n`).join("") + "end_header\n");
   const body = new DataView(new ArrayBuffer(15 * total));
-  let at = 0;
-  meta.ranges.views.forEach((range, view) => {
-    const places = placesOf(meta, bytes, range);
-    const colour = [1, 3, 5].map((i) => parseInt(meta.colours[view].slice(i, i + 2), 16));
-    for (let k = 0; k < range[1]; k++, at += 15) {
-      for (let i = 0; i < 3; i++) {
-        body.setFloat32(at + 4 * i, places[3 * k + i], true);
-        body.setUint8(at + 12 + i, colour[i]);
-      }
+  for (let k = 0; k < total; k++) {
+    for (let i = 0; i < 3; i++) {
+      body.setFloat32(15 * k + 4 * i, places[3 * k + i], true);
+      body.setUint8(15 * k + 12 + i, colours[3 * k + i]);
     }
-  });
+  }
   return [header, body.buffer];
 };
 

@@ -17,8 +17,8 @@ from scan3d_twin.viz.packing import Shown
 from scan3d_twin.viz.page import render_page
 
 OTHER_FILES = (
-    "For E57, LAS, OBJ and other files, run <code>twin export . --to e57</code> in the folder of "
-    "this page."
+    "For all points, and for LAS, OBJ and other files, run <code>twin export . --to e57</code> in "
+    "the folder of this page, or another format."
 )
 """Said of the files that a page cannot make: they take the whole cloud, and libraries."""
 

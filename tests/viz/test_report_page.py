@@ -317,6 +317,29 @@ def test_the_page_gives_back_the_files(open_page, url, session):
     assert "</svg>" in saved["svg"].read_text(encoding="utf-8")
 
 
+def test_the_e57_file_of_the_page_holds_its_points(open_page, url, session):
+    """libE57 checks the sum of each page of the file, and reads its records."""
+    pye57 = pytest.importorskip("pye57")
+    page, saved = open_page(url).page, []
+    for kind in ("e57", "e57", "ply"):
+        with page.expect_download() as download:
+            page.locator(f"button[data-file={kind}]").click()
+        saved.append(download.value.path())
+    wanted = trimesh.load(saved[2], file_type="ply")
+    file = pye57.E57(str(saved[0]))
+    header = file.get_header(0)
+    found = file.read_scan(0, colors=True, ignore_missing_fields=True)
+    points = np.column_stack([found[f"cartesian{axis}"] for axis in "XYZ"])
+    colours = np.column_stack([found[f"color{name}"] for name in ("Red", "Green", "Blue")])
+    assert file.scan_count == 1
+    assert len(points) == header.point_count > 4000  # more than a packet holds
+    assert np.array_equal(points, wanted.vertices.astype(np.float32))
+    assert np.array_equal(colours, wanted.colors[:, :3])
+    bounds = [getattr(header, f"{axis}{end}imum") for end in ("Min", "Max") for axis in "xyz"]
+    assert bounds == [*points.min(axis=0), *points.max(axis=0)]
+    assert saved[0].read_bytes() == saved[1].read_bytes()
+
+
 def test_the_table_folds_on_a_phone(open_page, url):
     page = open_page(url, width=390).page
     assert not page.locator("thead").is_visible()
