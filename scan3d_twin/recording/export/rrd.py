@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from scan3d_twin.core.errors import ConfigError, FileError
+from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2
 from scan3d_twin.recording.colours import GREY, view_colours_rgb
@@ -29,7 +29,7 @@ from scan3d_twin.recording.mcap.ros_display import (
     find_target,
 )
 from scan3d_twin.recording.names import SCANS
-from scan3d_twin.run.folder import fresh_part
+from scan3d_twin.run.folder import write_file
 
 TIMELINE = "robot_time"
 """Time on the robot's clock, from when it was opened [s]."""
@@ -58,19 +58,14 @@ def write(session_file: Path, path: Path) -> None:
     except ImportError as error:
         raise ConfigError("rrd files need rerun: pip install rerun-sdk") from error
 
-    # Write a part file, then rename
+    # Collect the stream, then write it: rerun's own file waits for ever on a full disk
     recorded = load_session(session_file)
-    try:
-        with (
-            fresh_part(path) as part,
-            rerun.RecordingStream(f"scan3d_twin {recorded.name}") as stream,
-        ):
-            stream.save(part, default_blueprint=_blueprint(recorded.session))
-            _RerunWriter(rerun, stream).write(recorded.session, session_file)
-            stream.flush()
-            stream.disconnect()
-    except (OSError, RuntimeError) as error:
-        raise FileError(f"cannot write {path}: {error}") from error
+    with rerun.RecordingStream(f"scan3d_twin {recorded.name}") as stream:
+        content = stream.binary_stream()
+        stream.send_blueprint(_blueprint(recorded.session))
+        _RerunWriter(rerun, stream).write(recorded.session, session_file)
+        data = content.read() or b""
+    write_file(path, data)
 
 
 def _blueprint(session: Session) -> Any:
