@@ -5,6 +5,7 @@ import signal
 from collections.abc import Generator
 from types import FrameType
 
+import hypothesis
 import pytest
 
 import scan3d_twin  # noqa: F401 - before NumPy: the tests compare bits with those of the program
@@ -21,7 +22,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure() -> None:
-    """Let programs that tests start obey all signals, also where nohup or a shell ignores some."""
+    """Let programs obey all signals, where nohup ignores some too, and let no test be timed."""
+    hypothesis.settings.register_profile("untimed", deadline=None)
+    hypothesis.settings.load_profile("untimed")
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
         if signal.getsignal(number) is signal.SIG_IGN:
             default = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL

@@ -120,6 +120,8 @@ def _fields(cls: type) -> Iterator[FormField]:
         if name in OWN:
             continue
         kind, *parameters = get_args(hint) if hasattr(hint, "__metadata__") else (hint,)
+        if any(each.show is False for each in parameters):
+            continue
         variable, default = _variable(parameters), _default(parameters)
         if variable in os.environ:
             default = f"{os.environ[variable]} ({variable})"

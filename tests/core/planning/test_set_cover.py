@@ -33,7 +33,7 @@ def smallest(sees: BoolArray, needed: float) -> int:
     raise AssertionError
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.floats(0.3, 1.0))
 def test_no_smaller_cover_exists(seed: int, share: float) -> None:
     sees = np.random.default_rng(seed).random((7, 15)) < 0.3

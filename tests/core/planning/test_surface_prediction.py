@@ -67,7 +67,7 @@ def test_an_edge_in_the_hidden_part_is_confessed() -> None:
     assert prediction.sigma > 0.1
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
 def test_the_prediction_moves_with_the_scan(yaw: float, x: float, y: float) -> None:
     T = Pose2(x, y, yaw)

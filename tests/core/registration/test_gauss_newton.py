@@ -68,7 +68,7 @@ def prior_at(pose: Pose2, xy: float = 0.02, yaw: float = 0.035) -> PosePrior:
     return PosePrior.planar(pose, xy, yaw)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     x=st.floats(-0.03, 0.03), y=st.floats(-0.03, 0.03), yaw=st.floats(-0.05, 0.05)
 )  # fmt: skip
@@ -82,7 +82,7 @@ def test_recovers_any_small_motion_of_a_featureful_scan(x: float, y: float, yaw:
     assert len(result.degenerate_directions) == 0
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     x=st.floats(-0.03, 0.03), y=st.floats(-0.03, 0.03), yaw=st.floats(-0.05, 0.05)
 )  # fmt: skip
