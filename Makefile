@@ -28,7 +28,7 @@ quick: $(SETUP)  ## run the tests that take no simulator, in a minute
 	$(BIN)/pytest -n 2 -m "not slow" tests/core tests/devices tests/run tests/recording
 
 test: $(SETUP)  ## run all tests
-	@echo "all tests: 8 to 10 minutes on 2 cores; make quick takes one"
+	@echo "all tests: 10 to 15 minutes on 2 cores; make quick takes one"
 	$(BIN)/pytest -n 2
 
 check: $(SETUP)  ## format, lint, types, import rules, spelling
