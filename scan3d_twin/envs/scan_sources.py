@@ -83,7 +83,7 @@ class EpisodeScanSource(ABC):
 
     def costmap_from(self, start: Pose2, session: Session) -> Costmap:
         """Return the costmap with the robot at ``start`` in ``odom``, by what ``session`` saw."""
-        if self._costmap is None or self._costmap[0] is not session:
+        if self._costmap is None or not _saw_the_same(self._costmap[0], session):
             costmap = build_costmap(
                 session.observations(), self.config, start, workspace=session.workspace
             )
@@ -92,6 +92,11 @@ class EpisodeScanSource(ABC):
         if (start.x, start.y) == tuple(known.start):
             return known
         return replace(known, start=np.array([start.x, start.y]))
+
+
+def _saw_the_same(a: Session, b: Session) -> bool:
+    """Return whether two sessions differ by plans at most: those change nothing that was seen."""
+    return a.views is b.views and a.panoramas is b.panoramas
 
 
 class PhysicsScanSource(EpisodeScanSource):

@@ -138,6 +138,17 @@ def test_a_masked_action_is_taken_for_the_nearest_open_one(make, monkeypatch):
     assert info["eta"] == 0.8
 
 
+def test_the_costmap_is_laid_anew_by_what_is_seen_and_by_no_plan(make):
+    env = make("ViewPlanPose")
+    env.reset(seed=0)
+    episode, session = env.episode, env.session
+    before, here = episode.costmap, session.views[-1].observation.T_odom_scan
+    planned = session.with_plan(env.plan_of_action(np.zeros(3, np.float32))[0])
+    assert episode.source.costmap_from(here, planned) is before
+    seen = planned.with_panorama(session.panoramas[0][1])
+    assert episode.source.costmap_from(here, seen) is not before
+
+
 def test_a_pose_is_snapped_to_where_the_robot_can_stand(make):
     env = make("ViewPlanPose")
     env.reset(seed=0)
