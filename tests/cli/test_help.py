@@ -147,16 +147,22 @@ def test_an_unknown_section_lists_the_known_ones(fails):
     assert all(name in error for name in ("'planing'", "planning", "sweep", "lidar"))
 
 
-def test_what_is_listed_can_be_given(twin):
+@pytest.mark.parametrize("underscores", [False, True])
+def test_what_is_listed_can_be_given(twin, underscores):
+    """All at once, as a command line takes long to parse."""
+    wanted, arguments = {}, []
     for option in dotted_fields(Config, TwinConfig):
         value = default_of(option)
         text = str(value).lower() if isinstance(value, bool) else str(value)
-        for flag in (option.flag, option.flag.replace("-", "_").replace("__", "--", 1)):
-            _, bound, _ = app.parse_args(
-                ["sim", f"{flag}={text}"], exit_on_error=False, print_error=False
-            )
-            given = bound.arguments["dotted"]
-            assert getattr(given, f"{option.section}__{option.name}") == value
+        flag = option.flag
+        if underscores:
+            flag = flag.replace("-", "_").replace("__", "--", 1)
+        arguments.append(f"{flag}={text}")
+        wanted[f"{option.section}__{option.name}"] = value
+    _, bound, _ = app.parse_args(["sim", *arguments], exit_on_error=False, print_error=False)
+    given = bound.arguments["dotted"]
+    assert len(wanted) == len(arguments) > 100
+    assert {name: getattr(given, name) for name in wanted} == wanted
 
 
 def test_no_option_has_an_underscore_in_its_name(commands):

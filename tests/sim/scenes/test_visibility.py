@@ -167,9 +167,9 @@ def test_rays_of_both_casters_agree_where_things_are_hidden(scene_of):
     ghosts = '<geom type="box" size=".02 .6 .6" pos=".5 0 .6" material="solid" rgba="1 1 1 0"/>'
     model = scene_of(f'<body name="target">{parts}</body>{wall}{ghosts}', MATERIALS).model
     rng = np.random.default_rng(4)
-    directions = rng.standard_normal((200_000, 3))
+    directions = rng.standard_normal((50_000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    origins = rng.uniform([-5, -5, 0.01], [0.4, 5, 1], (200_000, 3))
+    origins = rng.uniform([-5, -5, 0.01], [0.4, 5, 1], (50_000, 3))
     exact, fast = (caster.cast(np.empty(0), origins, directions) for caster in both_casters(model))
     assert np.mean(exact.geoms != fast.geoms) < 1e-4
     assert set(model.geom_type[exact.geoms[exact.geoms >= 0]].tolist()) >= {
