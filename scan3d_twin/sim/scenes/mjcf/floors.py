@@ -115,23 +115,22 @@ def find_floor_planes(model: Any) -> tuple[str, ...]:
 
 
 def lay_floor(
-    spec: Any, starts: FloatArray, targets: set[str], fallback: float, label: str
+    spec: Any, compiled: tuple[Any, Any], starts: FloatArray, targets: set[str], fallback: float
 ) -> bool:
     """Find the floor of ``spec``, or add one, and move it to z = 0.
 
     Args:
         spec: The scene; changed in place.
+        compiled: A copy of it that is compiled, and the model.
         starts: Places of the robot's start, or possible ones, (n, 3) [m]; the median floor counts.
         targets: Names of the target's geoms, which are no floor.
         fallback: Height of the floor that is added where there is none [m].
-        label: The file or name in messages.
 
     Returns:
         Whether ``spec`` was changed.
     """
     # Find the floor
-    compiled = spec.copy()
-    model = compile_scene(compiled, label)
+    copy, model = compiled
     floors = _find_floors(model, starts, targets)
     floors.sort()
     height, geom = floors[(len(floors) - 1) // 2] if floors else (fallback, -1)
@@ -141,7 +140,7 @@ def lay_floor(
         _add_floor(spec, height)
         changed = True
     else:
-        changed = _carry(spec, compiled, model, geom)
+        changed = _carry(spec, copy, model, geom)
 
     # Move it to z = 0
     if abs(height) > EVEN:
