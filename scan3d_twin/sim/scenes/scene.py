@@ -31,7 +31,7 @@ from scan3d_twin.sim.scenes.mjcf.floors import (
     name_planes,
     widen_floors,
 )
-from scan3d_twin.sim.scenes.mjcf.free_floor import choose_spawn, corners, ring
+from scan3d_twin.sim.scenes.mjcf.free_floor import choose_spawn, corners, rings
 from scan3d_twin.sim.scenes.mjcf.freeze import freeze
 from scan3d_twin.sim.scenes.mjcf.settings import reset_settings, unify_contacts
 from scan3d_twin.sim.scenes.mjcf.target_sight import TargetSight
@@ -156,7 +156,7 @@ def _lay_ground(
     model = compile_scene(copy, label)
     around, frame = corners(model, geoms), _site_frame(model, "spawn")
     site = None if frame is None else frame[:3, 3]
-    starts = ring(around) if site is None else site[None]
+    starts = rings(around) if site is None else (site[None],)
     fallback = min(0.0, float(around[:, 2].min())) if site is None else float(site[2])
     if lay_floor(spec, (copy, model), starts, set(geoms), fallback):
         model = compile_scene(spec.copy(), label)

@@ -290,6 +290,14 @@ def test_a_raised_or_lowered_floor_is_at_0_in_the_map(scene_of, height):
         assert robot.base.hazards().active() == ()
 
 
+def test_a_target_that_is_sunk_into_the_floor_stands_on_it(scene_of):
+    """The reference pose of many robots has their legs below the ground."""
+    floor = '<geom name="ground" type="plane" size="0 0 1"/>'
+    scene = scene_of(floor + '<geom name="target" type="box" size=".2 .2 1"/>', spawn="")
+    assert place(scene, "geom", "ground")[0] == pytest.approx([0, 0, 0])
+    assert scene.model.ngeom == 2
+
+
 def test_a_wall_of_type_plane_is_no_floor_and_ends_where_it_is_drawn(scene_of):
     wall = '<geom name="wall" type="plane" size="3 1 .1" pos="2 0 1" zaxis="-1 0 0"/>'
     scene = scene_of(wall + '<geom name="target" size=".1" pos="1 0 .1"/>')

@@ -38,7 +38,7 @@ NEAREST = 0.8
 """Least distance from the start to the target [m]; nearer, panoramas cut it off."""
 MAX_SAMPLED = 100
 """About how many places are looked from to learn how much of the target can be seen at once."""
-ENOUGH = 0.8
+ENOUGH = 0.95
 """Part of the best sight that a start has to offer; assumption."""
 MIN_SHARE = 1e-6
 """Least share of the target that a start has to show: any."""
@@ -218,12 +218,15 @@ def corners(model: Any, names: tuple[str, ...]) -> FloatArray:
     return np.concatenate(parts)
 
 
-def ring(points: FloatArray) -> FloatArray:
-    """Return places (16, 3) [m] around a target with these corners, at the height of its foot."""
+def rings(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return places (16, 3) [m] around a target with these corners, at its foot and at its top.
+
+    The foot of one that is sunk into the floor is below the floor.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     radius = float(np.linalg.norm((high - low)[:2])) / 2 + DISTANCE
     angles = math.tau * np.arange(16) / 16
     middle = (low + high) / 2
-    around = np.stack([np.cos(angles), np.sin(angles), np.zeros(16)], axis=1)
-    places: FloatArray = np.array([middle[0], middle[1], low[2]]) + radius * around
-    return places
+    around = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(16)], axis=1)
+    foot, top = np.array([*middle[:2], low[2]]), np.array([*middle[:2], high[2]])
+    return foot + around, top + around
