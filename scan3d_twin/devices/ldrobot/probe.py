@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from scan3d_twin.devices.device import LidarProbe
-from scan3d_twin.devices.ldrobot.codec import READINGS, Splitter
+from scan3d_twin.devices.ldrobot.codec import FOREIGN, READINGS, Splitter
 from scan3d_twin.devices.ldrobot.model import LD19, STL27L
 
 MIN_PACKETS = 3
@@ -24,5 +24,14 @@ def recognise_ld(data: bytes) -> str | None:
     return nearest.name.lower()
 
 
-PROBE = LidarProbe(bauds=(LD19.baud, STL27L.baud), recognise=recognise_ld, wait=0.1)
+def explain_ld(data: bytes) -> str | None:
+    """Return that ``data`` is in the protocol of a lidar that is sold as an LD19, if it is."""
+    splitter = Splitter()
+    splitter.feed(data)
+    return f"bytes arrive, but {FOREIGN}" if splitter.is_foreign else None
+
+
+PROBE = LidarProbe(
+    bauds=(LD19.baud, STL27L.baud), recognise=recognise_ld, wait=0.1, explain=explain_ld
+)
 """In a tenth of a second an LD19 sends 37 packets."""

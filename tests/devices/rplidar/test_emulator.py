@@ -130,6 +130,23 @@ def test_capsules_turn_on_by_their_samples_and_only_the_first_restarts(model, li
     assert len(capsules) > 55
 
 
+def test_half_a_request_is_discarded_after_five_seconds():
+    desk = Desk()
+    info, health = (codec.encode_request(c) for c in (Command.GET_INFO, Command.GET_HEALTH))
+    half = codec.encode_express_scan(1)[:2]
+    desk.ask(half)
+    desk.clock.sleep(4.9)
+    # The lidar takes its first byte for the length of the payload
+    assert desk.ask(info) == b""
+    desk.clock.sleep(0.2)
+    assert len(desk.ask(info)) == codec.DESCRIPTOR_LENGTH + codec.INFO_LENGTH
+    # It counts from the beginning of each
+    desk.clock.sleep(4.9)
+    assert desk.ask(health[:1]) == b""
+    desk.clock.sleep(0.2)
+    assert len(desk.ask(health[1:])) == 10
+
+
 def test_reset_says_what_booted_and_takes_its_time():
     desk = Desk()
     assert desk.ask(RESET, 0.4) == b""
