@@ -67,7 +67,7 @@ def make_info(model: int) -> bytes:
     [
         (b"", "no byte arrives"),
         (b"hello ", "[0-9]+ bytes arrive, but from none that is known"),
-        (make_info(0x31), "model byte 0x31 is that of none of RPLIDAR A1, RPLIDAR C1, RPLIDAR S2"),
+        (make_info(0x31), "model byte 0x31 is that of none of RPLIDAR C1, RPLIDAR A1, RPLIDAR S2"),
         (b"\xaa\x55\xf0\x0f" + bytes(100), "in another protocol .AA 55.: a COIN-D4"),
     ],
 )

@@ -79,6 +79,8 @@ LD06 = replace(LD19, name="LD06")
 [SDK] reads both: nothing that an LD06 sends tells it from an LD19."""
 STL27L = LdModel("STL27L", 921_600, 21_600.0, 30, 25_000)
 """[SDK] for baud and rate, [list] for the range."""
+MODELS = (LD19, STL27L)
+"""The models that the rate of their readings tells apart, the most likely first."""
 
 LD_ERRORS: Mapping[str, float | bool] = {
     # Standard deviation of the LD19 from 0.3 to 12 m [manual]; the LD06 is its forerunner with the

@@ -14,9 +14,10 @@ from scan3d_twin.devices.rplidar.codec import (
     decode_info,
     encode_request,
 )
-from scan3d_twin.devices.rplidar.model import A1, C1, MODELS, S2, STOP_PAUSE
+from scan3d_twin.devices.rplidar.model import MODELS, STOP_PAUSE
 
 _HEAD = Descriptor(INFO_LENGTH, False, ReplyType.INFO).encode()
+_SLOWEST_BAUD = min(model.baud for model in MODELS.values())
 _STOP = bytes(MAX_REQUEST) + encode_request(Command.STOP)
 
 
@@ -43,13 +44,13 @@ def _find_info(data: bytes) -> DeviceInfo | None:
 
 
 PROBE = LidarProbe(
-    bauds=(C1.baud, A1.baud, S2.baud),
+    bauds=tuple(model.baud for model in MODELS.values()),
     recognise=recognise_rplidar,
     # Zeros complete any request that was cut off, and begin none; STOP ends a scan. Without a line
     # feed an URG-04LX waits for the rest; an LDROBOT hears nothing.
     stop=_STOP,
     # Their transmission, and ten times what the protocol demands, for the latency of an adapter.
-    pause=len(_STOP) * BITS_PER_BYTE / A1.baud + 10 * STOP_PAUSE,
+    pause=len(_STOP) * BITS_PER_BYTE / _SLOWEST_BAUD + 10 * STOP_PAUSE,
     request=encode_request(Command.GET_INFO),
     wait=0.12,
     explain=explain_rplidar,
