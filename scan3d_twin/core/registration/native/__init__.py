@@ -314,6 +314,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "measure_components": (
         c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs,
     ),
+    "mark_floor": (
+        c_int64, Longs, c_int64, c_int64, Doubles, c_double, Doubles, Doubles, Doubles, c_int64,
+        Doubles, c_int64,
+    ),
     "write_struct_sizes": (None, Longs),
 }  # fmt: skip
 """Return and argument types of the functions of ``engine.c``."""
