@@ -182,8 +182,17 @@ int64_t EXPORT(number_cells)(const int32_t *cells, int64_t n, int32_t *distinct,
     return number_cells(cells, n, distinct, numbers);
 }
 
-void EXPORT(start_moments)(const double *points, int64_t n, double *moments) {
-    start_moments(points, n, moments);
+double EXPORT(find_median)(double *values, int64_t n) {
+    return median(values, n);
+}
+
+void EXPORT(find_cells)(const double *points, int64_t n, double scale, int32_t *cells) {
+    find_cells(points, n, scale, cells);
+}
+
+void EXPORT(sum_moments)(const double *points, const double *mean, const int32_t *numbers, int64_t n,
+                         double *sums) {
+    sum_moments(points, mean, numbers, n, sums);
 }
 
 void EXPORT(add_moments)(const double *moments, const int32_t *numbers, int64_t n, double *sums) {
