@@ -158,12 +158,17 @@ def _note_other_thing(
     """Say that another thing than the target was scanned, where there is no ``reference``."""
     if reference is not None:
         return
-    asked = settings.run.target
-    what = f"the target {asked!r} that was asked for" if asked in truth.targets else "a target"
-    known = ", ".join(truth.targets)
+    asked, known = settings.run.target, ", ".join(truth.targets)
+    what, cure = (
+        "a target",
+        "something else is in front of it, or more salient; --target chooses by name",
+    )
+    if asked in truth.targets:
+        what = f"the target {asked!r} that was asked for"
+        cure = "something else is in front of it; a site 'spawn' says where the robot starts"
     yield (
         f"What was scanned is not {what} of this scene ({known}), so there are no coverage and no "
-        "errors: something else is in front of it, or more salient; --target chooses by name."
+        f"errors: {cure}."
     )
 
 
