@@ -1,10 +1,10 @@
 """What a bad line does to the packets of the LDROBOT lidars: how many wrong readings get through.
 
-An emulated LD19 sends known distances over a line that loses, inserts and flips bytes. Printed are
+An emulated lidar sends known distances over a line that loses, inserts and flips bytes. Printed are
 the damaged packets that the CRC-8 misses (theory: 1 in 256), those of them that the driver then
 finds implausible, and the wrong readings among those that reach a scan line.
 
-    python benchmarks/ld_corruption.py --seconds 300 --corrupt 0.001
+    python benchmarks/ld_corruption.py --lidar ld19 --seconds 300 --corrupt 0.001
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scan3d_twin.core.types import UNMEASURED, VALID, Beams, FloatArray, LidarSp
 from scan3d_twin.devices.ldrobot.codec import Packet, Splitter
 from scan3d_twin.devices.ldrobot.driver import LdLidar
 from scan3d_twin.devices.ldrobot.emulator import LdEmulator
-from scan3d_twin.devices.ldrobot.model import LD19
+from scan3d_twin.devices.ldrobot.model import MODELS, TURN_RATE, LdModel
 from scan3d_twin.devices.links.line_model import Faults, Line, Wire
 from scan3d_twin.devices.rotating import to_elevation
 
@@ -52,9 +52,9 @@ def true_range(elevations: FloatArray) -> FloatArray:
 class KnownScene:
     """A ``BeamStream`` with known distances."""
 
-    def __init__(self, clock: Clock) -> None:
-        self.spec: LidarSpec = LD19.spec
-        self._clock, self._count = clock, 0
+    def __init__(self, clock: Clock, model: LdModel) -> None:
+        self.spec: LidarSpec = model.spec
+        self._clock, self._rate, self._count = clock, model.sample_rate, 0
 
     def read_line(self, timeout: float) -> ScanLine:
         """See ``Lidar.read_line``: there are none, as the emulator reads beams."""
@@ -62,19 +62,19 @@ class KnownScene:
 
     def read_beams(self) -> Beams:
         """See ``BeamStream.read_beams``."""
-        last = math.floor(self._clock.now() * LD19.sample_rate)
+        last = math.floor(self._clock.now() * self._rate)
         numbers = np.arange(self._count, last)
         self._count = last
-        times = numbers / LD19.sample_rate
-        elevations = to_elevation(math.tau * 10.0 * times - math.pi)
+        times = numbers / self._rate
+        elevations = to_elevation(math.tau * TURN_RATE * times - math.pi)
         return Beams(times, elevations, true_range(elevations), np.full(len(times), VALID))
 
 
 class SentPackets(LdEmulator):
     """An emulator that remembers what it has sent of late."""
 
-    def __init__(self, clock: Clock) -> None:
-        super().__init__(KnownScene(clock), LD19)
+    def __init__(self, clock: Clock, model: LdModel) -> None:
+        super().__init__(KnownScene(clock, model), model)
         self.recent: deque[Packet] = deque(maxlen=400)
         self.sent = 0
 
@@ -121,17 +121,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
+    models = {model.name.lower(): model for model in MODELS}
+    parser.add_argument("--lidar", choices=models, default="ld19")
     parser.add_argument("--seconds", type=float, default=300.0)
     parser.add_argument("--corrupt", type=float, default=0.001)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
 
     # Listen to a bad line
-    clock, p = VirtualClock(), options.corrupt
-    emulator = SentPackets(clock)
+    clock, p, model = VirtualClock(), options.corrupt, models[options.lidar]
+    emulator = SentPackets(clock, model)
     line = Line(emulator, Faults(drop=p, insert=p, flip=p), options.seed)
     splitter = CountingSplitter(emulator)
-    lidar = LdLidar(lambda: TappedWire(line, clock, splitter), clock, LD19)
+    lidar = LdLidar(lambda: TappedWire(line, clock, splitter), clock, model)
     wrong = readings = lines = 0
     while clock.now() < options.seconds:
         each = lidar.read_line(1.0)

@@ -173,6 +173,8 @@ class LidarProbe:
         wait: Time in which enough bytes arrive [s].
         stop: Bytes as harmless that end what it was doing, sent before ``request``.
         pause: Time between the two [s].
+        explain: Returns what is known of bytes that ``recognise`` does not know, such as those of a
+            lidar of this family that is not supported; None if nothing.
     """
 
     bauds: tuple[int, ...]
@@ -181,6 +183,7 @@ class LidarProbe:
     wait: float = 0.15
     stop: bytes = b""
     pause: float = 0.0
+    explain: Callable[[bytes], str | None] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,9 +57,29 @@ class Devices:
     is_base_stated: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.base not in _own(BASES) and self.base not in base_names():
-            raise _unknown("robot", self.base, BASES)
-        object.__setattr__(self, "link", _choose_link(self.lidar, self.link))
+        # Names are known by letters and digits
+        base, lidar = find_name(self.base, BASES), find_name(self.lidar, LIDARS)
+        object.__setattr__(self, "base", base)
+        object.__setattr__(self, "lidar", lidar)
+        if base not in _own(BASES) and base not in base_names():
+            raise _unknown("robot", base, BASES)
+        object.__setattr__(self, "link", _choose_link(lidar, self.link))
+
+
+def find_name(name: str, group: str) -> str:
+    """Return the name of a device of a ``group`` that ``name`` spells, such as urg_04lx; else it.
+
+    Case, underscores, hyphens and spaces do not matter.
+    """
+    if name in _own(group):
+        return name
+    known = _names(group)
+    return name if name in known else {_squeeze(k): k for k in known}.get(_squeeze(name), name)
+
+
+def _squeeze(name: str) -> str:
+    """Return the letters and digits of ``name``, in lower case."""
+    return re.sub(r"[\W_]", "", name).lower()
 
 
 def lidar_names() -> tuple[str, ...]:
@@ -87,6 +107,7 @@ def lidar_device(name: str) -> LidarDevice:
     """
     from scan3d_twin.devices.device import LidarDevice
 
+    name = find_name(name, LIDARS)
     device = _load("lidar", name, LIDARS, LidarDevice)
     if not device.links:
         raise PluginError("lidar", name, _place("lidar", name, LIDARS), "it has no links")
@@ -104,6 +125,7 @@ def base_device(name: str) -> BaseDevice:
     """Return the base called ``name``; raises the errors of ``lidar_device``."""
     from scan3d_twin.devices.device import BaseDevice
 
+    name = find_name(name, BASES)
     device = _load("robot", name, BASES, BaseDevice)
     _check_spec("robot", name, device.spec.name, BASES)
     return device
@@ -113,6 +135,7 @@ def turntable_device(name: str) -> TurntableDevice:
     """Return the turntable called ``name``; raises the errors of ``lidar_device``."""
     from scan3d_twin.devices.device import TurntableDevice
 
+    name = find_name(name, TURNTABLES)
     device = _load("turntable", name, TURNTABLES, TurntableDevice)
     _check_spec("turntable", name, device.spec.name, TURNTABLES)
     return device
@@ -143,7 +166,8 @@ def _own(group: str) -> dict[str, str]:
 def _refused() -> dict[str, str]:
     """Return why devices are not offered, by a pattern of their names.
 
-    A family states in ``REFUSED`` what its users may look for in vain.
+    A family states in ``REFUSED`` what its users may look for in vain; a pattern has neither
+    capital letters nor separators.
     """
     stated: list[dict[str, str]] = [getattr(family, "REFUSED", {}) for family in _families()]
     return {pattern: reason for each in stated for pattern, reason in each.items()}
@@ -198,7 +222,7 @@ def _place(kind: str, name: str, group: str) -> str:
 def _unknown(kind: str, name: str, group: str) -> ConfigError:
     """Return the error for a ``name`` that no device has, with the reason if it is refused."""
     for pattern, reason in _refused().items():
-        if re.fullmatch(pattern, name, re.IGNORECASE):
+        if re.fullmatch(pattern, _squeeze(name)):
             return ConfigError(f"no {kind} {name!r}: {reason}")
     return UnknownNameError(kind, name, _names(group))
 

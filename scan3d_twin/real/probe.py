@@ -40,7 +40,8 @@ def find_lidar(
         LinkError: The port cannot be opened, or none is recognised within ``PROBE_TIMEOUT``.
     """
     probes = lidar_probes() if probes is None else probes
-    deadline, heard, refused = clock.now() + PROBE_TIMEOUT, 0, set[int]()
+    deadline, refused, heard = clock.now() + PROBE_TIMEOUT, set[int](), 0
+    reason: str | None = None
     with closing(open_transport()) as line:
         while clock.now() < deadline:
             for probe in probes:
@@ -52,19 +53,19 @@ def find_lidar(
                     except LinkError:
                         refused.add(baud)
                         continue
-                    name, count = _try(line, clock, probe)
+                    name, data = _try(line, clock, probe)
                     if name is not None:
                         return name
-                    heard += count
-    what = f"{heard} bytes arrive, but from none that is known" if heard else "no byte arrives"
-    raise LinkError(
-        f"no lidar was recognised within {PROBE_TIMEOUT:g} s: {what}; check its power and its "
-        "cable, or name it with --lidar (twin devices)"
-    )
+                    heard += len(data)
+                    reason = (probe.explain(data) if probe.explain else None) or reason
+    if reason is None:
+        what = f"{heard} bytes arrive, but from none that is known" if heard else "no byte arrives"
+        reason = f"{what}; check its power and its cable, or name it with --lidar"
+    raise LinkError(f"no lidar was recognised within {PROBE_TIMEOUT:g} s: {reason} (twin devices)")
 
 
-def _try(line: Transport, clock: Clock, probe: LidarProbe) -> tuple[str | None, int]:
-    """Return the lidar that a ``probe`` recognises at the line's bit rate, and the bytes heard."""
+def _try(line: Transport, clock: Clock, probe: LidarProbe) -> tuple[str | None, bytes]:
+    """Return the lidar that a ``probe`` recognises at the line's bit rate, and what was heard."""
     line.discard_input()
     if probe.stop:
         line.write(probe.stop)
@@ -76,5 +77,5 @@ def _try(line: Transport, clock: Clock, probe: LidarProbe) -> tuple[str | None, 
         arrived = line.read(POLL)
         data += arrived
         if arrived and (name := probe.recognise(data)):
-            return name, len(data)
-    return None, len(data)
+            return name, data
+    return None, data

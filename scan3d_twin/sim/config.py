@@ -149,7 +149,10 @@ class TwinConfig:
     def __post_init__(self) -> None:
         check_options(self)
         find_turntable(self.turntable)
-        object.__setattr__(self, "lidar_link", self.devices.link)
+        devices = self.devices
+        object.__setattr__(self, "robot", devices.base)
+        object.__setattr__(self, "lidar_model", devices.lidar)
+        object.__setattr__(self, "lidar_link", devices.link)
 
     @property
     def turn(self) -> MountConfig:

@@ -9,13 +9,15 @@ from typing import get_args
 
 import pytest
 
+from scan3d_twin.bench.spec import suite_names
 from scan3d_twin.cli.app import app
 from scan3d_twin.cli.commands.options import default_of
 from scan3d_twin.cli.commands.sim import SimOptions, resolve
 from scan3d_twin.cli.dotted import dotted_fields
 from scan3d_twin.core.config import Config, Tour
 from scan3d_twin.core.options import option_key
-from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.core.presets import PRESETS
+from scan3d_twin.sim.config import WORLDS, TwinConfig
 
 SCREEN = (100, 40)
 """Columns (set in conftest.py) and lines of a terminal on which a help page must fit."""
@@ -176,3 +178,21 @@ def test_no_option_has_an_underscore_in_its_name(commands):
 
 def test_the_choices_of_a_tour_are_shown(twin):
     assert f"[choices: {', '.join(get_args(Tour))}]" in words(twin("sim", "--help").out)
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "names"),
+    [
+        ("bench", "--suite", suite_names()),
+        ("bench", "--presets", PRESETS),
+        ("bench", "--world", WORLDS),
+        ("sim", "--preset", PRESETS),
+        ("sim", "--world", WORLDS),
+        ("replay", "--preset", PRESETS),
+    ],
+)
+def test_the_names_that_an_option_takes_are_shown(twin, command, option, names):
+    rows = re.split(r" (?=--[a-z-]+ [A-Z]+)", words(twin(command, "--help").out))
+    (row,) = [row for row in rows if row.startswith(f"{option} ")]
+    told = re.sub(r"\[default: [^]]*\]", "", row.split(":", 1)[1])
+    assert sorted(re.findall(r"[a-z][a-z0-9-]+", re.sub(r"\bor\b", " ", told))) == sorted(names)

@@ -110,6 +110,43 @@ def test_what_is_no_device_of_its_name_is_refused(find, name, reason):
     assert str(refused.value).endswith(f": {reason}")
 
 
+def test_case_and_separators_of_a_name_do_not_matter():
+    spelled = Devices("Roomba-600", "URG_04LX")
+    assert spelled == Devices("roomba600", "urg04lx")
+    assert lidar_device("RPLIDAR C1") is lidar_device("rplidar_c1")
+    assert TwinConfig(robot="Create 2", lidar_model="LD-06") == TwinConfig(lidar_model="ld06")
+
+
+def test_an_ld06_is_an_ld19_by_another_name():
+    one, other = (TwinConfig.of("typical", lidar=name) for name in ("ld06", "ld19"))
+    assert replace(one, lidar_model="ld19") == other
+    ld06, ld19 = lidar_device("ld06"), lidar_device("ld19")
+    for field in ("links", "sensor", "bauds", "probe", "options"):
+        assert getattr(ld06, field) == getattr(ld19, field)
+    assert ld06.sample_rate("") == ld19.sample_rate("")
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("rplidar_a3", "ultra capsules"),
+        ("RPLIDAR A3M1", "ultra capsules"),
+        ("sllidar-s3", "ultra-dense capsules"),
+        ("rplidar_a2m8", "no two sources"),
+        ("LD14P", "its motor has to be commanded"),
+        ("coin-d4", "another protocol"),
+    ],
+)
+def test_a_lidar_whose_facts_do_not_suffice_is_refused_with_the_reason(name, reason):
+    with pytest.raises(ConfigError, match=rf"no lidar '{name}': .*{reason}.*; take "):
+        lidar_device(name)
+
+
+def test_a_misspelt_lidar_is_no_refused_one():
+    with pytest.raises(UnknownNameError, match="did you mean rplidar_a1"):
+        lidar_device("rplidar_a")
+
+
 @pytest.mark.usefixtures("others")
 def test_the_first_link_is_the_default():
     assert Devices().link == Devices(link="usb").link == TwinConfig().lidar_link == "usb"

@@ -12,6 +12,7 @@ from scan3d_twin.devices.ldrobot import model as ld
 from scan3d_twin.devices.ldrobot.emulator import LdEmulator
 from scan3d_twin.devices.links.line_model import Device, Faults, Line, Wire
 from scan3d_twin.devices.registry import lidar_device, lidar_names, lidar_probes
+from scan3d_twin.devices.rplidar.codec import DeviceInfo, ReplyType, encode_reply
 from scan3d_twin.devices.urg.codec import Request
 from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.emulator import UrgEmulator
@@ -56,8 +57,19 @@ def test_each_lidar_is_recognised_in_time_whatever_it_does(name: str, seed: int)
     assert clock.now() - started < 6.0
 
 
+def make_info(model: int) -> bytes:
+    """Return what an RPLIDAR of a ``model`` byte says about itself."""
+    return encode_reply(ReplyType.INFO, DeviceInfo(model, (1, 29), 7, bytes(16)).encode())
+
+
 @pytest.mark.parametrize(
-    ("data", "reason"), [(b"", "no byte arrives"), (b"hello ", "bytes arrive")]
+    ("data", "reason"),
+    [
+        (b"", "no byte arrives"),
+        (b"hello ", "[0-9]+ bytes arrive, but from none that is known"),
+        (make_info(0x31), "model byte 0x31 is that of none of RPLIDAR C1, RPLIDAR A1, RPLIDAR S2"),
+        (b"\xaa\x55\xf0\x0f" + bytes(100), "in another protocol .AA 55.: a COIN-D4"),
+    ],
 )
 def test_what_is_no_lidar_is_refused_in_time(data: bytes, reason: str) -> None:
     class Talker:

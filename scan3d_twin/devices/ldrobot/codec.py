@@ -26,6 +26,10 @@ MAX_STRAY = 2
 assumption."""
 FOREIGN_HEADER = b"\xaa\x55"
 """Begins the packets of a COIN-D4, which is sold as LD19 too."""
+FOREIGN = "in another protocol (AA 55): a COIN-D4, which is sold as LD19 too; it is not supported"
+MIN_FOREIGN, MIN_FOREIGN_SHARE = 3, 0.002
+"""Headers of another protocol, and their share of the bytes, from which on it is that; two given
+bytes are 0.000015 of random ones, its packets have at most 200 [assumption]."""
 
 _PACKET = struct.Struct("<2sHH" + "HB" * READINGS + "HHB")
 SIZE = _PACKET.size
@@ -113,6 +117,11 @@ class Splitter:
         self._rest = b""
         self._skipped = 0
         self._is_cut = True
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether what arrives is another maker's protocol."""
+        return self.foreign >= max(MIN_FOREIGN, MIN_FOREIGN_SHARE * self.passed)
 
     def restart(self) -> None:
         """Forget the packet that has begun, after bytes were lost; its rest is no damage."""

@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError
 from scan3d_twin.core.hal import Clock
-from scan3d_twin.devices.ldrobot.codec import READINGS, Packet, Splitter
+from scan3d_twin.devices.ldrobot.codec import FOREIGN, READINGS, Packet, Splitter
 from scan3d_twin.devices.ldrobot.model import BOOT, SPIN_UP, TURN_RATE, LdModel
 from scan3d_twin.devices.ldrobot.packet_stream import PacketStream, is_under_own_control
 from scan3d_twin.devices.links.transport import Transport
@@ -27,9 +27,6 @@ MAX_SILENCE = 1.0
 LISTEN = 0.5
 """Time at first in which arrivals relate the lidar's timer to the clock [s]: a hundred polls, whose
 earliest is less than a tenth of a millisecond late."""
-MIN_FOREIGN_SHARE = 0.002
-"""Share of the bytes that begin a packet of another protocol from which on it is that; two given
-bytes are 0.000015 of random ones, its packets have at most 200 [assumption]."""
 MIN_PACKETS = 20
 """Packets from which the model is known by their rate."""
 MAX_RATE_ERROR = 0.2
@@ -115,11 +112,8 @@ class LdLidar(ReconnectingLidar):
                 f"the {name} turns {self.speed:.1f} times a second, not {TURN_RATE:.0f}: ground "
                 "its PWM wire, so that it controls its speed itself"
             )
-        if self._splitter.foreign > MIN_FOREIGN_SHARE * passed:
-            return (
-                "bytes arrive, but in another protocol (AA 55): a COIN-D4, which is sold as LD19 "
-                "too; it is not supported"
-            )
+        if self._splitter.is_foreign:
+            return f"bytes arrive, but {FOREIGN}"
         return (
             f"{passed} bytes arrive, but no packet of a {name} at {self.model.baud} baud: is it "
             "another model? name it with --lidar"

@@ -14,7 +14,7 @@ No figure here was measured on a device.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scan3d_twin.core.line_grid import make_full_circle
 from scan3d_twin.core.types import LidarSpec
@@ -72,12 +72,15 @@ class LdModel:
         )
 
 
-LD06 = LdModel("LD06", 230_400, 4500.0, 20, 12_000)
-"""[manual]"""
 LD19 = LdModel("LD19", 230_400, 4500.0, 20, 12_000)
 """[manual]"""
+LD06 = replace(LD19, name="LD06")
+"""Bit rate, readings, range and packets are those of the LD19 in both [manual]s, and one decoder of
+[SDK] reads both: nothing that an LD06 sends tells it from an LD19."""
 STL27L = LdModel("STL27L", 921_600, 21_600.0, 30, 25_000)
 """[SDK] for baud and rate, [list] for the range."""
+MODELS = (LD19, STL27L)
+"""The models that the rate of their readings tells apart, the most likely first."""
 
 LD_ERRORS: Mapping[str, float | bool] = {
     # Standard deviation of the LD19 from 0.3 to 12 m [manual]; the LD06 is its forerunner with the

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from scan3d_twin.devices.device import LidarProbe
-from scan3d_twin.devices.ldrobot.codec import READINGS, Splitter
-from scan3d_twin.devices.ldrobot.model import LD19, STL27L
+from scan3d_twin.devices.ldrobot.codec import FOREIGN, READINGS, Splitter
+from scan3d_twin.devices.ldrobot.model import MODELS
 
 MIN_PACKETS = 3
 """Good packets that are no chance: a CRC-8 fits one in 256."""
@@ -20,9 +20,21 @@ def recognise_ld(data: bytes) -> str | None:
         return None
     rates = sorted(100 * p.speed * (READINGS - 1) / max(1, p.span) for p in packets)
     rate = rates[len(rates) // 2]
-    nearest = min((LD19, STL27L), key=lambda model: abs(rate / model.sample_rate - 1))
+    nearest = min(MODELS, key=lambda model: abs(rate / model.sample_rate - 1))
     return nearest.name.lower()
 
 
-PROBE = LidarProbe(bauds=(LD19.baud, STL27L.baud), recognise=recognise_ld, wait=0.1)
+def explain_ld(data: bytes) -> str | None:
+    """Return that ``data`` is in the protocol of a lidar that is sold as an LD19, if it is."""
+    splitter = Splitter()
+    splitter.feed(data)
+    return f"bytes arrive, but {FOREIGN}" if splitter.is_foreign else None
+
+
+PROBE = LidarProbe(
+    bauds=tuple(model.baud for model in MODELS),
+    recognise=recognise_ld,
+    wait=0.1,
+    explain=explain_ld,
+)
 """In a tenth of a second an LD19 sends 37 packets."""

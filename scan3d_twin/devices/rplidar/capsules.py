@@ -38,14 +38,14 @@ class Capsule:
         distances_mm: Distances [mm]; 0 where there is none.
         corrections: To be subtracted from the encoder's angle at each sample [1/8 deg]; empty for
             a dense capsule.
-        restarted: Whether the series of capsules begins here: after the scan was started, or after
+        is_first: Whether the series of capsules begins here: after the scan was started, or after
             the encoder was reset.
     """
 
     start: int
     distances_mm: tuple[int, ...]
     corrections: tuple[int, ...] = ()
-    restarted: bool = False
+    is_first: bool = False
 
 
 def encode_express(capsule: Capsule) -> bytes:
@@ -69,13 +69,13 @@ def decode_express(frame: bytes) -> Capsule:
     Raises:
         ProtocolError: Its sync nibbles or its checksum are wrong.
     """
-    start, restarted = _check(frame)
+    start, is_first = _check(frame)
     distances: list[int] = []
     corrections: list[int] = []
     for word_1, word_2, low in _CABIN.iter_unpack(frame[4:]):
         distances += (word_1 >> 2, word_2 >> 2)
         corrections += ((word_1 & 3) << 4 | low & 15, (word_2 & 3) << 4 | low >> 4)
-    return Capsule(start, tuple(distances), tuple(corrections), restarted)
+    return Capsule(start, tuple(distances), tuple(corrections), is_first)
 
 
 def decode_dense(frame: bytes) -> Capsule:
@@ -84,9 +84,9 @@ def decode_dense(frame: bytes) -> Capsule:
     Raises:
         ProtocolError: Its sync nibbles or its checksum are wrong.
     """
-    start, restarted = _check(frame)
+    start, is_first = _check(frame)
     distances = struct.unpack(f"<{DENSE_SAMPLES}H", frame[4:])
-    return Capsule(start, distances, (), restarted)
+    return Capsule(start, distances, (), is_first)
 
 
 def is_synced(data: bytes | bytearray, at: int) -> bool:
@@ -118,7 +118,7 @@ def sample_angles(capsule: Capsule, step: float) -> list[float]:
 
 
 def _frame(capsule: Capsule, samples: bytes) -> bytes:
-    body = struct.pack("<H", capsule.start | _RESTART * capsule.restarted) + samples
+    body = struct.pack("<H", capsule.start | _RESTART * capsule.is_first) + samples
     check = xor(body)
     return bytes([SYNC_1 << 4 | check & 15, SYNC_2 << 4 | check >> 4]) + body
 

@@ -145,6 +145,11 @@ class RequestSplitter:
         self._rest = b""
         return requests
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a request has begun that is not complete."""
+        return bool(self._rest)
+
     def reset(self) -> None:
         """Discard the request that is not complete."""
         self._rest = b""

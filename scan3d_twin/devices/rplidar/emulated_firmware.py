@@ -45,16 +45,16 @@ class RplidarProfile:
     Attributes:
         firmware: Major and minor version; None is that of the model.
         health: Its health; after an error no scan starts until RESET, which mends it.
-        broken: Whether the error comes back after each RESET.
+        is_broken: Whether the error comes back after each RESET.
         mode: Number of the typical mode that it states; None is that of the preferred link.
-        running: Whether its motor turns at power-up, as an A1's does without the line DTR.
+        is_turning: Whether its motor turns at power-up, as an A1's does without the line DTR.
     """
 
     firmware: tuple[int, int] | None = None
     health: Health = field(default_factory=lambda: Health(codec.GOOD))
-    broken: bool = False
+    is_broken: bool = False
     mode: int | None = None
-    running: bool = True
+    is_turning: bool = True
 
 
 class Firmware:
@@ -77,7 +77,7 @@ class Firmware:
         self._profile = profile
         self._firmware = profile.firmware or model.firmware
         self._health = profile.health
-        self._turning_since: float | None = -model.spin_up if profile.running else None
+        self._turning_since: float | None = -model.spin_up if profile.is_turning else None
         self._handlers: dict[int, Callable[[Request, float], bytes]] = {
             Command.STOP: self._stop,
             Command.RESET: self._reset,
@@ -126,7 +126,7 @@ class Firmware:
     def _reset(self, request: Request, now: float) -> bytes:
         self._stop(request, now)
         self.deaf_until = now + self.model.boot
-        if not self._profile.broken:
+        if not self._profile.is_broken:
             self._health = Health(codec.GOOD)
         return self.model.boot_text
 

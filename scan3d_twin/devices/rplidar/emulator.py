@@ -10,11 +10,13 @@ from scan3d_twin.core.types import VALID, Beams
 from scan3d_twin.devices.rotating import BeamReader
 from scan3d_twin.devices.rplidar import capsules
 from scan3d_twin.devices.rplidar.capsules import Capsule
-from scan3d_twin.devices.rplidar.codec import ReplyType, RequestSplitter
+from scan3d_twin.devices.rplidar.codec import ReplyType, Request, RequestSplitter
 from scan3d_twin.devices.rplidar.emulated_firmware import Firmware, RplidarProfile
 from scan3d_twin.devices.rplidar.model import SAMPLES, Motor, RplidarModel, ScanMode
 from scan3d_twin.devices.rplidar.nodes import DISTANCE_UNITS, MAX_DISTANCE, Node
 
+REQUEST_TIME = 5.0
+"""Time in which all bytes of a request must arrive, else it is discarded [s]; the protocol."""
 REPLY_TIME = 0.001
 """Time from a request to its reply [s]; assumption, the wait after STOP that the protocol asks."""
 QUALITY = 47
@@ -44,7 +46,7 @@ class RplidarEmulator:
         self.firmware = Firmware(model, RplidarProfile() if profile is None else profile)
         self.began = 0.0
         self._beams = BeamReader(lidar)
-        self._requests = RequestSplitter()
+        self._requests, self._begun = RequestSplitter(), 0.0
         self._out: deque[tuple[float, bytes]] = deque()
         self._samples: list[Sample] = []
         self._is_first = True
@@ -68,7 +70,7 @@ class RplidarEmulator:
         self._measure()
         if now < self.firmware.deaf_until:
             return
-        for request in self._requests.feed(data):
+        for request in self._take_requests(data, now):
             before = self.firmware.mode, self.firmware.scan_from
             reply = self.firmware.answer(request, now)
             if (self.firmware.mode, self.firmware.scan_from) != before:
@@ -76,6 +78,16 @@ class RplidarEmulator:
             if reply:
                 ready = max(now + REPLY_TIME, self.firmware.deaf_until)
                 self._out.append((ready, reply))
+
+    def _take_requests(self, data: bytes, now: float) -> list[Request]:
+        """Return the requests that ``data`` completes at ``now`` [s]."""
+        if now > self._begun + REQUEST_TIME:
+            self._requests.reset()
+        is_new = not self._requests.is_waiting
+        requests = self._requests.feed(data)
+        if is_new or requests:
+            self._begun = now
+        return requests
 
     def transmit(self, now: float) -> bytes:
         """See ``Device.transmit``."""

@@ -231,5 +231,5 @@ S2 = RplidarModel(
     spin_up=2.0,
     boot=2.0,
 )
-MODELS = {each.major_id: each for each in (A1, C1, S2)}
-"""The models by series."""
+MODELS = {each.major_id: each for each in (C1, A1, S2)}
+"""The models by series, the most likely first."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import ProtocolError
 from scan3d_twin.core.types import VALID, Beams, FloatArray
-from scan3d_twin.devices.links.line_model import BITS_PER_BYTE
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 from scan3d_twin.devices.rotating import to_elevation
 from scan3d_twin.devices.rplidar.capsules import (
     ANGLE_UNITS,
@@ -150,7 +150,7 @@ class CapsuleStream:
             return None
 
         # Check that it continues the turn, or shows that the one before did not
-        step = self._step if capsule.restarted else self._measure_step(held, capsule, self._ahead)
+        step = self._step if capsule.is_first else self._measure_step(held, capsule, self._ahead)
         if self._is_held_astray(step, capsule):
             self._refused += 1
             self._index += self._ahead * self._count

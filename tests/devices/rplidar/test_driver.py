@@ -163,7 +163,7 @@ def test_a_protection_stop_is_ended_by_a_reset(model, link):
 
 
 def test_an_error_that_a_reset_does_not_mend_is_said():
-    bench = Bench(profile=RplidarProfile(health=Health(codec.ERROR, 0x8002), broken=True))
+    bench = Bench(profile=RplidarProfile(health=Health(codec.ERROR, 0x8002), is_broken=True))
     with pytest.raises(LinkError, match="error 0x8002: see that its head turns freely"):
         bench.connect()
 
@@ -187,7 +187,7 @@ def test_closing_stops_scan_and_motor(model, link):
 def test_after_stop_comes_a_pause_before_the_next_request():
     """The emulated one, as the real one, takes no request within 1 ms after STOP."""
     stop, start = codec.encode_request(Command.STOP), codec.encode_motor_rpm(600)
-    bench = Bench(S2, DENSE, RplidarProfile(running=False))
+    bench = Bench(S2, DENSE, RplidarProfile(is_turning=False))
     bench.device.receive(stop + start, 1.0)
     assert not bench.device.firmware.is_turning
     bench.device.receive(start, 1.0 + STOP_PAUSE)
@@ -195,7 +195,7 @@ def test_after_stop_comes_a_pause_before_the_next_request():
 
 
 def test_a_lidar_that_does_not_work_is_left_standing():
-    bench = Bench(A1, EXPRESS, RplidarProfile(health=Health(codec.ERROR, 2), broken=True))
+    bench = Bench(A1, EXPRESS, RplidarProfile(health=Health(codec.ERROR, 2), is_broken=True))
     with pytest.raises(LinkError):
         bench.connect()
     assert not bench.device.firmware.is_turning

@@ -124,10 +124,27 @@ def test_capsules_turn_on_by_their_samples_and_only_the_first_restarts(model, li
     desk = Desk(model, link=link)
     data = desk.ask(codec.encode_express_scan(1), model.spin_up + 0.5)[7:]
     capsules = [decode(data[at : at + 84]) for at in range(0, len(data) - 83, 84)]
-    assert [capsule.restarted for capsule in capsules] == [True] + [False] * (len(capsules) - 1)
+    assert [capsule.is_first for capsule in capsules] == [True] + [False] * (len(capsules) - 1)
     turns = np.diff([capsule.start for capsule in capsules]) % (360 * 64)
     assert turns / 64 == pytest.approx(step, abs=1 / 32)
     assert len(capsules) > 55
+
+
+def test_half_a_request_is_discarded_after_five_seconds():
+    desk = Desk()
+    info, health = (codec.encode_request(c) for c in (Command.GET_INFO, Command.GET_HEALTH))
+    half = codec.encode_express_scan(1)[:2]
+    desk.ask(half)
+    desk.clock.sleep(4.9)
+    # The lidar takes its first byte for the length of the payload
+    assert desk.ask(info) == b""
+    desk.clock.sleep(0.2)
+    assert len(desk.ask(info)) == codec.DESCRIPTOR_LENGTH + codec.INFO_LENGTH
+    # It counts from the beginning of each
+    desk.clock.sleep(4.9)
+    assert desk.ask(health[:1]) == b""
+    desk.clock.sleep(0.2)
+    assert len(desk.ask(health[1:])) == 10
 
 
 def test_reset_says_what_booted_and_takes_its_time():
@@ -152,7 +169,7 @@ def test_after_an_error_it_scans_only_when_it_has_been_reset():
 
 
 def test_samples_come_when_the_motor_turns_steadily():
-    desk = Desk(profile=RplidarProfile(running=False))
+    desk = Desk(profile=RplidarProfile(is_turning=False))
     assert desk.ask(SCAN, 5.0) == NODES
     desk.wire.set_dtr(False)
     assert desk.listen(A1.spin_up - 0.01) == b""
@@ -164,12 +181,12 @@ def test_samples_come_when_the_motor_turns_steadily():
 
 
 def test_an_s2_turns_at_the_speed_asked_for_and_a_c1_while_it_scans():
-    desk = Desk(S2, RplidarProfile(running=False))
+    desk = Desk(S2, RplidarProfile(is_turning=False))
     desk.ask(codec.encode_motor_rpm(600))
     assert desk.device.firmware.is_turning
     desk.ask(codec.encode_motor_rpm(0))
     assert not desk.device.firmware.is_turning
-    desk = Desk(C1, RplidarProfile(running=False))
+    desk = Desk(C1, RplidarProfile(is_turning=False))
     desk.wire.set_dtr(False)
     assert not desk.device.firmware.is_turning
     desk.ask(codec.encode_express_scan(1))
@@ -193,4 +210,4 @@ def test_a_scan_that_is_asked_for_while_another_runs_takes_its_place():
     data = desk.ask(codec.encode_express_scan(1), 0.5)
     _, found, capsules = data.partition(CAPSULES)
     assert found
-    assert decode_express(capsules[:84]).restarted
+    assert decode_express(capsules[:84]).is_first

@@ -39,7 +39,7 @@ def test_what_is_no_node_is_refused(bad):
 
 
 def test_an_express_capsule():
-    capsule = Capsule(640, (1500,) * EXPRESS_SAMPLES, (58,) * EXPRESS_SAMPLES, restarted=True)
+    capsule = Capsule(640, (1500,) * EXPRESS_SAMPLES, (58,) * EXPRESS_SAMPLES, is_first=True)
     frame = bytes.fromhex("A2 50 80 82") + 16 * bytes.fromhex("73 17 73 17 AA")
     assert encode_express(capsule) == frame
     assert decode_express(frame) == capsule
@@ -49,7 +49,7 @@ def test_an_express_capsule():
 
 
 def test_a_dense_capsule():
-    capsule = Capsule(640, (1500,) * DENSE_SAMPLES, restarted=True)
+    capsule = Capsule(640, (1500,) * DENSE_SAMPLES, is_first=True)
     frame = bytes.fromhex("A2 50 80 82") + 40 * bytes.fromhex("DC 05")
     assert encode_dense(capsule) == frame
     assert decode_dense(frame) == capsule

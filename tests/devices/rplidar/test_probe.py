@@ -43,6 +43,15 @@ def test_each_is_recognised_in_time_and_can_be_opened_then(model, seed):
     lidar.close()
 
 
+@pytest.mark.parametrize("left", ["a5 82", "a5 a5 84 06 71 00", "a5 84 ff"])
+def test_one_that_waits_for_the_rest_of_a_request_is_recognised(left):
+    clock = VirtualClock()
+    device = RplidarEmulator(TurningLidar(clock, A1, A1.modes["express"]), A1)
+    device.receive(bytes.fromhex(left), clock.now())
+    assert find_lidar(lambda: Wire(Line(device), clock), clock) == A1.name
+    assert clock.now() < 2.0
+
+
 def test_what_is_no_rplidar_that_is_known_is_not_taken_for_one():
     reply = codec.encode_reply(
         codec.ReplyType.INFO, codec.DeviceInfo(0x41, (1, 1), 18, bytes(16)).encode()

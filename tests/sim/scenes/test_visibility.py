@@ -49,6 +49,19 @@ def test_all_of_a_built_in_scene_is_seen(name):
 
 
 @pytest.mark.parametrize(
+    ("size", "seen"), [(".01 .05 .05", True), (".2 .3 .2", False), (".2 .3 .05", True)]
+)
+def test_a_label_does_not_replace_the_box_that_it_is_on(scene_of, size, seen):
+    """Only visual geoms that take up a quarter of a geom's bounding box stand for it."""
+    scene = scene_of(
+        '<body name="target" pos="1 0 .3"><geom name="box" type="box" size=".2 .3 .3"/>'
+        f'<geom type="box" size="{size}" group="2" contype="0" conaffinity="0"/></body>'
+    )
+    assert find_seen_geoms(scene.model)[scene.model.geom("box").id] == seen
+    assert ("box" in scene.target_geoms) == seen
+
+
+@pytest.mark.parametrize(
     ("pane", "seen"),
     [
         ('material="solid"', True),

@@ -283,7 +283,9 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "find_nearest": (None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_int64, Doubles, Ints),
     "fit_neighbourhoods": (None, Doubles, Ints, Bytes, c_int64, c_int64, Doubles, Doubles, Doubles),
     "number_cells": (c_int64, Ints, c_int64, Ints, Ints),
-    "start_moments": (None, Doubles, c_int64, Doubles),
+    "find_median": (c_double, Doubles, c_int64),
+    "find_cells": (None, Doubles, c_int64, c_double, Ints),
+    "sum_moments": (None, Doubles, Doubles, Ints, c_int64, Doubles),
     "add_moments": (None, Doubles, Ints, c_int64, Doubles),
     "fit_patches": (
         c_int64, Doubles, Ints, Bytes, c_int64, Doubles, Doubles, c_int64, c_double, c_double,
@@ -313,6 +315,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "label_components": (c_int64, Flags, c_int64, c_int64, Ints),
     "measure_components": (
         c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs,
+    ),
+    "mark_floor": (
+        c_int64, Longs, c_int64, c_int64, Doubles, c_double, Doubles, Doubles, Doubles, c_int64,
+        Doubles, c_int64,
     ),
     "write_struct_sizes": (None, Longs),
 }  # fmt: skip

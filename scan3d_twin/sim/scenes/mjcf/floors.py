@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -115,25 +116,28 @@ def find_floor_planes(model: Any) -> tuple[str, ...]:
 
 
 def lay_floor(
-    spec: Any, starts: FloatArray, targets: set[str], fallback: float, label: str
+    spec: Any,
+    compiled: tuple[Any, Any],
+    starts: Sequence[FloatArray],
+    targets: set[str],
+    fallback: float,
 ) -> bool:
     """Find the floor of ``spec``, or add one, and move it to z = 0.
 
     Args:
         spec: The scene; changed in place.
+        compiled: A copy of it that is compiled, and the model.
         starts: Places of the robot's start, or possible ones, (n, 3) [m]; the median floor counts.
+            Later ones count where there is no floor below the earlier, but below most of them.
         targets: Names of the target's geoms, which are no floor.
         fallback: Height of the floor that is added where there is none [m].
-        label: The file or name in messages.
 
     Returns:
         Whether ``spec`` was changed.
     """
     # Find the floor
-    compiled = spec.copy()
-    model = compile_scene(compiled, label)
-    floors = _find_floors(model, starts, targets)
-    floors.sort()
+    copy, model = compiled
+    floors = _find_floors_below(model, starts, targets)
     height, geom = floors[(len(floors) - 1) // 2] if floors else (fallback, -1)
 
     # Let it carry the robot
@@ -141,7 +145,7 @@ def lay_floor(
         _add_floor(spec, height)
         changed = True
     else:
-        changed = _carry(spec, compiled, model, geom)
+        changed = _carry(spec, copy, model, geom)
 
     # Move it to z = 0
     if abs(height) > EVEN:
@@ -161,6 +165,17 @@ def compile_scene(spec: Any, label: str) -> Any:
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise SceneError(f"{label} does not compile: {reason}") from None
+
+
+def _find_floors_below(
+    model: Any, starts: Sequence[FloatArray], targets: set[str]
+) -> list[tuple[float, int]]:
+    """Return heights [m] and geoms of the floors below the first of ``starts`` that has some."""
+    for number, places in enumerate(starts):
+        found = _find_floors(model, places, targets)
+        if found and (number == 0 or len(found) > len(places) / 2):
+            return sorted(found)
+    return []
 
 
 def _find_floors(model: Any, starts: FloatArray, targets: set[str]) -> list[tuple[float, int]]:

@@ -48,6 +48,9 @@ resource.setrlimit(resource.RLIMIT_AS, (pages + memory, pages + memory))
 limit = int(used.ru_utime + used.ru_stime + seconds) + 1
 resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+log = mujoco.MjLogConfig.get()
+log.logto_file = False
+log.set()
 try:
     spec, fresh = mujoco.MjSpec.from_file(path), mujoco.MjSpec()
     for name in sys.argv[4:]:
