@@ -18,14 +18,13 @@ from scan3d_twin.core.model.evaluation import (
     Distances,
     Evaluation,
     Reference,
-    Surface,
     evaluate_model,
     find_true_pose,
     is_of_target,
     measure_displacement,
-    measure_surface_distance,
 )
 from scan3d_twin.core.model.fused_cloud import build_model, thin_by_voxel
+from scan3d_twin.core.model.sampled_surface import Surface, measure_surface_distance
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2
 
