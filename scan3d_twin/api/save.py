@@ -57,10 +57,9 @@ def save_run(
     # Evaluate against the ground truth
     seen = build_view_clouds(session)
     model = join_models([each.cleaned for each in seen])
-    known = truth is not None and len(model) and is_of_target(session, truth)
-    reference = (
-        Reference.of(session, truth, settings.run.target) if truth is not None and known else None
-    )
+    asked = settings.run.target
+    known = truth is not None and len(model) and is_of_target(session, truth, asked)
+    reference = Reference.of(session, truth, asked) if truth is not None and known else None
     compared = None if reference is None else Comparison.of(model, reference)
     evaluation = None if reference is None else evaluate_model(session, model, reference, compared)
 
