@@ -302,6 +302,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
         None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, Doubles, c_int64, Doubles,
         Doubles, Longs, Longs, Doubles,
     ),
+    "meet_planes": (
+        None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, c_int64, Doubles, Doubles,
+        Doubles, Doubles,
+    ),
     "measure_free_reach": (
         c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
     ),
@@ -317,6 +321,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "mark_floor": (
         c_int64, Longs, c_int64, c_int64, Doubles, c_double, Doubles, Doubles, Doubles, c_int64,
         Doubles, c_int64,
+    ),
+    "find_hidden": (
+        None, Flags, c_int64, c_int64, Doubles, Doubles, c_double, Doubles, Doubles, Longs, c_int64,
+        Doubles, Doubles, c_int64, Flags,
     ),
     "write_struct_sizes": (None, Longs),
 }  # fmt: skip
