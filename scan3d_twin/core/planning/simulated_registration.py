@@ -103,13 +103,13 @@ class SimulatedRegistration:
         The points are those of the latest view, as the next view shows about as much at a similar
         distance. Scans that cannot be registered keep the pose by odometry.
         """
-        # Draw noise and motion
-        here, noise = self._here(k)
+        # Draw the motion
         truth = prior.T
         guess = displace_prior(prior, self._rng(k, MOTION_STREAM).standard_normal(3))
 
-        # Register as in a run
+        # Scan and register as in a run
         try:
+            here, noise = self._here(k)
             result = register(
                 here,
                 planes.read(noise, self._rng(k, THERE_STREAM)),
@@ -121,7 +121,11 @@ class SimulatedRegistration:
         return _displacement(points, result.T_target_source, truth)
 
     def _here(self, k: int) -> tuple[SurfelGrid, DrawnNoise]:
-        """Return the scan from here of draw ``k``, and the noise of both of its scans."""
+        """Return the scan from here of draw ``k``, and the noise of both of its scans.
+
+        Raises:
+            RegistrationError: Too little surface is in view.
+        """
         if k in self._scans:
             return self._scans[k]
         rng, assumed = self._rng(k, HERE_STREAM), self.grid.noise

@@ -20,6 +20,7 @@ from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
 from scan3d_twin.core.planning.visibility import NextSweep
+from scan3d_twin.core.registration import surfel_grid
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels import N
 from scan3d_twin.core.session import Session
@@ -184,6 +185,21 @@ def test_wrong_basins_show_as_large_errors() -> None:
 def test_out_of_sight_is_infinite(wall: Session) -> None:
     simulation = SimulatedRegistration.of(PlanningContext(wall), 0)
     assert simulation.error(Pose2(0.0, 0.0, math.pi), 3) == math.inf
+
+
+def test_a_simulated_scan_that_shows_too_little_keeps_the_odometry(
+    wall: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a view with few surfels its own simulation may show fewer than a registration needs."""
+    simulation = SimulatedRegistration.of(PlanningContext(wall), 0)
+    monkeypatch.setattr(surfel_grid, "MIN_SURFELS", simulation.grid.count + 1)
+
+    errors = list(simulation.errors(O2, 5))
+
+    moves = MotionModel.of((), CONFIG).spread(O2)
+    typical = math.hypot(*np.sqrt(np.diagonal(moves.covariance)[[0, 1]]))
+    assert len(set(errors)) == 5
+    assert 0.1 * typical < min(errors) <= max(errors) < 5 * typical
 
 
 def test_the_visible_planner_takes_the_smallest_overlap_that_stands_its_draws(
