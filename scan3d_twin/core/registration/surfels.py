@@ -121,6 +121,7 @@ def make_native_sweep(image: RangeImage) -> native.Sweep:
         lever=beams.lever,
         sigmas=None,
         beam_spacing=beams.spacing,
+        max_range=image.spec.max_range,
     )
 
 

@@ -143,6 +143,7 @@ class Sweep(Value):
         ("n_lines", c_int64), ("n_beams", c_int64), ("stride", c_int64), ("ranges", Doubles),
         ("yaws", Doubles), ("rays", Doubles), ("ray_stride", c_int64), ("lever", Doubles),
         ("sigmas", Doubles), ("beam_spacing", c_double),
+        ("max_range", c_double),
     )  # fmt: skip
 
 

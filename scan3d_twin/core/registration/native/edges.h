@@ -11,6 +11,7 @@
 #define MAX_UNEVENNESS 0.25     /* of the spacing of lines, up to which they count as evenly spaced */
 #define MAX_BEND 0.12           /* tangent of the angle between normals FLAT_LINES apart on a flat face (7 deg) */
 #define MAX_PLANE_DISTANCE 0.03 /* of the last reading from the plane that ends [m]: 3 sigma */
+#define MAX_RANGE_SHARE 0.95    /* of the longest range: a surface that goes on beyond may be out of reach */
 
 enum {
     MIN_BEAMS = 8,              /* of an edge, next to each other */
@@ -84,9 +85,27 @@ static int is_flat_run(const Sweep *sweep, const double *rows, const int32_t *in
     return 2 * n >= run.high - run.low && fabs(across) < MAX_BEND * along;
 }
 
+/* Return whether the plane of a surfel `q` goes on at the reading `next` beyond the edge: the reading lies on it,
+ * or there is none because the plane is out of reach there. A wall seen at a grazing angle steps by more than
+ * MIN_RANGE_STEP from one line to the next, and the one at which the lidar's range ends is another one from
+ * each viewpoint. */
+static int goes_on(const Sweep *sweep, const double *q, int64_t next, int is_valid) {
+    const double *ray = sweep->rays + next / sweep->stride * sweep->ray_stride + 3 * (next % sweep->stride);
+    Turn turn = turn_by(sweep->yaws[next]);
+    const double ahead = sweep->lever[0], left = sweep->lever[1];
+    double eye[3] = {turn.c * ahead - turn.s * left, turn.s * ahead + turn.c * left, sweep->lever[2]};
+    double d[3] = {turn.c * ray[0] - turn.s * ray[1], turn.s * ray[0] + turn.c * ray[1], ray[2]};
+    double along = q[NX] * d[0] + q[NY] * d[1] + q[NZ] * d[2], height = 0;
+    for (int i = 0; i < 3; i++) height += q[NX + i] * (q[X + i] - eye[i]);
+
+    /* seen from behind or in parallel, it goes on for ever */
+    if (along >= 0 || height / along > MAX_RANGE_SHARE * sweep->max_range) return 1;
+    return is_valid && fabs(sweep->ranges[next] * along - height) < MAX_PLANE_DISTANCE;
+}
+
 /* Write x, y of the edge and z of the surfel (3) at the upright beams of a run; return their number. */
-static int64_t place_run(const Sweep *sweep, const double *rows, const int32_t *index, int64_t near,
-                         int64_t side, Beams run, double (*places)[3]) {
+static int64_t place_run(const Sweep *sweep, const double *rows, const int32_t *index, const uint8_t *valid,
+                         int64_t near, int64_t side, Beams run, double (*places)[3]) {
     const int32_t *carried = index + (near - SURFEL_OFFSET * side) * sweep->stride;
     const double *rays = sweep->rays + near * sweep->ray_stride;
     int64_t n = 0;
@@ -104,6 +123,8 @@ static int64_t place_run(const Sweep *sweep, const double *rows, const int32_t *
         Turn middle = turn_by((sweep->yaws[at] + sweep->yaws[at + side * sweep->stride]) / 2);
         double facing = q[NX] * middle.c + q[NY] * middle.s;
         double upright = sqrt(q[NX] * q[NX] + q[NY] * q[NY]);
+        int64_t next = at + side * sweep->stride;
+        if (goes_on(sweep, q, next, valid[next])) continue;
         if (-facing <= MIN_EDGE_COSINE || upright <= MIN_UPRIGHT || off >= MAX_PLANE_DISTANCE) continue;
 
         /* its plane, halfway to the next line */
@@ -183,7 +204,7 @@ static int64_t find_edges(const Sweep *sweep, const double *rows, const int32_t 
                 Beams run = {first, j};
                 if (first >= 0 && j - first >= MIN_BEAMS && count < most
                     && is_flat_run(sweep, rows, index, near, side, run)) {
-                    int64_t n = place_run(sweep, rows, index, near, side, run, places);
+                    int64_t n = place_run(sweep, rows, index, valid, near, side, run, places);
                     double step = spacing_at(sweep, pair, (first + j) / 2, spacing);
                     double variance = step * step / 12 + yaw_sigma * yaw_sigma;
                     count += make_edge(places, n, variance, side, edges + EDGE * count);

@@ -40,6 +40,7 @@ typedef struct {
     const double *lever;    /* position of the lidar in `base` (3,) */
     const double *sigmas;   /* per reading: standard deviation of the range; NULL to estimate it */
     double beam_spacing;    /* typical angle between two beams */
+    double max_range;       /* beyond which nothing returns */
 } Sweep;
 
 /* The surfels of a sweep and its noise, written by `extract_surfels` into the caller's arrays. */

@@ -1,0 +1,56 @@
+"""Sweeps that do not determine the pose: what is undetermined is said.
+
+``benchmarks/degenerate_sweeps.py`` runs all cases with more tries.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import cloud_scenes
+import numpy as np
+import pytest
+from degenerate_sweeps import PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
+
+from scan3d_twin.core.registration import register
+from scan3d_twin.core.registration.pose_prior import PosePrior
+from scan3d_twin.core.registration.surfel_grid import extract_surfels
+
+UNDETERMINED = {
+    "two planes": 0,
+    "corridor": 1,  # along it; the walls are as long as the range of the lidar
+    "sphere": 1,  # the turn about its centre
+    "cylinder": 1,  # the turn about its axis
+}
+TRIES = 2
+
+
+@cache
+def take(name: str, seed: int) -> SweepPair:
+    return draw_pair(name, seed)
+
+
+@pytest.mark.parametrize("with_prior", [False, True])
+@pytest.mark.parametrize("name", UNDETERMINED)
+def test_exactly_the_undetermined_directions_are_reported(name: str, with_prior: bool) -> None:
+    for seed in range(TRIES):
+        pair = take(name, seed)
+        prior = PosePrior.planar(pair.init, PRIOR_XY, PRIOR_YAW) if with_prior else None
+        result = register(pair.target, pair.source, prior=prior, init_T_target_source=pair.init)
+        points = pair.source.points[np.isfinite(pair.source.ranges)]
+        reach = math.sqrt(np.mean(np.sum(points**2, axis=1)))
+        found = result.degenerate_directions
+        assert len(pair.directions) == UNDETERMINED[name]
+        assert cloud_scenes.spans_agree(found, pair.directions, reach), (seed, found)
+
+        # No error is larger than what is said.
+        error = cloud_scenes.point_error(points, result.T_target_source, pair.truth.matrix())
+        assert error < 3 * result.predicted_rmse
+        assert math.isfinite(result.predicted_rmse) == (with_prior or len(found) == 0)
+
+
+def test_a_wall_that_the_range_of_the_lidar_ends_has_no_edge() -> None:
+    """That edge would lie elsewhere from each viewpoint, and hide that the wall may slide."""
+    for seed in range(TRIES):
+        assert len(extract_surfels(take("corridor", seed).target).edge_rows) == 0
