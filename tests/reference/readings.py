@@ -109,15 +109,30 @@ def meet_planes(
     image: RangeImage, met: BoolArray, normals: FloatArray, offsets: FloatArray
 ) -> FloatArray:
     """Return the ranges (m, n) at which rays meet planes, NaN where ``met`` (m, n) is False."""
-    lines, beams = np.nonzero(met)
-    directions = np.broadcast_to(image.beams, (*met.shape, 3))[lines, beams]
-    c, s = np.cos(image.yaws[met]), np.sin(image.yaws[met])
+    eyes, rays = _cast_rays(image, met)
+    ranges = np.full(met.shape, np.nan)
+    ranges[met] = (offsets - np.sum(normals * eyes, axis=1)) / np.sum(normals * rays, axis=1)
+    return ranges
+
+
+def near_points(
+    image: RangeImage, met: BoolArray, ranges: FloatArray, points: FloatArray, limits: FloatArray
+) -> BoolArray:
+    """Return which rays pass ``points`` (k, 3) within ``limits`` (k,), at ``ranges`` (m, n) > 0."""
+    eyes, rays = _cast_rays(image, met)
+    off = eyes + ranges[met][:, None] * rays - points
+    across = off - np.sum(off * rays, axis=1, keepdims=True) * rays
+    return np.asarray((np.sqrt(np.sum(across**2, axis=1)) < limits) & (ranges[met] > 0))
+
+
+def _cast_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return origins and directions (k, 3) of the rays ``where`` (m, n) is True."""
+    lines, beams = np.nonzero(where)
+    directions = np.broadcast_to(image.beams, (*where.shape, 3))[lines, beams]
+    c, s = np.cos(image.yaws[where]), np.sin(image.yaws[where])
 
     def turned(vectors: FloatArray) -> FloatArray:
         x, y, z = np.broadcast_to(vectors, (len(c), 3)).T
         return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
 
-    ranges = np.full(met.shape, np.nan)
-    eyes = np.sum(normals * turned(image.T_base_lidar[:3, 3]), axis=1)
-    ranges[met] = (offsets - eyes) / np.sum(normals * turned(directions), axis=1)
-    return ranges
+    return turned(image.T_base_lidar[:3, 3]), turned(directions)

@@ -115,11 +115,24 @@ def _is_surface(faces: IntArray, vertices: FloatArray, view: View, model: Model)
     )
 
     # Check the three edges
-    whole = np.ones(len(faces), dtype=bool)
+    whole, columns = np.ones(len(faces), dtype=bool), np.ascontiguousarray(vertices.T)
     for i, j in ((0, 1), (1, 2), (2, 0)):
-        length = np.linalg.norm(vertices[faces[:, i]] - vertices[faces[:, j]], axis=1)
+        length = _measure_edges(columns, faces[:, i], faces[:, j])
         whole &= length <= np.minimum(limit[faces[:, i]], limit[faces[:, j]])
     return whole
+
+
+def _measure_edges(columns: FloatArray, starts: IntArray, ends: IntArray) -> FloatArray:
+    """Return the lengths (m,) of edges between vertices, given by their ``columns`` (3, n).
+
+    Column by column: a view has a hundred thousand faces, and most memory of a tour is held here.
+    """
+    square = np.zeros(len(starts))
+    for column in columns:
+        step = column[starts] - column[ends]
+        step *= step
+        square += step
+    return np.sqrt(square)
 
 
 def _keep_best_seen(k: int, mesh: Mesh, models: Sequence[Model], trees: Sequence[cKDTree]) -> Mesh:

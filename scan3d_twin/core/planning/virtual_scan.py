@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -174,13 +175,8 @@ class Planes:
 
     def ranges(self, image: RangeImage) -> FloatArray:
         """Return the ranges (n_lines, n_beams) [m] at which rays of ``image`` meet the planes."""
-        ranges, beams = np.full(self.met.shape, np.nan), Beams.of(image)
-        index, yaws = np.flatnonzero(self.met), image.yaws[self.met]
-        engine.meet_planes(
-            index, len(index), image.spec.n_beams, np.cos(yaws), np.sin(yaws), beams.directions,
-            beams.directions.ndim == 3, beams.lever, np.ascontiguousarray(self.normals),
-            self.offsets, ranges,
-        )  # fmt: skip
+        ranges, normals = np.full(self.met.shape, np.nan), np.ascontiguousarray(self.normals)
+        engine.meet_planes(*_list_rays(image, self.met), normals, self.offsets, ranges)
         return ranges
 
     def where(self, kept: BoolArray) -> Planes:
@@ -190,6 +186,18 @@ class Planes:
         normals, offsets = self.normals[kept], self.offsets[kept]
         keep, on_target = self.keep & met, self.on_target & met
         return Planes(self.image, met, normals, offsets, keep, on_target, self.empty)
+
+
+def _list_rays(image: RangeImage, where: BoolArray) -> tuple[Any, ...]:
+    """Return the rays ``where`` (n_lines, n_beams) is True as the engine takes them.
+
+    That is their flat index, its length, the beams of a line, cosine and sine of their yaws, the
+    beams' directions, whether each line has its own, and the lidar's position.
+    """
+    index, yaws, beams = np.flatnonzero(where), image.yaws[where], Beams.of(image)
+    rays = beams.directions
+    n_beams = image.spec.n_beams
+    return index, len(index), n_beams, np.cos(yaws), np.sin(yaws), rays, rays.ndim == 3, beams.lever
 
 
 def _cast_rays(image: RangeImage, where: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -335,12 +343,7 @@ def _find_near(planes: Planes, points: FloatArray, ranges: FloatArray, spacing: 
         ranges: Ranges of these points (k,) [m].
         spacing: Spacing of the lines [rad].
     """
-    eyes, rays = _cast_rays(planes.image, planes.met)
-    met = planes.ranges(planes.image)[planes.met]
-    off = eyes + met[:, None] * rays - points
-    across = off - np.sum(off * rays, axis=1, keepdims=True) * rays
-    with np.errstate(invalid="ignore"):
-        near = (
-            np.sqrt(np.sum(across**2, axis=1)) < FOOTPRINT_SPACINGS * FILL_ROUNDS * spacing * ranges
-        )
-        return np.asarray(near & (met > 0))
+    limits = FOOTPRINT_SPACINGS * FILL_ROUNDS * spacing * ranges
+    read, near = planes.ranges(planes.image), np.empty(len(points), dtype=bool)
+    engine.find_near_points(*_list_rays(planes.image, planes.met), read, points, limits, near)
+    return near

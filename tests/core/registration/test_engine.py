@@ -34,6 +34,7 @@ from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.navigation.costmap import RESOLUTION
+from scan3d_twin.core.planning.virtual_scan import _list_rays
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
 from scan3d_twin.core.registration.cloud_pairs import PAIR
@@ -668,14 +669,19 @@ def test_rays_that_meet_planes() -> None:
         met = rng.random(seen.ranges.shape) < 0.3
         n = np.count_nonzero(met)
         normals, offsets = rng.standard_normal((n, 3)), rng.uniform(0.5, 2.0, n)
-        ranges, beams, yaws = np.full(met.shape, np.nan), Beams.of(seen), seen.yaws[met]
-        engine.meet_planes(
-            np.flatnonzero(met), n, met.shape[1], np.cos(yaws), np.sin(yaws), beams.directions,
-            beams.directions.ndim == 3, beams.lever, normals, offsets, ranges,
-        )  # fmt: skip
+        ranges, rays = np.full(met.shape, np.nan), _list_rays(seen, met)
+        engine.meet_planes(*rays, normals, offsets, ranges)
         plain = reference.readings.meet_planes(seen, met, normals, offsets)
         assert n > 1000
         assert np.array_equal(ranges, plain, equal_nan=True)
+
+        points = rng.uniform(-1.0, 1.0, (n, 3))
+        near, limits = np.empty(n, dtype=bool), rng.uniform(0.0, 2.0, n)
+        engine.find_near_points(*rays, ranges, points, limits, near)
+        assert 0.1 < near.mean() < 0.9
+        assert np.array_equal(
+            near, reference.readings.near_points(seen, met, ranges, points, limits)
+        )
 
 
 def test_hidden_faces() -> None:

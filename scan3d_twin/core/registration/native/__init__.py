@@ -314,6 +314,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
         None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, c_int64, Doubles, Doubles,
         Doubles, Doubles,
     ),
+    "find_near_points": (
+        None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, c_int64, Doubles, Doubles,
+        Doubles, Doubles, Flags,
+    ),
     "measure_free_reach": (
         c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
     ),

@@ -245,6 +245,13 @@ void EXPORT(meet_planes)(const int64_t *index, int64_t n, int64_t n_beams, const
     meet_planes(index, n, n_beams, c, s, rays, own, lever, normals, offsets, ranges);
 }
 
+void EXPORT(find_near_points)(const int64_t *index, int64_t n, int64_t n_beams, const double *c,
+                              const double *s, const double *rays, int64_t own, const double *lever,
+                              const double *ranges, const double *points, const double *limits,
+                              uint8_t *near) {
+    find_near_points(index, n, n_beams, c, s, rays, own, lever, ranges, points, limits, near);
+}
+
 int64_t EXPORT(measure_free_reach)(const int64_t *lines, const double *distance, const uint8_t *kinds,
                                    int64_t n, int64_t n_lines, double start, double most, double margin,
                                    double *reach) {

@@ -98,6 +98,31 @@ static void meet_planes(const int64_t *index, int64_t n, int64_t n_beams, const 
     }
 }
 
+/* Write which rays, as of `meet_planes`, meet their plane ahead and within `limits` (n,) across from the
+ * points (n, 3) at which it was seen. */
+static void find_near_points(const int64_t *index, int64_t n, int64_t n_beams, const double *c,
+                             const double *s, const double *rays, int64_t own, const double *lever,
+                             const double *ranges, const double *points, const double *limits,
+                             uint8_t *near) {
+    for (int64_t k = 0, line = 0; k < n; k++) {
+        while (index[k] >= (line + 1) * n_beams) line++;
+        const double *straight = rays + 3 * (own ? index[k] : index[k] - line * n_beams);
+        const double eye[3] = {c[k] * lever[0] - s[k] * lever[1], s[k] * lever[0] + c[k] * lever[1], lever[2]};
+        const double ray[3] = {c[k] * straight[0] - s[k] * straight[1],
+                               s[k] * straight[0] + c[k] * straight[1], straight[2]};
+        double off[3], along = 0, square = 0, range = ranges[index[k]];
+        for (int d = 0; d < 3; d++) {
+            off[d] = eye[d] + range * ray[d] - points[3 * k + d];
+            along += off[d] * ray[d];
+        }
+        for (int d = 0; d < 3; d++) {
+            double across = off[d] - along * ray[d];
+            square += across * across;
+        }
+        near[k] = sqrt(square) < limits[k] && range > 0;
+    }
+}
+
 enum { FLOOR = 1, SOLID = 2 };  /* kinds of readings ahead of the robot */
 
 /* Write the distance up to which each line sees a free floor, from n readings sorted by line, at `distance`
