@@ -328,7 +328,8 @@ class _Questioner:
 
     def _read(self, timeout: float) -> bytes:
         """Return what arrives within ``timeout`` [s]; wait longer for a base that boots."""
-        data = self._transport.read(timeout)
+        left = self._give_up - self._clock.now()
+        data = self._transport.read(max(0.0, min(timeout, left)))
         tail = self._tail + data
         if BOOTS in tail:
             self._give_up = self._clock.now() + BOOT_TIMEOUT

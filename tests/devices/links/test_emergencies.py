@@ -135,6 +135,30 @@ def test_a_hazard_in_mid_sweep_stops_the_wheels(seed, hazard, words):
     assert len(bed.scans) >= bed.at
 
 
+def test_a_bump_at_every_move_stops_each_and_loses_no_way(seed):
+    bed = Bed(seed)
+    with bed.open() as robot:
+        for _ in range(5):
+            # Bump
+            robot.base.set_velocity(0.1, 0.0)
+            robot.clock.sleep(float(bed.rng.uniform(0.2, 1.0)))
+            bed.happened, bed.base.hazard = bed.clock.now(), Hazards(bump_left=True)
+            with pytest.raises(HazardError, match="stopped: bump left"):
+                robot.clock.sleep(1.0)
+            robot.clock.sleep(0.6)
+            assert bed.stood_after() < 0.5
+
+            # Back off
+            robot.base.set_velocity(-0.1, 0.0)
+            robot.clock.sleep(0.3)
+            bed.base.hazard = Hazards()
+            robot.base.set_velocity(0.0, 0.0)
+            robot.clock.sleep(0.3)
+        way = robot.base.odometry().T_odom_base.x
+    assert way > 0.05
+    assert way == pytest.approx(bed.base.odometry().T_odom_base.x, abs=0.003)
+
+
 @pytest.mark.parametrize("gone", [[0], [1], [0, 1]], ids=["base", "lidar", "both"])
 def test_a_port_that_is_gone_and_back_stops_the_wheels_and_loses_no_part(seed, gone):
     bed = Bed(seed)
