@@ -13,6 +13,7 @@ from scan3d_twin.core.types import FloatArray
 from scan3d_twin.devices.device import LidarDriver
 from scan3d_twin.devices.links.guard import Guard, PortGuard
 from scan3d_twin.devices.links.no_line import NoLine
+from scan3d_twin.devices.links.scheduling import short_slices
 from scan3d_twin.devices.links.transport import Reopening, SerialTransport, Tapped, Transport
 from scan3d_twin.devices.registry import (
     DEFAULT_BASE,
@@ -209,7 +210,8 @@ def open_real(
 
     # A stand has neither port nor wheels
     if device.spec.is_stand:
-        with open_over(NoLine(), open_lidar_link, clock, devices, None, turntable) as robot:
+        stand = open_over(NoLine(), open_lidar_link, clock, devices, None, turntable)
+        with short_slices(), stand as robot:
             yield robot
         return
     if base_port is None:
@@ -226,6 +228,7 @@ def open_real(
 
     # Open the ports, then the drivers
     with stack:
+        stack.enter_context(short_slices())
         stack.callback(guard.close)
         base_link = stack.enter_context(
             closing(Reopening(open_base_link, clock, device.halt, guard.close))

@@ -139,7 +139,7 @@ def find_base(transport: Transport, clock: Clock, stated: Model | None = None) -
     bauds = BAUDS if stated is None else dict.fromkeys((stated.baud, *BAUDS))
     # It may hear the start of a long command, too: complete ever longer ones
     for pad, baud in cycle(product((HALF_DRIVE, HALF_STREAM, HALF_ANYTHING), bauds)):
-        if questioner.is_over():
+        if questioner.is_over(_start_time(pad, baud)):
             break
         if pad is HALF_ANYTHING and baud == next(iter(bauds)):
             clock.sleep(call_back(transport, BAUDS[0]))
@@ -163,6 +163,11 @@ def find_base(transport: Transport, clock: Clock, stated: Model | None = None) -
         f"no Create answers at {speeds} baud: switch it on (Clean or Power button), check the "
         "cable; after days on the charger take its battery out for 10 s"
     )
+
+
+def _start_time(pad: bytes, baud: int) -> float:
+    """Return how long a base takes to start behind ``pad`` at ``baud`` [bit/s], in s."""
+    return len(pad) * 10 / baud + MODE_SETTLE
 
 
 def _decide(evidence: Evidence, stated: Model | None) -> Model:
@@ -197,9 +202,9 @@ class _Questioner:
         self._counts = StreamParser(QUESTION)
         self._tail, self._give_up = b"", clock.now() + CONNECT_TIMEOUT
 
-    def is_over(self) -> bool:
-        """Return whether the time for all questions is over."""
-        return self._clock.now() > self._give_up - ROUNDING
+    def is_over(self, needed: float = 0.0) -> bool:
+        """Return whether less time than ``needed`` [s] is left for all questions."""
+        return self._clock.now() + needed > self._give_up - ROUNDING
 
     def start(self, pad: bytes, evidence: Evidence) -> int | None:
         """Bring the base into mode Passive and return the mode that it then reports.
@@ -211,8 +216,10 @@ class _Questioner:
         """
         mode = None
         for _ in range(STARTS):
+            if self.is_over(_start_time(pad, evidence.baud)):
+                break
             self._transport.write(pad + oi.command(Op.START))
-            self._clock.sleep(len(pad) * 10 / evidence.baud + MODE_SETTLE)
+            self._clock.sleep(_start_time(pad, evidence.baud))
             answers = self._ask(MODE_QUESTION, ANSWER_TIMEOUT, evidence)
             heard = {values[Packet.MODE] for values in answers}
             evidence.controls += bool(heard)
@@ -321,7 +328,8 @@ class _Questioner:
 
     def _read(self, timeout: float) -> bytes:
         """Return what arrives within ``timeout`` [s]; wait longer for a base that boots."""
-        data = self._transport.read(timeout)
+        left = self._give_up - self._clock.now()
+        data = self._transport.read(max(0.0, min(timeout, left)))
         tail = self._tail + data
         if BOOTS in tail:
             self._give_up = self._clock.now() + BOOT_TIMEOUT

@@ -30,11 +30,15 @@ class SpeedWatch:
         self.is_stepped = False
 
     def take(self, sent: tuple[int, int], stamp: float, values: Values) -> None:
-        """Take in the counts at ``stamp`` [s], with the speeds (right, left) commanded [mm/s]."""
+        """Take in the counts at ``stamp`` [s], with the speeds (right, left) commanded [mm/s].
+
+        While the base reports other ones it is halted, or has not heard of these yet.
+        """
         if not self._mm_per_count or self.is_stepped:
             return
         counts = values[Packet.RIGHT_COUNTS], values[Packet.LEFT_COUNTS]
-        if sent != self._sent:
+        heard = values[Packet.REQUESTED_RIGHT], values[Packet.REQUESTED_LEFT]
+        if sent != self._sent or heard != sent:
             self._sent, self._since, self._settled = sent, None, stamp + SETTLE
         elif any(sent) and stamp >= self._settled and self._since is None:
             self._since = stamp, counts

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.hal import Clock
+from scan3d_twin.devices.links.scheduling import short_slices
 
 SLICE = 0.005
 """Longest simulated time between two services of the ports [s]."""
@@ -84,13 +85,14 @@ def serve(ports: Sequence[Port], clock: Clock, ended: Callable[[], bool] = lambd
         ended: Returns whether to stop.
     """
     pace = Pace(clock.now(), time.monotonic())
-    while not ended():
-        behind = pace.behind(clock.now(), time.monotonic())
-        if behind > 0:
-            # The emulated base reports hazards in bytes.
-            with suppress(HazardError):
-                clock.sleep(min(behind, SLICE))
-        else:
-            time.sleep(-behind)
-        for port in ports:
-            port.service(clock.now())
+    with short_slices():
+        while not ended():
+            behind = pace.behind(clock.now(), time.monotonic())
+            if behind > 0:
+                # The emulated base reports hazards in bytes.
+                with suppress(HazardError):
+                    clock.sleep(min(behind, SLICE))
+            else:
+                time.sleep(-behind)
+            for port in ports:
+                port.service(clock.now())

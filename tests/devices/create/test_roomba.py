@@ -137,11 +137,16 @@ def test_a_base_with_stepped_speeds_drives_them():
 
 def roomba(quirks=None, model=ROOMBA600):
     """Return a robot without a lidar: the driver on an emulated Roomba, in virtual time."""
-    wire, clock, _ = wire_to(model, quirks)
+    return wired_roomba(model, quirks)[0]
+
+
+def wired_roomba(model, quirks=None):
+    """Return the same, and the emulated base."""
+    wire, clock, device = wire_to(model, quirks)
     serviced = ServicedClock(clock)
     base = open_create(wire, serviced, stated=model)
     serviced.attach(base)
-    return Robot(base, None, serviced)
+    return Robot(base, None, serviced), device
 
 
 @pytest.mark.parametrize("stepped", [False, True])
@@ -192,6 +197,17 @@ def test_a_base_whose_speeds_have_steps_is_named(caplog, stepped, rate, warned):
     assert [text for text in said if "knows only a few speeds" in text] == said
     assert len(said) == warned
     assert not warned or said[0].startswith("the base drives 39 and -39 mm/s where it was told 11")
+
+
+def test_a_base_that_a_busy_computer_halts_is_not_taken_for_one_with_few_speeds(caplog):
+    """The guard stops it again and again, so that it turns by a third of what it was told."""
+    robot, device = wired_roomba(CREATE2)
+    with caplog.at_level(logging.WARNING):
+        robot.base.set_velocity(0.0, math.radians(5.0))
+        for _ in range(20):
+            device.receive(oi.drive_direct(0, 0), robot.clock.now())
+            robot.clock.sleep(0.15)
+    assert caplog.records == []
 
 
 def test_a_create_2_that_stands_where_it_should_turn_slowly_is_named(caplog):

@@ -18,9 +18,12 @@ from scan3d_twin.core.errors import HazardError, LinkError
 from scan3d_twin.core.navigation.wheel_kinematics import WHEEL_ACCELERATION
 from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.core.types import Hazards
+from scan3d_twin.devices.create.driver import STOP
 from scan3d_twin.devices.create.emulator import CreateEmulator
+from scan3d_twin.devices.create.link import HALF_DRIVE
 from scan3d_twin.devices.create.packets import Mode
 from scan3d_twin.devices.links.line_model import Line, Wire
+from scan3d_twin.devices.links.transport import Reopening
 from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.real.robot import open_over
 
@@ -34,13 +37,32 @@ GARBAGE = 400
 """Bytes of garbage: a fifth of a scan, five frames of the base."""
 
 
+class PluggedClock(JumpingClock):
+    """A clock that plugs lines in again when it is time."""
+
+    def __init__(self, base):
+        super().__init__(base)
+        self.lines, self.back = [], math.inf
+
+    def unplug(self, lines, seconds):
+        self.lines, self.back = lines, self.now() + seconds
+        for line in lines:
+            line.plugged = False
+
+    def sleep(self, seconds):
+        super().sleep(seconds)
+        if self.now() >= self.back:
+            for line in self.lines:
+                line.plugged = True
+
+
 class Bed:
     """A robot on emulated devices whose sweep meets an emergency at a random line."""
 
     def __init__(self, seed):
         self.rng = np.random.default_rng(seed)
         self.base = KinematicBase(acceleration=WHEEL_ACCELERATION)
-        self.clock = JumpingClock(self.base)
+        self.clock = PluggedClock(self.base)
         self.create, self.urg = CreateEmulator(self.base), UrgEmulator(KnownLidar(self.clock))
         self.lines = [Line(self.create, seed=seed), Line(self.urg, seed=seed + 1)]
         self.at, self.happened = 4 + int(self.rng.integers(10)), math.inf
@@ -48,7 +70,7 @@ class Bed:
 
     def open(self, *, swapped=False):
         base, lidar = self.lines[::-1] if swapped else self.lines
-        link = Wire(base, self.clock)
+        link = Reopening(lambda: Wire(base, self.clock), self.clock, HALF_DRIVE + STOP)
         return open_over(link, lambda: Wire(lidar, self.clock), self.clock)
 
     def sweep(self, robot, emergency):
@@ -60,11 +82,22 @@ class Bed:
 
         return sweep(robot, 0.0, QUICK, on_line)
 
+    def moved_since(self, begin):
+        """Return when the wheels turned from ``begin`` [s] on."""
+        samples = self.base.odometry_since(begin)
+        return [b.stamp for a, b in pairwise(samples) if a.T_odom_base != b.T_odom_base]
+
     def stood_after(self):
         """Return how long the wheels still turned after the emergency [s]."""
-        samples = self.base.odometry_since(self.happened)
-        moved = [b.stamp for a, b in pairwise(samples) if a.T_odom_base != b.T_odom_base]
-        return max(moved, default=self.happened) - self.happened
+        return max(self.moved_since(self.happened), default=self.happened) - self.happened
+
+
+def is_whole(image, spec):
+    """Return whether a sweep has no hole and its whole width."""
+    yaws = image.yaws[:, image.yaws.shape[1] // 2]
+    spacing = QUICK.sweep.yaw_rate * spec.line_period
+    width = yaws[0] - yaws[-1]
+    return -np.diff(yaws).min() < 1.6 * spacing and abs(width - QUICK.sweep.width) < 2 * spacing
 
 
 def test_garbage_in_mid_sweep_loses_no_part_of_it_and_gives_no_wrong_value(seed):
@@ -76,10 +109,7 @@ def test_garbage_in_mid_sweep_loses_no_part_of_it_and_gives_no_wrong_value(seed)
 
     with bed.open() as robot:
         image = bed.sweep(robot, garbage).image
-    yaws = image.yaws[:, image.yaws.shape[1] // 2]
-    spacing = QUICK.sweep.yaw_rate * robot.lidar.spec.line_period
-    assert -np.diff(yaws).min() < 1.6 * spacing
-    assert yaws[0] - yaws[-1] == pytest.approx(QUICK.sweep.width, abs=2 * spacing)
+    assert is_whole(image, robot.lidar.spec)
     for scan in bed.scans:
         turn = KnownLidar.turn_at(scan.stamp)
         assert np.array_equal(values_of(scan), KnownLidar.values(turn))
@@ -103,6 +133,55 @@ def test_a_hazard_in_mid_sweep_stops_the_wheels(seed, hazard, words):
     bed.lines[0].receive(bed.clock.now(), 115200)
     assert bed.create.mode is Mode.PASSIVE
     assert len(bed.scans) >= bed.at
+
+
+def test_a_bump_at_every_move_stops_each_and_loses_no_way(seed):
+    bed = Bed(seed)
+    with bed.open() as robot:
+        for _ in range(5):
+            # Bump
+            robot.base.set_velocity(0.1, 0.0)
+            robot.clock.sleep(float(bed.rng.uniform(0.2, 1.0)))
+            bed.happened, bed.base.hazard = bed.clock.now(), Hazards(bump_left=True)
+            with pytest.raises(HazardError, match="stopped: bump left"):
+                robot.clock.sleep(1.0)
+            robot.clock.sleep(0.6)
+            assert bed.stood_after() < 0.5
+
+            # Back off
+            robot.base.set_velocity(-0.1, 0.0)
+            robot.clock.sleep(0.3)
+            bed.base.hazard = Hazards()
+            robot.base.set_velocity(0.0, 0.0)
+            robot.clock.sleep(0.3)
+        way = robot.base.odometry().T_odom_base.x
+    assert way > 0.05
+    assert way == pytest.approx(bed.base.odometry().T_odom_base.x, abs=0.003)
+
+
+@pytest.mark.parametrize("gone", [[0], [1], [0, 1]], ids=["base", "lidar", "both"])
+def test_a_port_that_is_gone_and_back_stops_the_wheels_and_loses_no_part(seed, gone):
+    bed = Bed(seed)
+    seconds = float(bed.rng.uniform(0.2, 2.0))
+    with bed.open() as robot:
+        image = bed.sweep(
+            robot, lambda: bed.clock.unplug([bed.lines[which] for which in gone], seconds)
+        ).image
+    assert is_whole(image, robot.lidar.spec)
+    for scan in bed.scans:
+        turn = KnownLidar.turn_at(scan.stamp)
+        assert np.array_equal(values_of(scan), KnownLidar.values(turn))
+    # A base that hears nothing drives on: it is stopped as soon as it is back
+    if 0 in gone:
+        moved = np.array(bed.moved_since(bed.clock.back + 0.1))
+        assert np.diff(moved, prepend=bed.clock.back).max() > 5 * bed.base.spec.sample_period
+
+
+def test_an_emulator_that_is_killed_ends_the_sweep_with_its_reason(seed):
+    bed = Bed(seed)
+    with pytest.raises(LinkError, match="unplugged for 30 s"), bed.open() as robot:
+        bed.sweep(robot, lambda: bed.clock.unplug(bed.lines, math.inf))
+    assert bed.clock.now() < bed.happened + 32.0
 
 
 def test_swapped_ports_are_said_and_nothing_moves(seed):
