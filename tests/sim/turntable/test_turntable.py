@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from scan3d_twin.core.config import Config, MotionConfig, SweepConfig
 from scan3d_twin.core.errors import ConfigError, MotionTimeoutError
 from scan3d_twin.core.planning.voxels import is_passed
+from scan3d_twin.core.registration import extract_surfels
 from scan3d_twin.core.scanning.patterns import find_mount, rotate_z
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.scanning.turning import turn_table
@@ -229,3 +230,13 @@ def test_a_turntable_that_is_blocked_ends_in_one_line():
         pytest.raises(MotionTimeoutError, match=cause),
     ):
         turn_table(robot, Stuck(robot.turntable), 1.0, 0.5)
+
+
+def test_the_noise_of_an_upright_grid_is_that_of_the_lines_that_were_measured():
+    with open_sim("three_boxes", 1000, twin("pitch", world="typical")) as (robot, _):
+        quick = replace(NARROW, sweep=replace(NARROW.sweep, yaw_rate=math.radians(20.0)))
+        image = sweep(robot, 0.0, quick, listen).image
+    raw, noise = extract_surfels(image).noise, extract_surfels(make_upright(image)).noise
+    assert (noise.range_sigma, noise.correlation) == (raw.range_sigma, raw.correlation)
+    # By its running median the lidar errs as one of fewer readings
+    assert noise.correlation > 1.5
