@@ -9,10 +9,11 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from scan3d_twin.core.config import Config, MotionConfig, SweepConfig
+from scan3d_twin.core.config import Config, MotionConfig, MountConfig, SweepConfig
 from scan3d_twin.core.errors import ConfigError, MotionTimeoutError
 from scan3d_twin.core.planning.voxels import is_passed
 from scan3d_twin.core.registration import extract_surfels
+from scan3d_twin.core.scanning.extrinsics import apply_mount, lean_axis, measure_turn_rate
 from scan3d_twin.core.scanning.patterns import find_mount, rotate_z
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.scanning.turning import turn_table
@@ -240,3 +241,32 @@ def test_the_noise_of_an_upright_grid_is_that_of_the_lines_that_were_measured():
     assert (noise.range_sigma, noise.correlation) == (raw.range_sigma, raw.correlation)
     # By its running median the lidar errs as one of fewer readings
     assert noise.correlation > 1.5
+
+
+@pytest.mark.parametrize("pattern", ["yaw", "roll"])
+def test_an_axis_that_leans_is_that_of_the_calibrated_mount(pattern):
+    errors = {"axis_roll": 0.02, "axis_pitch": -0.03, "mount_yaw": 0.01, "table_play": 0.5}
+    exact = twin(pattern, "xl330", robot="stand")
+    wrong = replace(exact, errors=replace(exact.errors, **errors))
+    with open_sim("plain_wall", 0, wrong) as (robot, truth):
+        robot.clock.sleep(0.2)
+        robot.lidar.read_line(1.0)
+        seen = truth.evidence().directions[340]  # ahead
+        table = robot.turntable
+    design, angle = find_mount(pattern), table.carried_at(np.zeros(1))[0]
+    known = MountConfig(yaw=0.01, axis_roll=0.02, axis_pitch=-0.03)
+    T = lean_axis(design.T_base_axis, 0.0, known) @ rotate_z(angle)
+    T = T @ apply_mount(design.T_axis_lidar, known)
+    assert T[:3, 0] == pytest.approx(seen, abs=1e-3)
+    assert table.play == pytest.approx(0.5 * math.radians(1.0), rel=0.5)
+    assert table.play < table.spec.play
+
+
+def test_a_stand_always_sweeps_in_the_same_direction():
+    narrow = replace(NARROW, sweep=replace(NARROW.sweep, yaw_rate=math.radians(90.0)))
+    with open_sim("plain_wall", 0, twin("yaw", robot="stand")) as (robot, _):
+        ways = []
+        for side in (None, None, False):
+            image = sweep(robot, 0.0, narrow, listen, rightwards=side).image
+            ways.append(measure_turn_rate(image) < 0)
+    assert ways == [True, True, False]
