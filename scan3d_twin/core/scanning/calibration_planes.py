@@ -12,10 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan3d_twin.core.types import FloatArray, IntArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 
 PLANE_SEEDS, MAX_PLANES = 150, 12
 """Surfels tried as the start of a plane, and largest number of planes per place."""
+MAX_COUNTED = 20_000
+"""Readings from which on only a share of them is counted to choose a start."""
 FIRST_PLANE_DISTANCE, MIN_NORMAL_COSINE = 0.04, math.cos(math.radians(10.0))
 """Largest distance of a reading from its plane in the first fit [m], and smallest cosine of the
 angle between their normals."""
@@ -142,11 +144,12 @@ def _find_largest_plane(points: FloatArray, normals: FloatArray, free: IntArray)
     # Choose the seed with most readings
     P, n = points[free], normals[free]
     seeds = np.linspace(0, len(free) - 1, PLANE_SEEDS).astype(np.int64)
-    near = (
-        np.abs(n[seeds] @ P.T - np.sum(n[seeds] * P[seeds], axis=1)[:, None]) < FIRST_PLANE_DISTANCE
-    )
-    on = near & (n[seeds] @ n.T > MIN_NORMAL_COSINE)
-    best = on[int(np.argmax(on.sum(axis=1)))]
+    some = np.s_[:: 1 + len(free) // MAX_COUNTED]
+    on = _find_near(P[seeds], n[seeds], P[some], n[some])
+    chosen = int(np.argmax(on.sum(axis=1)))
+    best = on[chosen]
+    if len(best) < len(free):
+        best = _find_near(P[seeds[chosen]][None], n[seeds[chosen]][None], P, n)[0]
 
     # Fit a plane and gather again
     for gate in (FIRST_PLANE_DISTANCE, FINAL_PLANE_DISTANCE, FINAL_PLANE_DISTANCE):
@@ -165,3 +168,19 @@ def _find_largest_plane(points: FloatArray, normals: FloatArray, free: IntArray)
         if np.count_nonzero(best) >= MIN_PLANE_READINGS and extent > MIN_PLANE_EXTENT
         else None
     )
+
+
+def _find_near(
+    at: FloatArray, facing: FloatArray, points: FloatArray, normals: FloatArray
+) -> BoolArray:
+    """Return which of ``points`` (m, 3) are near the planes of k seeds, and face as they do (k, m).
+
+    Args:
+        at: The seeds (k, 3).
+        facing: Their normals (k, 3).
+        points: The readings (m, 3).
+        normals: Their normals (m, 3).
+    """
+    offsets = np.sum(facing * at, axis=1)[:, None]
+    near = np.abs(facing @ points.T - offsets) < FIRST_PLANE_DISTANCE
+    return np.asarray(near & (facing @ normals.T > MIN_NORMAL_COSINE))
