@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scan3d_twin.core.config import Config
+from scan3d_twin.core.config import Config, MountConfig
 from scan3d_twin.core.errors import DataLossError, LinkTimeoutError
 from scan3d_twin.core.hal import BunchingLidar, Robot
 from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
@@ -152,7 +152,10 @@ def take_panorama(
     turn_by(robot, -half, config.motion)
     turn_to(robot, yaw, config.motion)
     observation = _assemble_observation(robot, lines, sector, started, config)
-    seen = correct_extrinsics(observation, config.mount)
+    mount = config.mount
+    if robot.turntable is not None:  # it knows the rest of the mount
+        mount = MountConfig(yaw_scale=mount.yaw_scale, time_offset=mount.time_offset)
+    seen = correct_extrinsics(observation, mount)
     if not is_upright(seen.image):
         return replace(seen, image=make_upright(seen.image))
     return replace(seen, image=unfold(seen.image)) if both_halves else seen
