@@ -15,6 +15,7 @@ from random import Random
 from typing import Any
 
 import numpy as np
+from fuzz_imports import SOURCES, make_laser_scans, read_import, write_imports
 
 Read = Callable[[Path], None]
 NUMBERS = (
@@ -36,7 +37,8 @@ class Kind:
 
 READERS = (
     "scan3d_twin.bench.reporting.files", "scan3d_twin.bench.spec", "scan3d_twin.bench.store",
-    "scan3d_twin.core.model.fused_cloud", "scan3d_twin.recording.repair.recover",
+    "scan3d_twin.core.model.fused_cloud", "scan3d_twin.recording.importing.source",
+    "scan3d_twin.recording.repair.recover",
     "scan3d_twin.recording.scans", "scan3d_twin.sim.robot", "scan3d_twin.sim.scenes.load",
     "scipy.stats", "trimesh", "trimesh.exchange.load",
 )  # fmt: skip
@@ -99,6 +101,7 @@ def make_base(folder: Path) -> Path:
     for suffix in ("stl", "ply", "obj", "glb"):
         solid.export(folder / f"mesh.{suffix}")
     (folder / "scene.xml").write_text(SCENE)
+    write_imports(folder)
     return folder
 
 
@@ -517,6 +520,10 @@ KINDS = {
         Kind("ply", _binary("mesh.ply"), read_scene),
         Kind("obj", _text("mesh.obj", "mesh.obj"), read_scene),
         Kind("glb", make_glb, read_scene),
+        Kind("readings", _text(SOURCES["readings"], SOURCES["readings"]), read_import),
+        Kind("lines", _text(SOURCES["lines"], SOURCES["lines"]), read_import),
+        Kind("pilidar", _binary(SOURCES["pilidar"]), read_import),
+        Kind("laserscan", make_laser_scans, read_import),
         Kind("recover", make_fault, read_fault),
     )
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -63,6 +64,22 @@ def write_lines(path: Path, image: RangeImage) -> None:
         ]
         rows.append(";".join([f"{stamp:.7f}", f"{yaws[0]:.8f}", *pairs]))
     path.write_text(f"# beam_s: {beam!r}\n" + "\n".join(rows).replace(".", ",") + "\n")
+
+
+def write_pilidar(path: Path, image: RangeImage, *, protocol: int = 4) -> None:
+    """Write ``image``, of a lidar on PiLiDAR's mount, as its raw scan."""
+    planes = []
+    for k in range(image.n_lines):
+        r = np.nan_to_num(image.ranges[k]) * 1000.0
+        e = image.spec.elevations
+        planes.append(np.stack([r * np.cos(e), r * np.sin(e), 100.0 * np.ones(len(e))], axis=1))
+    content = {
+        "header": {"scan_id": "240824-1230", "device_id": None},
+        "z_angles": [np.degrees(-image.yaws[k, 0]) for k in range(image.n_lines)],
+        "angular": None,
+        "cartesian": [plane.astype(np.float32) for plane in planes],
+    }
+    path.write_bytes(pickle.dumps(content, protocol=protocol))
 
 
 def write_laser_scans(

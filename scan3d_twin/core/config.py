@@ -99,7 +99,14 @@ class MountConfig:
     time_offset: float = number(0.0, -1.0, 1.0)
     """Delay of the readings relative to their timestamps [s]."""
     yaw: float = number(0.0, -math.pi, math.pi)
-    """Turn of the lidar to the left, about the vertical axis [rad]; not calibrated."""
+    """Turn of the lidar to the left, about the vertical axis [rad]; calibrated where a turntable
+    rolls it."""
+    play: float = number(0.0, -0.2, 0.2)
+    """Play of the turntable beyond the nominal one, which its driver takes off [rad]."""
+    axis_roll: float = number(0.0, -0.2, 0.2)
+    """Lean of the turntable's axis to the right of the robot, against the floor [rad]."""
+    axis_pitch: float = number(0.0, -0.2, 0.2)
+    """Tilt of the turntable's axis forwards, against the floor [rad]."""
 
     __repr__ = repr_options
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 from scan3d_twin.core.errors import ConfigError, LinkTimeoutError
@@ -74,6 +74,10 @@ class Taps(Protocol):
         ...
 
     def lidar(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
+        """See ``transport.Tap``."""
+        ...
+
+    def turntable(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
         """See ``transport.Tap``."""
         ...
 
@@ -182,7 +186,7 @@ def open_real(
             a Create 2.
         lidar: Name of the lidar.
         link: How the lidar is connected, one of its links; None is the first of them.
-        taps: Receive every byte sent to base and lidar, and received.
+        taps: Receive every byte sent to base, lidar and turntable, and received.
         turntable: What turns the lidar; None if the base does.
 
     Raises:
@@ -208,9 +212,11 @@ def open_real(
         line = SerialTransport(lidar_port)
         return line if taps is None else Tapped(line, clock, taps.lidar)
 
+    carried = turntable if taps is None else tap_turntable(turntable, clock, taps)
+
     # A stand has neither port nor wheels
     if device.spec.is_stand:
-        stand = open_over(NoLine(), open_lidar_link, clock, devices, None, turntable)
+        stand = open_over(NoLine(), open_lidar_link, clock, devices, None, carried)
         with short_slices(), stand as robot:
             yield robot
         return
@@ -235,5 +241,15 @@ def open_real(
         )
         if turntable is not None or not lidar_device(lidar).sends_text:
             identify_base(base_link, clock, base)
-        opening = open_over(base_link, open_lidar_link, clock, devices, guard, turntable)
+        opening = open_over(base_link, open_lidar_link, clock, devices, guard, carried)
         yield stack.enter_context(opening)
+
+
+def tap_turntable(
+    turntable: CarriedTurntable | None, clock: Clock, taps: Taps
+) -> CarriedTurntable | None:
+    """Return ``turntable`` with its bytes passed to ``taps`` too."""
+    if turntable is None:
+        return None
+    opening = turntable.open_line
+    return replace(turntable, open_line=lambda: Tapped(opening(), clock, taps.turntable))

@@ -16,6 +16,9 @@ from scan3d_twin.core.types import FloatArray, LidarSpec, Pose2, RangeImage, Sca
 
 MAX_LENGTH = 1e4
 """Largest distance or coordinate that is believed [m]: a hundred times the reach of any lidar."""
+LEAST_NOISE = np.array([1e-6, 0.0, 0.0, 1.0])
+"""Smallest numbers of a sweep's noise: some of it, and a mean that is no better than of independent
+readings."""
 MAX_NUMBER = 1e9
 """Largest number of an array: a time of thirty years [s]."""
 
@@ -84,6 +87,8 @@ def check_image(image: RangeImage) -> None:
     _require("T_base_lidar", image.T_base_lidar, (4, 4))
     if image.T_scan_axis is not None:
         _require("T_scan_axis", image.T_scan_axis, (4, 4))
+    if image.noise is not None:
+        _require("noise", image.noise, (4,), nan=True)
     _require("yaws", image.yaws, (lines, beams))
     _require("codes", image.codes, (lines, beams), kinds="iu")
     _require("ranges", image.ranges, (lines, beams), nan=True)
@@ -93,6 +98,8 @@ def check_image(image: RangeImage) -> None:
     # Values
     if np.nanmin(image.ranges, initial=0.0) < 0:
         raise FileError("ranges below 0")
+    if image.noise is not None and np.any(image.noise < LEAST_NOISE):
+        raise FileError("noise that is none")
     for name, T in (("T_base_lidar", image.T_base_lidar), ("T_scan_axis", image.T_scan_axis)):
         if T is not None and not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
             raise FileError(f"{name} is no transform")

@@ -22,7 +22,8 @@ def image_bytes(observation: Observation) -> bytes:
     ranges, codes, elevations, beam_times, T_base_lidar``, ``range_limits`` (the shortest and the
     longest distance of the lidar [m]), and ``points`` (n_lines, n_beams, 3) in frame ``scan`` with
     NaN where there is no return. ``line_elevations`` (n_lines, n_beams) is there only if the lines
-    have elevations of their own, ``T_scan_axis`` only if a turntable turned the lidar.
+    have elevations of their own, ``T_scan_axis`` only if a turntable turned the lidar, ``noise``
+    only if the lines are not those that were measured.
     """
     image = observation.image
     return npz_bytes(**image_arrays(image), points=image.points)
@@ -43,6 +44,8 @@ def image_arrays(image: RangeImage) -> dict[str, npt.NDArray[Any]]:
     own = {} if image.elevations is None else {"line_elevations": image.elevations}
     if image.T_scan_axis is not None:
         own["T_scan_axis"] = image.T_scan_axis
+    if image.noise is not None:
+        own["noise"] = image.noise
     return {
         "stamps": image.stamps,
         "yaws": image.yaws,

@@ -56,6 +56,11 @@ class SerialTaps:
         if self.listener:
             self.listener("/serial/lidar", stamp, direction, data)
 
+    def turntable(self, stamp: float, direction: Literal["<", ">"], data: bytes) -> None:
+        """Pass on bytes from or to the turntable; a ``Tap``."""
+        if self.listener:
+            self.listener("/serial/turntable", stamp, direction, data)
+
 
 class _TappedBase:
     """A ``DriveBase`` that reports its velocity commands."""

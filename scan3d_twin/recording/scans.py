@@ -17,7 +17,7 @@ SCAN_FILE, BACK_SCAN_FILE = "scan.npz", "scan_back.npz"
 """Files of ``twin scan``: a sweep, and with --back the sweep in the other direction."""
 _ARRAYS = ("stamps", "yaws", "ranges", "codes", "elevations", "beam_times", "T_base_lidar")
 """Arrays that each file holds."""
-_OPTIONAL = ("range_limits", "line_elevations", "T_scan_axis")
+_OPTIONAL = ("range_limits", "line_elevations", "T_scan_axis", "noise")
 """Arrays that old files, or those of other lidars, lack."""
 
 
@@ -42,7 +42,7 @@ def read_image(path: Path) -> RangeImage:
 def _image_of(arrays: Mapping[str, FloatArray]) -> RangeImage:
     low, high = _range_limits(arrays)
     steps = np.abs(np.diff(arrays["stamps"]))
-    own, axis = arrays.get("line_elevations"), arrays.get("T_scan_axis")
+    own, axis, noise = (arrays.get(name) for name in _OPTIONAL[1:])
     if arrays["codes"].dtype.kind not in "iu":
         raise ValueError("codes that are no integers")
     return RangeImage(
@@ -60,6 +60,7 @@ def _image_of(arrays: Mapping[str, FloatArray]) -> RangeImage:
         T_base_lidar=read_only(arrays["T_base_lidar"]),
         elevations=None if own is None else read_only(own),
         T_scan_axis=None if axis is None else read_only(axis),
+        noise=None if noise is None else read_only(noise),
     )
 
 

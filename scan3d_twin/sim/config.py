@@ -67,6 +67,14 @@ class RobotErrorConfig:
     """It leans to its right by this, about the axis ahead [rad]."""
     mount_pitch: float = number(0.0, -0.2, 0.2)
     """It looks down by this, about the axis to the left [rad]."""
+    mount_yaw: float = number(0.0, -0.2, 0.2)
+    """It is turned to the left by this, about the vertical axis [rad]."""
+    axis_roll: float = number(0.0, -0.2, 0.2)
+    """The axis of the turntable leans to the right of the robot by this [rad]."""
+    axis_pitch: float = number(0.0, -0.2, 0.2)
+    """The axis of the turntable is tipped forwards by this [rad]."""
+    table_play: float = number(1.0, 0.0, 5.0)
+    """Factor of the play of the turntable; 1 is that of its model."""
     battery_life: float = number(7200.0, 1.0, 1e9)
     """Time in which the battery is drained [s]; about 2 h, as in the paper."""
     reckoning: Reckoning = "driver"

@@ -14,7 +14,7 @@ import numpy as np
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.hal import Robot, default_mount
-from scan3d_twin.core.scanning.extrinsics import apply_mount
+from scan3d_twin.core.scanning.extrinsics import apply_mount, tilt_matrix
 from scan3d_twin.core.scanning.patterns import TableMount, find_mount
 from scan3d_twin.core.types import FloatArray, LidarSpec
 from scan3d_twin.devices.registry import base_device, lidar_device
@@ -207,11 +207,23 @@ def _open_turntable(world: World, seed: int, config: TwinConfig) -> Table | None
     mount = find_mount(config.pattern)
     if mount is None:
         return None
-    model = find_turntable(config.turntable)
-    turntable = SimTurntable(world, model, stream(seed, Stream.TURNTABLE))
     errors = config.errors
+    model = find_turntable(config.turntable)
+    rng = stream(seed, Stream.TURNTABLE)
+    turntable = SimTurntable(world, model, rng, errors.table_play)
     mount = replace(mount, T_base_lidar=apply_mount(mount.T_base_lidar, config.turn))
-    error = MountConfig(errors.mount_lateral, errors.mount_roll, errors.mount_pitch)
+    error = MountConfig(
+        errors.mount_lateral, errors.mount_roll, errors.mount_pitch, yaw=errors.mount_yaw
+    )
     T_axis_lidar = apply_mount(mount.T_axis_lidar, error)
-    world.carriage = Carriage(turntable.carried_at, T_axis_lidar)
+    lean = _find_lean(mount, errors)
+    world.carriage = Carriage(turntable.carried_at, T_axis_lidar, lean)
     return mount, turntable
+
+
+def _find_lean(mount: TableMount, errors: RobotErrorConfig) -> FloatArray | None:
+    """Return the rotation of the true axis against that of ``mount`` (3, 3); None for none."""
+    if errors.axis_roll == errors.axis_pitch == 0.0:
+        return None
+    R = mount.T_base_axis[:3, :3]
+    return np.asarray(R.T @ tilt_matrix(errors.axis_roll, errors.axis_pitch) @ R)

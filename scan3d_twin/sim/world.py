@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import SceneError
+from scan3d_twin.core.scanning.extrinsics import yaw_matrix
 from scan3d_twin.core.scanning.patterns import find_mount
 from scan3d_twin.core.types import FloatArray, IntArray, read_only
 from scan3d_twin.devices.registry import base_device
@@ -45,7 +46,7 @@ class RobotErrors:
         cogging: Amplitude of the cogging torque [N m].
         cogging_phase: Phase of the left and right wheel's cogging (2,) [rad].
         floor: Heights of an uneven floor on a square grid (n, n) [m]; None for an even floor.
-        mount: Extrinsic error of the lidar: to the left [m], roll and pitch [rad] (3,).
+        mount: Extrinsic error of the lidar: to the left [m], roll, pitch and yaw [rad] (4,).
     """
 
     wheel_radius: FloatArray
@@ -54,7 +55,7 @@ class RobotErrors:
     cogging: float
     cogging_phase: FloatArray
     floor: FloatArray | None = None
-    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     @staticmethod
     def draw(config: RobotErrorConfig, rng: np.random.Generator) -> RobotErrors:
@@ -66,7 +67,12 @@ class RobotErrors:
             cogging=config.cogging,
             cogging_phase=read_only(rng.uniform(0.0, 2 * np.pi, 2)),
             floor=draw_uneven_floor(config, rng) if config.uneven > 0 else None,
-            mount=(config.mount_lateral, config.mount_roll, config.mount_pitch),
+            mount=(
+                config.mount_lateral,
+                config.mount_roll,
+                config.mount_pitch,
+                config.mount_yaw,
+            ),
         )
 
     def on(self, scene: Scene) -> RobotErrors:
@@ -177,13 +183,15 @@ def _apply_wheel_errors(spec: Any, errors: RobotErrors) -> None:
         motor.biasprm[0], motor.biasprm[2] = errors.cogging, errors.cogging_phase[index]
 
 
-def _tilt_lidar(site: Any, mount: tuple[float, float, float]) -> None:
-    """Move the lidar's ``site`` to the left [m], and turn it by roll and pitch [rad]."""
-    lateral, roll, pitch = mount
+def _tilt_lidar(site: Any, mount: tuple[float, float, float, float]) -> None:
+    """Move the lidar's ``site`` to the left [m], and turn it by roll, pitch and yaw [rad]."""
+    lateral, roll, pitch, yaw = mount
     site.pos[1] += lateral
     half = np.array([roll, pitch]) / 2
     (cr, cp), (sr, sp) = np.cos(half), np.sin(half)
     site.quat = [cp * cr, cp * sr, sp * cr, -sp * sr]  # about y after about x
+    if yaw != 0.0:
+        _turn_lidar(site, yaw_matrix(yaw))
 
 
 def _turn_lidar(site: Any, turn: FloatArray) -> None:
@@ -211,10 +219,12 @@ class Carriage:
     Attributes:
         angles: Return its true angles (n,) [rad] at times (n,) [s].
         T_axis_lidar: Where the lidar is on it (4, 4).
+        lean: Rotation of the true axis against the nominal one (3, 3); None where they agree.
     """
 
     angles: Callable[[FloatArray], FloatArray]
     T_axis_lidar: FloatArray
+    lean: FloatArray | None = None
 
     def carry(
         self, positions: FloatArray, rotations: FloatArray, times: FloatArray
@@ -225,7 +235,8 @@ class Carriage:
         turn[:, 1, 0] = np.sin(angles)
         turn[:, 0, 1] = -turn[:, 1, 0]
         turn[:, 2, 2] = 1.0
-        turned = rotations @ turn
+        leaning = rotations if self.lean is None else rotations @ self.lean
+        turned = leaning @ turn
         T = self.T_axis_lidar
         return positions + turned @ T[:3, 3], turned @ T[:3, :3]
 

@@ -10,6 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 pytest.importorskip("duckdb", reason="needs the extra bench")
 
+from fuzz_imports import SOURCES
 from fuzz_inputs import KINDS, make_base
 
 from scan3d_twin.core.errors import TwinError
@@ -54,7 +55,7 @@ def test_the_right_files_are_read(base, tmp_path, name):
     source = {
         "mcap": "one/session.mcap", "toml": "config.toml", "spec": "spec.toml", "npz": "view.npz",
         "journal": "journal.jsonl", "report": "report.json", "parquet": "results.parquet",
-        "scene": "scene.xml",
+        "scene": "scene.xml", **SOURCES,
     }.get(name, f"mesh.{name}")  # fmt: skip
     path = tmp_path / Path(source).name
     path.write_bytes((base / source).read_bytes())

@@ -16,6 +16,7 @@ from scan3d_twin.cli.commands.real import (
     choose_turning,
     open_robot,
 )
+from scan3d_twin.cli.commands.scan import OneScanOptions
 from scan3d_twin.cli.options import stated_options
 from scan3d_twin.core.errors import ConfigError, LinkError, UnknownNameError
 from scan3d_twin.devices.registry import Devices
@@ -167,5 +168,15 @@ def test_nothing_is_opened_before_the_base_is_found(monkeypatch):
     with (
         pytest.raises(LinkError, match="no base is here"),
         open_real("/dev/a", "/dev/b", turntable=carried),
+    ):
+        pass
+
+
+def test_a_stand_that_a_run_names_has_no_port():
+    """As of `twin scan --add RUN`, where the command line does not state it."""
+    options = OneScanOptions(lidar_port="/dev/nowhere", turntable_port="/dev/other", pattern="yaw")
+    with (
+        pytest.raises(LinkError, match="/dev/nowhere"),
+        open_robot(options, Devices("stand", "urg04lx", "usb")),
     ):
         pass

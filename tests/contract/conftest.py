@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -95,30 +96,22 @@ def open_in(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Robot]]:
         yield lambda scene: stack.enter_context(opener(scene))
 
 
-@contextmanager
-def sim_with_turntable(scene: str) -> Iterator[Robot]:
-    """Open the twin with its servo, which turns the lidar about the vertical."""
-    config = replace(TwinConfig.of(DEFAULT_WORLD), pattern="yaw")
-    with open_sim(scene, 7, config) as (opened, _):
-        yield opened
-
-
-def wired_with_turntable(robot: str, pattern: str) -> Opener:
-    """Return what opens the drivers on their emulators, that of the servo too."""
+def with_turntable(opener: Any, robot: str, pattern: str) -> Opener:
+    """Return what opens ``robot`` with a servo, by ``open_sim`` or ``open_wired``."""
 
     @contextmanager
-    def wired(scene: str) -> Iterator[Robot]:
+    def opening(scene: str) -> Iterator[Robot]:
         config = replace(TwinConfig.of(DEFAULT_WORLD, robot), pattern=pattern)
-        with open_wired(scene, 7, config) as (opened, _):
+        with opener(scene, 7, config) as (opened, _):
             yield opened
 
-    return wired
+    return opening
 
 
 TURNTABLE_BACKENDS: dict[str, Opener] = {
-    "sim": sim_with_turntable,
-    "wired": wired_with_turntable(DEFAULT_BASE, "yaw"),
-    "wired_stand": wired_with_turntable("stand", "pitch"),
+    "sim": with_turntable(open_sim, DEFAULT_BASE, "yaw"),
+    "wired": with_turntable(open_wired, DEFAULT_BASE, "yaw"),
+    "wired_stand": with_turntable(open_wired, "stand", "pitch"),
 }
 """What opens a robot with a turntable."""
 
@@ -128,6 +121,19 @@ def open_with_turntable(request: pytest.FixtureRequest) -> Iterator[Callable[[st
     """Open the robot of a backend that has a turntable, closed when the test ends."""
     with ExitStack() as stack:
         yield lambda scene: stack.enter_context(TURNTABLE_BACKENDS[request.param](scene))
+
+
+@pytest.fixture(params=["yaw", "pitch", "roll"])
+def pattern(request: pytest.FixtureRequest) -> str:
+    """A pattern by a turntable."""
+    return str(request.param)
+
+
+@pytest.fixture(params=[open_sim, open_wired], ids=["sim", "wired"])
+def robot_of_pattern(request: pytest.FixtureRequest, pattern: str) -> Iterator[Robot]:
+    """A stand whose servo turns the lidar as ``pattern`` does, in the twin and by its drivers."""
+    with with_turntable(request.param, "stand", pattern)("plain_wall") as robot:
+        yield robot
 
 
 @pytest.fixture

@@ -3,9 +3,12 @@
 import math
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from scan3d_twin.core.hal import Turntable
+from scan3d_twin.core.scanning.patterns import find_mount
+from scan3d_twin.core.scanning.turning import find_lidar_pose
 
 
 @pytest.fixture
@@ -90,3 +93,23 @@ def test_samples_come_in_order_and_are_never_of_the_future(robot, table):
     steps = [b - a for a, b in pairwise(stamps)]
     assert max(steps[1:]) < 3 * table.spec.sample_period
     assert samples[-1] == table.angle()
+
+
+def test_each_pattern_turns_the_plane_about_its_axis(robot_of_pattern, pattern):
+    robot, design = robot_of_pattern, find_mount(pattern)
+    goal, _ = robot.turntable.turn_to(0.4, 1.0)
+    robot.clock.sleep(1.0)
+    reached = robot.turntable.angle().angle
+    assert reached == pytest.approx(goal, abs=3 * robot.turntable.spec.resolution)
+    assert find_lidar_pose(robot) == pytest.approx(design.lidar_at(reached))
+
+    # A line says what the plane sees there: the floor, where it is
+    rested, line = robot.clock.now(), robot.lidar.read_line(1.0)
+    while line.stamp < rested:
+        line = robot.lidar.read_line(1.0)
+    e, T = robot.lidar.spec.elevations, design.lidar_at(reached - robot.turntable.spec.play / 2)
+    beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1) @ T[:3, :3].T
+    heights = T[2, 3] + line.ranges * beams[:, 2]
+    low = (beams[:, 2] < -0.3) & np.isfinite(line.ranges) & (line.ranges > 0.25)
+    assert np.count_nonzero(low) > 30
+    assert np.median(heights[low]) == pytest.approx(0.0, abs=0.02)

@@ -10,7 +10,9 @@ from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.devices.dynamixel.model import COUNT
 from scan3d_twin.devices.links.line_model import Wire
 from scan3d_twin.devices.registry import turntable_device
+from scan3d_twin.real.robot import CarriedTurntable, tap_turntable
 from scan3d_twin.recording.image import image_bytes
+from scan3d_twin.recording.recorder import SerialTaps
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import HazardFreeClock, open_wired
@@ -64,3 +66,18 @@ def test_the_wired_robot_knows_how_its_lidar_is_mounted(pattern):
     assert np.array_equal(lidar, wired_lidar)
     assert (axis is None) == (wired_axis is None) == (pattern == "yaw-base")
     assert axis is None or np.array_equal(axis, wired_axis)
+
+
+def test_the_bytes_of_its_line_are_for_the_record():
+    device, taps, heard = turntable_device("xl330"), SerialTaps(), set()
+    taps.listener = lambda topic, stamp, direction, data: heard.add((topic, direction))
+    with open_sim("plain_wall", 5, replace(TwinConfig.of("ideal", "stand"), pattern="yaw")) as (
+        twin, _,
+    ):  # fmt: skip
+        emulated, clock = device.emulate(twin.turntable), HazardFreeClock(twin.clock)
+        carried = CarriedTurntable(
+            "xl330", lambda: Wire(emulated, clock), twin.T_base_axis, twin.T_base_lidar
+        )
+        tapped = tap_turntable(carried, clock, taps)
+        device.open_driver(tapped.open_line, clock).turn_to(0.1, 0.5)
+    assert heard == {("/serial/turntable", ">"), ("/serial/turntable", "<")}

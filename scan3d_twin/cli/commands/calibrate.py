@@ -5,7 +5,6 @@ from __future__ import annotations
 import json as json_module
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -19,10 +18,21 @@ _UNITS = {
     "pitch": (math.degrees(1.0), "deg", "looking down"),
     "yaw_scale": (1e2, "%", "turned further than the odometry says"),
     "time_offset": (1e3, "ms", "measured later than stamped"),
+    "yaw": (math.degrees(1.0), "deg", "turned to its left"),
+    "play": (math.degrees(1.0), "deg", "more play of the turntable than its nominal one"),
+    "axis_roll": (math.degrees(1.0), "deg", "axis leaning to the right, against the floor"),
+    "axis_pitch": (math.degrees(1.0), "deg", "axis tipped forwards, against the floor"),
 }
+_BOTH_RATES = (
+    "scan in both directions at two rates: twin scan --width 300 --back, with --rate 5 "
+    "and with --rate 15"
+)
 _CURES = {
     "yaw_scale": "scan a full turn: twin scan --width 360",
     "time_offset": "scan in both directions: twin scan --width 300 --back",
+    "play": _BOTH_RATES,
+    "axis_roll": "scan where the floor is seen all round",
+    "axis_pitch": "scan where the floor is seen all round",
 }
 """Which scans make a value observable."""
 
@@ -30,13 +40,14 @@ _CURES = {
 def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) -> None:
     """Estimate the lidar's extrinsics from scans: offset, tilt, yaw scale and time offset.
 
-    Scans from more places make it more accurate. Range errors of single materials are not
-    estimated.
+    Scans from more places make it more accurate. Of a turntable, its play and the lean of its axis
+    against the floor are found too. What the scans cannot show is named, and how to show it.
 
     Args:
         what: What to calibrate: the lidar's extrinsics.
         folder: Folder of a run, or of scans of a room: `twin scan --width 360 --out cal/turn`, and
-            for the time offset `twin scan --width 300 --back --out cal/back`.
+            for the time offset `twin scan --width 300 --back --out cal/back`; with a turntable
+            once more with `--rate 15 --out cal/fast`.
         json: Print one line of JSON.
 
     Raises:
@@ -69,17 +80,12 @@ def _taken_with(folder: Path) -> MountConfig:
     return build_settings([read_settings(path)]).config.mount if path.exists() else MountConfig()
 
 
-def _estimated(mount: MountConfig) -> dict[str, float]:
-    """Return the values of ``mount`` that a calibration estimates, by name."""
-    return {name: value for name, value in asdict(mount).items() if name in _UNITS}
-
-
 def _document(mount: MountConfig, found: Calibration) -> dict[str, object]:
-    values = _estimated(mount)
+    errors = zip(found.names, found.sigmas.tolist(), strict=True)
     return {
-        "mount": values,
-        "standard_errors": dict(zip(values, found.sigmas.tolist(), strict=True)),
-        "known": dict(zip(values, found.known, strict=True)),
+        "mount": {name: getattr(mount, name) for name in found.names},
+        "standard_errors": {name: e if math.isfinite(e) else None for name, e in errors},
+        "known": dict(zip(found.names, found.known, strict=True)),
         "planes": found.planes,
         "readings": found.readings,
         "flatness_m": found.flatness,
@@ -87,18 +93,30 @@ def _document(mount: MountConfig, found: Calibration) -> dict[str, object]:
 
 
 def _lines(mount: MountConfig, found: Calibration) -> Iterator[str]:
-    values = _estimated(mount)
     yield (
         f"{found.planes} planes, {found.readings} readings on them, flat to "
         f"{1e3 * found.flatness:.1f} mm"
     )
-    for (name, value), sigma, known in zip(values.items(), found.sigmas, found.known, strict=True):
+    for name, sigma, known in zip(found.names, found.sigmas, found.known, strict=True):
         factor, unit, words = _UNITS[name]
         if known:
-            yield f"{name:12s} {factor * value:+8.2f} +- {factor * sigma:.2f} {unit:4s} {words}"
+            value = factor * getattr(mount, name)
+            yield f"{name:12s} {value:+8.2f} +- {factor * sigma:.2f} {unit:4s} {words}"
         else:
-            yield f"{name:12s} unknown: {_CURES.get(name, 'scan from more places')}"
+            yield f"{name:12s} unknown: {_find_cure(name, found)} (+- inf {unit})"
     yield "for a --config FILE:\n[mount]"
-    for (name, value), known in zip(values.items(), found.known, strict=True):
+    for name, known in zip(found.names, found.known, strict=True):
         if known:
-            yield f"{name} = {value:.6f}"
+            yield f"{name} = {getattr(mount, name):.6f}"
+
+
+def _find_cure(name: str, found: Calibration) -> str:
+    """Return what would make the parameter ``name`` observable, or why nothing can."""
+    if name == found.turned_about:
+        held = f", so {found.same_as} holds both" if found.same_as else ": that is the heading"
+        return (
+            f"unobservable, as it turns the lidar about the axis like the zero of the angle{held}"
+        )
+    if name == "time_offset" and "play" in found.names:
+        return _BOTH_RATES
+    return _CURES.get(name, "scan from more places")

@@ -221,7 +221,7 @@ def open_robot(
         for role, other in zip(("base", "lidar"), ports, strict=True):
             if port is not None:
                 refuse_same_port(other, port, (role, "turntable"))
-        base = devices.base if devices.is_base_stated else None
+        base = devices.base if devices.is_base_stated or is_stand else None
         with open_real(
             None if is_stand else ports[0],
             ports[1],

@@ -90,9 +90,10 @@ def scan(*, options: Annotated[OneScanOptions, Parameter(name="*")] = OneScanOpt
     folder = claim_folder(find_free_folder(default) if options.out is None else options.out)
     try:
         with _opening(options, devices) as (robot, _):
+            config = replace(Config(), sweep=wanted)
             observations = [
-                sweep(robot, 0.0, replace(Config(), sweep=wanted), lambda line: None)
-                for _ in range(2 if options.back else 1)
+                sweep(robot, 0.0, config, lambda line: None, rightwards=rightwards)
+                for rightwards in ((True, False) if options.back else (None,))
             ]
         _save(observations, folder, as_json=options.json)
     finally:

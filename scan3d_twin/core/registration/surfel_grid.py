@@ -209,7 +209,8 @@ def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None)
     index, valid = np.empty(image.ranges.shape, np.int32), np.empty(image.ranges.shape, np.bool_)
 
     # Extract surfels and, if unknown, noise.
-    known = NOISE_UNKNOWN if noise is None else noise.values
+    own = NOISE_UNKNOWN if image.noise is None else read_only(image.noise)
+    known = own if noise is None else noise.values
     found = native.ScanSurfels(rows=rows, yaws=yaws, index=index, valid=valid, noise=known)
     if (
         engine.extract_surfels(

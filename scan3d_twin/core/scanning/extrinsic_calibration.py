@@ -6,17 +6,28 @@ is then at
 
     P = Rz((1 + k) psi + w tau) (t + y e_y + (r + b) R Ry(pitch) Rx(roll) d).
 
+A turntable measures its angle, k = 0, but what it carries lags behind by half of the play p that
+its driver does not know of, and a lidar that looks along the axis may be turned out of it by yaw:
+
+    P = Rz(psi + w tau - sign(w) p / 2) (t + y e_y + (r + b) R Rz(yaw) Ry(pitch) d).
+
 Wrong values bend a wall: y rotates it about the axis by y / rho, that is more where it is nearer;
 roll rotates it in proportion to the height; pitch makes a cone of the floor; k separates the two
 ends of a full turn. Calibration minimises the distances of all readings from their planes,
 
-    min  sum_j sum_i w_i (n_j . P_i - d_j)^2   over  y, roll, pitch, k, tau, b  and all (n_j, d_j),
+    min  sum_j sum_i w_i (n_j . P_i - d_j)^2   over  the parameters, b  and all (n_j, d_j),
 
 by Gauss-Newton with the planes eliminated one by one (Schur complement). The range error b that all
-readings share is a nuisance parameter; errors of single materials are not modelled. The delay tau
-is observable only if sweeps in both directions were taken from one place, as these share their
-planes. Standard errors are by the jackknife, leaving out one plane after the other, as the readings
-of a surface err together.
+readings share is a nuisance parameter, and so is a curve of range errors of each plane: what
+depends on the range alone, as the cone of a floor, is not believed. A panorama before a run, which
+only warns, goes without these curves.
+
+Delay and play are observable only if sweeps in both directions were taken from one place, as these
+share their planes, and apart from each other only at two rates: a delay shifts a sweep in
+proportion to its rate, play by a constant. A turn of the lidar about the axis itself is that of the
+zero of the angle, which planes do not show; what the axis, with that zero, leans against the floor
+is found from the normal of the floor. Standard errors are by the jackknife, leaving out one plane
+after the other, as the readings of a surface err together.
 """
 
 from __future__ import annotations
@@ -28,70 +39,56 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scan3d_twin.core.config import Config, MountConfig
-from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration import extract_surfels
-from scan3d_twin.core.registration.surfels import VARIANCE, N, X
-from scan3d_twin.core.scanning.extrinsics import (
-    compose_mounts,
-    describe_mount,
-    measure_turn_rate,
-    tilt_matrix,
+from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.scanning.calibration_planes import STEEP, PlaneFit, find_planes, fit_plane
+from scan3d_twin.core.scanning.calibration_samples import (
+    Samples,
+    estimate_yaw_scale,
+    gather_samples,
 )
-from scan3d_twin.core.scanning.half_turn import is_unfolded
+from scan3d_twin.core.scanning.extrinsics import compose_mounts, describe_mount
+from scan3d_twin.core.scanning.patterns import is_ahead, is_vertical
 from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
 
-PARAMETERS = ("lateral", "roll", "pitch", "yaw_scale", "time_offset")
-"""The estimated fields of ``MountConfig``; in parameter vectors the range error follows them."""
-PRIOR_SIGMAS = np.array([0.05, 0.1, 0.1, 0.05, 0.2, 0.01])
-"""Prior standard deviations of the parameters: a mount aligned by eye, and for the range error the
-lidar's data sheet (+-10 mm)."""
+PARAMETERS = (
+    "lateral", "roll", "pitch", "yaw_scale", "time_offset", "yaw", "play", "axis_roll",
+    "axis_pitch",
+)  # fmt: skip
+"""The estimated fields of ``MountConfig``."""
+SOUGHT = ("lateral", "roll", "pitch", "yaw_scale", "time_offset", "range_error", "yaw", "play")
+"""What keeps planes flat, in the order of parameter vectors."""
+RANGE_ERROR = SOUGHT.index("range_error")
+PRIOR_SIGMAS = np.array([0.05, 0.1, 0.1, 0.05, 0.2, 0.01, 0.1, 0.05])
+"""Prior standard deviations of them: a mount aligned by eye, for the range error the lidar's data
+sheet (+-10 mm), and for the play three times that of a servo."""
+BASE_SOUGHT = SOUGHT[:6]
+"""What is sought where the base turns."""
 ALONG_AXIS = math.cos(math.radians(15.0))
 """Cosine of the angle to the turning axis within which a lidar looks along it."""
-FIXED_SIGMA = 1e-9
-"""Prior standard deviation of a parameter that stays 0."""
 DERIVATIVE_STEP = 1e-4
 """Step of numerical derivatives, in the units of the parameters."""
-KERNEL_WIDTH = 2.0
-"""Width of the Geman-McClure kernel [sigma]."""
-MIN_SEAM_LINES = 8
-"""Smallest number of lines at either end of a full turn that are compared."""
 MAX_KNOWN_SHARE = 0.3
 """Standard error, as a share of the prior's, below which a parameter is known."""
-STRIDE = 3
-"""Stride of the lines and beams used. The windows of surfels overlap slightly; a stride of 5, with
-independent windows, finds the lateral offset to 10 % in 3 robots of 10, this one in 8."""
-MIN_RANGE = 0.30
-"""Range below which readings may be the robot itself [m]."""
-PLANE_SIGMA = 0.003
-"""Deviation of a measured plane from flatness, one standard deviation [m]: the range error varies
-along a surface, within the +-10 mm of the data sheet."""
-READINGS_PER_SURFEL = 20.0
-"""Smallest number of readings that a surfel averages."""
-PLANE_SEEDS, MAX_PLANES = 150, 12
-"""Surfels tried as the start of a plane, and largest number of planes per place."""
-FIRST_PLANE_DISTANCE, MIN_NORMAL_COSINE = 0.04, math.cos(math.radians(10.0))
-"""Largest distance of a reading from its plane in the first fit [m], and smallest cosine of the
-angle between their normals."""
-FINAL_PLANE_DISTANCE = 0.02
-"""Largest distance of a reading from its plane in later fits [m]."""
-MIN_PLANE_READINGS, MIN_PLANE_EXTENT = 60, 0.4
-"""Smallest number of readings of a plane, and its smallest extent [m]."""
+FLOOR_HEIGHT = 0.1
+"""Height of the middle of a plane below which it may be the floor [m]."""
+FLOOR_SIGMA = math.radians(0.1)
+"""Standard error of the lean of the axis by one floor [rad]: 3 mm of range error over 2 m, the
+``PLANE_SIGMA`` of readings on either side."""
+CONVERGED = 1e-4
+"""Step, as a share of the prior standard deviations, after which no other is made."""
 PLANE_SEARCHES, STEPS_PER_SEARCH = 4, 4
 """Searches for planes, each with better extrinsics, and Gauss-Newton steps after each search."""
-WARNING_LIMITS = np.array([0.008, math.radians(0.7), math.radians(0.7), 0.03, 0.05])
-"""Errors of the parameters below which there is no warning: wheels of 0.6 % different radii already
-lean by 0.07 deg, and the wheel base is known to 1 %."""
+WARNING_LIMITS = {
+    "lateral": 0.008, "roll": math.radians(0.7), "pitch": math.radians(0.7), "yaw_scale": 0.03,
+    "time_offset": 0.05,
+}  # fmt: skip
+"""Errors below which there is no warning: wheels of 0.6 % different radii already lean by 0.07
+deg, and the wheel base is known to 1 %."""
 WARNING_SIGMAS = 3.0
 """Errors below which there is no warning, in standard errors."""
 YAW_SCALE_REPEATABILITY = 0.002
 """Standard deviation of the yaw scale of a sweep from that of the panorama; three times the 0.0006
 that benchmarks/mount.py finds in three_boxes."""
-SEAM_ANGLE = math.radians(20.0)
-"""Largest mismatch of the two ends of a full turn that is corrected [rad]."""
-
-
-_Part = tuple[slice, slice]
-"""Lines and beams of a part of a range image."""
 
 
 @dataclass(frozen=True)
@@ -100,11 +97,15 @@ class Calibration:
 
     Attributes:
         mount: Correction of the mount that the scans were taken with; 0 where it is not known.
-        sigmas: Standard errors in the order of ``PARAMETERS`` (5,).
-        known: Whether the scans determine each parameter (5,).
+        sigmas: Standard errors in the order of ``names`` (k,); infinite where not known.
+        known: Whether the scans determine each parameter (k,).
         planes: Number of planes used.
         readings: Number of surfels on them.
         flatness: RMS distance of these surfels from their planes [m].
+        names: The parameters that this scanner has, of ``PARAMETERS``, in their order (k,).
+        turned_about: The one that turns the lidar about the axis itself, so that nothing can tell
+            it from the zero of the angle.
+        same_as: The lean of the axis that holds both; empty where that is the heading.
     """
 
     mount: MountConfig
@@ -113,89 +114,124 @@ class Calibration:
     planes: int
     readings: int
     flatness: float
+    names: tuple[str, ...]
+    turned_about: str
+    same_as: str
 
 
-@dataclass(frozen=True)
-class Samples:
-    """Surfels of all sweeps, each as one reading.
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What is sought, and from what.
 
     Attributes:
-        T_base_lidar: The mount that the sweeps were taken with (4, 4).
-        beams: Directions in ``lidar`` (m, 3).
-        ranges: Ranges (m,) [m].
-        yaws: Headings (m,) [rad].
-        rates: Turn rates of the base (m,) [rad/s].
-        weights: Inverse variances of the distance from a plane (m,) [1/m2].
-        normals: Unit normals in ``scan`` (m, 3).
-        places: Number of the place that each was taken from (m,).
+        samples: The readings.
+        sought: Indices in ``SOUGHT`` of what is sought (k,).
+        prior: Their prior standard deviations (k,).
+        has_curves: Whether each plane has a curve of range errors.
     """
 
-    T_base_lidar: FloatArray
-    beams: FloatArray
-    ranges: FloatArray
-    yaws: FloatArray
-    rates: FloatArray
-    weights: FloatArray
-    normals: FloatArray
-    places: IntArray
-
-    def points(self, values: FloatArray) -> FloatArray:
-        """Return the points (m, 3) for the parameters ``values`` (6,), by the module's equation."""
-        y, roll, pitch, _, _, b = values
-        R, t = self.T_base_lidar[:3, :3] @ tilt_matrix(roll, pitch), self.T_base_lidar[:3, 3]
-        at = t + (self.ranges + b)[:, None] * (self.beams @ R.T)
-        at[:, 1] += y
-        return _rotate(at, self.headings(values))
-
-    def headings(self, values: FloatArray) -> FloatArray:
-        """Return the headings (m,) corrected by the parameters ``values`` (6,) [rad]."""
-        return np.asarray((1.0 + values[3]) * self.yaws + values[4] * self.rates)
-
-    def normals_at(self, values: FloatArray) -> FloatArray:
-        """Return the normals (m, 3), rotated together with their readings."""
-        return _rotate(self.normals, self.headings(values) - self.yaws)
+    samples: Samples
+    sought: IntArray
+    prior: FloatArray
+    has_curves: bool
 
 
-def calibrate(places: Sequence[Sequence[RangeImage]]) -> Calibration:
+def calibrate(places: Sequence[Sequence[RangeImage]], *, has_curves: bool = True) -> Calibration:
     """Return the extrinsics of the lidar from sweeps, grouped by the place they were taken from.
 
     Args:
         places: The sweeps of each place, which share one frame ``scan``; places are unrelated.
+        has_curves: Whether the range errors of each plane are a curve over the range.
 
     Raises:
         RegistrationError: The sweeps show no planes.
     """
     # Start with the yaw scale
-    samples = _gather_samples(places)
-    prior = _find_prior(samples.T_base_lidar)
-    values = np.zeros(6)
-    values[3] = _estimate_yaw_scale(places)
+    samples = gather_samples(places, has_floor=has_curves)
+    sought = choose_sought(samples, has_curves=has_curves)
+    problem = _Problem(samples, sought, PRIOR_SIGMAS[sought], has_curves)
+    values = np.zeros(len(SOUGHT))
+    if samples.T_scan_axis is None:
+        values[SOUGHT.index("yaw_scale")] = estimate_yaw_scale(places)
 
     # Alternate planes and Gauss-Newton steps
+    before: list[int] = []
     for _ in range(PLANE_SEARCHES):
         planes = find_planes(samples.points(values), samples.normals_at(values), samples.places)
         if not planes:
             raise RegistrationError(
                 "the scans show no wall or floor to calibrate by; scan a full turn in a room"
             )
+        sizes = [len(plane) for plane in planes]
         for _ in range(STEPS_PER_SEARCH):
-            H, g, square = _build_equations(samples, planes, values)
-            right = g.sum(axis=0) + values / prior**2
-            values = values - np.linalg.solve(H.sum(axis=0) + np.diag(prior**-2.0), right)
+            H, g, fits = _build_equations(problem, planes, values)
+            right = g.sum(axis=0) + values[sought] / problem.prior**2
+            left = H.sum(axis=0) + np.diag(problem.prior**-2.0)
+            step = np.linalg.solve(left, right)
+            values[sought] = values[sought] - step
+            if has_curves and np.all(np.abs(step) < CONVERGED * problem.prior):
+                break
+        if has_curves and sizes == before:
+            break
+        before = sizes
 
     # Keep what is determined
-    sigmas = _jackknife_errors(H, g, values, prior)[:5]
-    known = (sigmas < MAX_KNOWN_SHARE * PRIOR_SIGMAS[:5]) & (prior[:5] == PRIOR_SIGMAS[:5])
-    sigmas = np.where(prior[:5] == PRIOR_SIGMAS[:5], sigmas, PRIOR_SIGMAS[:5])
+    errors = _jackknife_errors(H, g, values[sought], problem.prior)
+    found = {
+        SOUGHT[k]: (float(values[k]), float(sigma))
+        for k, sigma in zip(sought, errors, strict=True)
+        if sigma < MAX_KNOWN_SHARE * PRIOR_SIGMAS[k]
+    }
+    if samples.T_scan_axis is not None:
+        found |= find_axis_lean(samples, values, planes, fits)
+    names = _list_names(samples)
     count = sum(len(plane) for plane in planes)
+    square = sum(float(np.sum(fit.eliminate(fit.residuals) ** 2)) for fit in fits)
     return Calibration(
-        MountConfig(*np.where(known, values[:5], 0.0).tolist()),
-        read_only(sigmas),
-        tuple(known.tolist()),
+        MountConfig(**{name: found[name][0] for name in names if name in found}),
+        read_only([found[name][1] if name in found else math.inf for name in names]),
+        tuple(name in found for name in names),
         len(planes),
         count,
         math.sqrt(square / count),
+        names,
+        "roll" if looks_along(samples) else "yaw",
+        _find_twin_of_zero(samples),
     )
+
+
+def _list_names(samples: Samples) -> tuple[str, ...]:
+    """Return which of ``PARAMETERS`` a scanner has, in their order."""
+    if samples.T_scan_axis is not None:
+        return tuple(name for name in PARAMETERS if name != "yaw_scale")
+    return PARAMETERS[:6] if looks_along(samples) else PARAMETERS[:5]
+
+
+def _find_twin_of_zero(samples: Samples) -> str:
+    """Return the lean that a wrong zero of the angle looks like; empty where it is the heading."""
+    T = samples.T_scan_axis
+    if T is None or is_vertical(T):
+        return ""
+    return "axis_roll" if is_ahead(T) else "axis_pitch"
+
+
+def looks_along(samples: Samples) -> bool:
+    """Return whether the lidar looks along the axis about which it is turned."""
+    return bool(abs(samples.T_base_lidar[2, 0]) > ALONG_AXIS)
+
+
+def choose_sought(samples: Samples, *, has_curves: bool) -> IntArray:
+    """Return the indices in ``SOUGHT`` (k,) of what the scans may show.
+
+    A turn of the lidar about the axis itself is not among it: that is its yaw, or its roll where it
+    looks along the axis.
+    """
+    names = set(BASE_SOUGHT) - ({"range_error"} if has_curves else set())
+    if samples.T_scan_axis is not None:
+        names = names - {"yaw_scale"} | {"play"}
+    if looks_along(samples):
+        names = names - {"roll"} | {"yaw"}
+    return np.flatnonzero([name in names for name in SOUGHT])
 
 
 def calibrate_on_panorama(image: RangeImage) -> Calibration | None:
@@ -206,7 +242,7 @@ def calibrate_on_panorama(image: RangeImage) -> Calibration | None:
     if image.T_scan_axis is not None:
         return None
     try:
-        return calibrate([[image]])
+        return calibrate([[image]], has_curves=False)
     except RegistrationError:
         return None
 
@@ -218,8 +254,11 @@ def describe_suspicion(found: Calibration | None) -> str:
     """
     if found is None:
         return ""
-    values = np.array([getattr(found.mount, name) for name in PARAMETERS])
-    if not np.any(np.abs(values) > np.maximum(WARNING_LIMITS, WARNING_SIGMAS * found.sigmas)):
+    sigmas = dict(zip(found.names, found.sigmas.tolist(), strict=True))
+    if all(
+        abs(getattr(found.mount, name)) <= max(limit, WARNING_SIGMAS * sigmas[name])
+        for name, limit in WARNING_LIMITS.items()
+    ):
         return ""
     return f"the lidar seems mounted {describe_mount(found.mount)}: run `twin calibrate lidar`"
 
@@ -241,216 +280,67 @@ def apply_yaw_scale(config: Config, found: Calibration | None) -> Config:
     return replace(config, mount=mount, registration=registration)
 
 
-def _gather_samples(places: Sequence[Sequence[RangeImage]]) -> Samples:
-    """Return the surfels of all sweeps; errors if there are none, or of different mounts."""
-    images = [image for group in places for image in group]
-    if not images:
-        raise RegistrationError("there is no scan to calibrate by")
-    T = images[0].T_base_lidar
-    if any(not np.allclose(image.T_base_lidar, T, atol=1e-9) for image in images):
-        raise ConfigError("the scans were taken with different mounts: calibrate them one by one")
-    parts = [_sample_sweep(image, place) for place, group in enumerate(places) for image in group]
-    return Samples(T, *(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def _sample_sweep(image: RangeImage, place: int) -> tuple[FloatArray | IntArray, ...]:
-    """Return the fields of ``Samples`` for one sweep, each surfel's mean as its reading."""
-    # Express the surfels as readings
-    grid = extract_surfels(image)
-    image, table = grid.image, grid.at(np.s_[::STRIDE, ::STRIDE])
-    yaws = image.yaws[::STRIDE, ::STRIDE]
-    lidar = _rotate(np.broadcast_to(image.T_base_lidar[:3, 3], (*yaws.shape, 3)), yaws)
-    ranges = np.linalg.norm(table[..., X] - lidar, axis=2)
-
-    # Select those beyond the robot
-    line, beam = np.nonzero((table[..., VARIANCE] > 0) & (ranges > MIN_RANGE))
-    n, e = len(line), image.elevations_at(STRIDE * line, STRIDE * beam)
-    beams = np.stack([np.cos(e), np.zeros_like(e), np.sin(e)], axis=1)
-    measured, headings = ranges[line, beam], yaws[line, beam]
-    if is_unfolded(image):
-        behind = np.abs(image.yaws[:, image.spec.n_beams // 2][STRIDE * line]) > math.pi / 2
-        headings = np.where(behind, headings - np.copysign(math.pi, headings), headings)
-        at = _rotate(table[line, beam, X], -headings) - image.T_base_lidar[:3, 3]
-        seen = at @ image.T_base_lidar[:3, :3]
-        beams[behind] = (seen / np.linalg.norm(seen, axis=1, keepdims=True))[behind]
-        measured = np.where(behind, np.linalg.norm(seen, axis=1), measured)
-    return (
-        beams,
-        measured,
-        headings,
-        np.full(n, measure_turn_rate(image)),
-        1.0 / (table[line, beam, VARIANCE] / READINGS_PER_SURFEL + PLANE_SIGMA**2),
-        table[line, beam, N],
-        np.full(n, place),
-    )
-
-
-def _rotate(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
-    """Return ``vectors`` (..., 3), rotated about z by ``yaws`` (...) [rad]."""
-    c, s = np.cos(yaws), np.sin(yaws)
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
-
-
-def _estimate_yaw_scale(places: Sequence[Sequence[RangeImage]]) -> float:
-    """Return the yaw scale with which both ends of full turns meet; 0 if there is no full turn."""
-    found = [
-        scale
-        for images in places
-        for image in images
-        if (scale := _measure_seams(image)) is not None
-    ]
-    return float(np.median(found)) if found else 0.0
-
-
-def _measure_seams(image: RangeImage) -> float | None:
-    """Return the share by which a turn exceeds its measured angle; None if it leaves a gap.
-
-    The normals of a surface that is seen at both ends of a turn differ by the excess, wherever its
-    points are.
-    """
-    seams, turn = _find_seams(image)
-    if not seams:
-        return None
-    grid = extract_surfels(image)
-    found = np.concatenate([_compare_normals(grid.at(a), grid.at(b)) for a, b in seams])
-    return float(np.median(found)) / turn if len(found) >= MIN_PLANE_READINGS else None
-
-
-def _find_seams(image: RangeImage) -> tuple[list[tuple[_Part, _Part]], float]:
-    """Return the parts of ``image`` that show a place before and after a turn, and its angle [rad].
-
-    Lines are ordered by falling yaw: the first lines of a full turn see again what the last ones
-    saw. What is a quarter turn to either side is seen at both ends of half a turn, by the one half
-    of the revolutions and by the other (``half_turn``). There is no part if the turn leaves a gap.
-    """
-    middle = image.yaws[:, image.spec.n_beams // 2]
-    if is_unfolded(image):
-        ends = [int(np.searchsorted(-middle, angle)) for angle in (-math.pi / 2, math.pi / 2)]
-        count = MIN_SEAM_LINES
-        if ends[0] < count or ends[1] + count > image.n_lines:
-            return [], math.pi
-        return [
-            ((slice(end, end + count), slice(None)), (slice(end - count, end), slice(None)))
-            for end in ends
-        ], math.pi
-    turn = float(middle[0] - middle[-1])
-    if turn < math.tau - SEAM_ANGLE / 4:
-        return [], math.tau
-    count = max(MIN_SEAM_LINES, int(np.count_nonzero(middle >= middle[-1] + math.tau)))
-    return [((slice(count), slice(None)), (slice(-count, None), slice(None)))], math.tau
-
-
-def _compare_normals(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the angles (n,) [rad] from the normals of surfels ``a`` to those of ``b``."""
-    both = (a[..., VARIANCE] > 0) & (b[..., VARIANCE] > 0)
-    n, m = a[both][:, N], b[both][:, N]
-    upright = (np.abs(n[:, 2]) < 0.5) & (np.sum(n * m, axis=1) > math.cos(SEAM_ANGLE))
-    n, m = n[upright], m[upright]
-    across = n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0]
-    return np.asarray(np.arctan2(across, np.sum(n[:, :2] * m[:, :2], axis=1)))
-
-
-def find_planes(points: FloatArray, normals: FloatArray, places: IntArray) -> list[IntArray]:
-    """Return the indices of the readings on each plane, place by place, the largest plane first."""
-    found = []
-    for place in np.unique(places):
-        free = np.flatnonzero(places == place)
-        for _ in range(MAX_PLANES):
-            plane = _find_largest_plane(points, normals, free)
-            if plane is None:
-                break
-            found.append(plane)
-            free = np.setdiff1d(free, plane, assume_unique=True)
-    return found
-
-
-def _find_largest_plane(points: FloatArray, normals: FloatArray, free: IntArray) -> IntArray | None:
-    """Return the readings among ``free`` on the plane with the most of them; None if too few."""
-    if len(free) < MIN_PLANE_READINGS:
-        return None
-
-    # Choose the seed with most readings
-    P, n = points[free], normals[free]
-    seeds = np.linspace(0, len(free) - 1, PLANE_SEEDS).astype(np.int64)
-    near = (
-        np.abs(n[seeds] @ P.T - np.sum(n[seeds] * P[seeds], axis=1)[:, None]) < FIRST_PLANE_DISTANCE
-    )
-    on = near & (n[seeds] @ n.T > MIN_NORMAL_COSINE)
-    best = on[int(np.argmax(on.sum(axis=1)))]
-
-    # Fit a plane and gather again
-    for gate in (FIRST_PLANE_DISTANCE, FINAL_PLANE_DISTANCE, FINAL_PLANE_DISTANCE):
-        if np.count_nonzero(best) < MIN_PLANE_READINGS:
-            return None
-        centre = P[best].mean(axis=0)
-        Q = P[best] - centre
-        squares, axes = np.linalg.eigh(Q.T @ Q)
-        normal = axes[:, 0] * np.sign(axes[:, 0] @ n[best].mean(axis=0))
-        best = (np.abs((P - centre) @ normal) < gate) & (n @ normal > MIN_NORMAL_COSINE)
-
-    # Require readings and extent
-    extent = math.sqrt(12.0 * squares[1] / np.count_nonzero(best))
-    return (
-        free[best]
-        if np.count_nonzero(best) >= MIN_PLANE_READINGS and extent > MIN_PLANE_EXTENT
-        else None
-    )
-
-
 def _build_equations(
-    samples: Samples, planes: list[IntArray], values: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the normal equations of each plane and the sum of squares.
+    problem: _Problem, planes: list[IntArray], values: FloatArray
+) -> tuple[FloatArray, FloatArray, list[PlaneFit]]:
+    """Return the normal equations of each plane, and their fits.
 
     The normal and distance of each plane are those of the fitted plane; they are eliminated.
 
+    Args:
+        problem: What is sought.
+        planes: Indices of the readings on each.
+        values: The parameters (8,).
+
     Returns:
-        Each plane's information matrix (p, 6, 6) and gradient (p, 6), and the sum of the squared
-        distances from the planes [m2].
+        Each plane's information matrix (p, k, k) and gradient (p, k), and its fit.
     """
     # Differentiate the points
+    samples, k = problem.samples, len(problem.sought)
     P = samples.points(values)
     moved = [
         (samples.points(values + step) - samples.points(values - step)) / (2 * DERIVATIVE_STEP)
-        for step in DERIVATIVE_STEP * np.eye(6)
+        for step in DERIVATIVE_STEP * np.eye(len(SOUGHT))[[*problem.sought, RANGE_ERROR]]
     ]
+    by_range = moved.pop()
 
     # Sum up plane by plane
-    H, g, square = np.zeros((len(planes), 6, 6)), np.zeros((len(planes), 6)), 0.0
-    for k, plane in enumerate(planes):
-        # Fit the plane
-        w = samples.weights[plane]
-        centre = w @ P[plane] / w.sum()
-        Q = P[plane] - centre
-        _, axes = np.linalg.eigh((Q * w[:, None]).T @ Q)
-        e = Q @ axes[:, 0]
-        w = w * (KERNEL_WIDTH**2 / (KERNEL_WIDTH**2 + w * e * e)) ** 2
-
-        # Eliminate its normal and distance
-        J = np.stack([column[plane] @ axes[:, 0] for column in moved], axis=1)
-        own = np.column_stack([np.ones(len(plane)), Q @ axes[:, 1:]])
-        W = own * w[:, None]
-        A = np.linalg.inv(own.T @ W)
-        J = J - own @ (A @ (W.T @ J))
-        e = e - own @ (A @ (W.T @ e))
-
-        # Add the rest
-        H[k], g[k] = (J * w[:, None]).T @ J, J.T @ (w * e)
-        square += float(e @ e)
-    return H, g, square
+    H, g, fits = np.zeros((len(planes), k, k)), np.zeros((len(planes), k)), []
+    for number, plane in enumerate(planes):
+        rays = by_range[plane] if problem.has_curves else None
+        fit = fit_plane(P[plane], samples.weights[plane], rays, samples.ranges[plane])
+        J = np.stack([column[plane] @ fit.normal for column in moved], axis=1)
+        J, e, w = fit.eliminate(J), fit.eliminate(fit.residuals), fit.weights
+        H[number], g[number] = (J * w[:, None]).T @ J, J.T @ (w * e)
+        fits.append(fit)
+    return H, g, fits
 
 
-def _find_prior(T_axis_lidar: FloatArray) -> FloatArray:
-    """Return the prior standard deviations of the parameters for a lidar that is mounted so (6,).
+def find_axis_lean(
+    samples: Samples, values: FloatArray, planes: list[IntArray], fits: list[PlaneFit]
+) -> dict[str, tuple[float, float]]:
+    """Return the lean of the turntable's axis against the floor and its standard error [rad].
 
-    A lidar that looks along the axis about which it is turned rolls about it too: planes do not
-    tell its roll from the zero of the angle, so that it stays 0.
+    With n the normal of the floor in the designed frame ``scan``, R^T e_z = n for the lean
+    R = Ry(pitch) Rx(roll).
     """
-    sigmas = PRIOR_SIGMAS.copy()
-    if abs(T_axis_lidar[2, 0]) > ALONG_AXIS:
-        sigmas[PARAMETERS.index("roll")] = FIXED_SIGMA
-    return sigmas
+    T = samples.T_scan_axis
+    assert T is not None
+    normals, weights = [], []
+    for plane, fit in zip(planes, fits, strict=True):
+        # Turn its normal up
+        normal = T[:3, :3] @ fit.best_normal
+        normal = normal if normal[2] > 0 else -normal
+        height = T[2, :3] @ samples.points(values)[plane].mean(axis=0) + T[2, 3]
+        if normal[2] > STEEP and abs(height) < FLOOR_HEIGHT:
+            normals.append(normal)
+            weights.append(float(len(plane)))
+    if not normals:
+        return {}
+    n = np.average(normals, axis=0, weights=weights)
+    lean = (math.atan2(n[1], n[2]), -math.asin(n[0] / float(np.linalg.norm(n))))
+    sigma = FLOOR_SIGMA / math.sqrt(len(normals))
+    return {"axis_roll": (lean[0], sigma), "axis_pitch": (lean[1], sigma)}
 
 
 def _jackknife_errors(

@@ -36,16 +36,43 @@ def tilt_matrix(roll: float, pitch: float) -> FloatArray:
 def correct_extrinsics(observation: Observation, mount: MountConfig) -> Observation:
     """Return a sweep corrected by the calibrated ``mount``; as it is if all of it is 0.
 
-    The yaw scale is that of the wheels: a turntable measures its angle.
+    The yaw scale is that of the wheels: a turntable measures its angle. Play and lean of the axis
+    are those of a turntable.
     """
     if mount == MountConfig():
         return observation
     image = observation.image
-    scale = mount.yaw_scale if image.T_scan_axis is None else 0.0
-    yaws = (1.0 + scale) * image.yaws + mount.time_offset * measure_turn_rate(image)
+    axis, rate = image.T_scan_axis, measure_turn_rate(image)
+    scale = mount.yaw_scale if axis is None else 0.0
+    yaws = (1.0 + scale) * image.yaws + mount.time_offset * rate
     T = apply_mount(image.T_base_lidar, mount)
-    image = replace(image, yaws=read_only(yaws), T_base_lidar=read_only(T))
+    if axis is not None:
+        yaws = yaws + find_play_lag(mount.play, rate)
+        axis = read_only(lean_axis(axis, float(T[2, 3]), mount))
+    image = replace(image, yaws=read_only(yaws), T_base_lidar=read_only(T), T_scan_axis=axis)
     return replace(observation, image=image)
+
+
+def find_play_lag(play: float, rate: float) -> float:
+    """Return the angle [rad] by which a turntable of that ``play`` is ahead of its sensor."""
+    return -math.copysign(play / 2, rate) if rate else 0.0
+
+
+def lean_axis(T_scan_axis: FloatArray, along: float, mount: MountConfig) -> FloatArray:
+    """Return ``T_scan_axis`` (4, 4) with the lean of ``mount``, about the lidar's place on it.
+
+    Args:
+        T_scan_axis: Pose of the axis as designed (4, 4).
+        along: Place of the lidar along the axis [m].
+        mount: What was calibrated.
+    """
+    if mount.axis_roll == mount.axis_pitch == 0.0:
+        return T_scan_axis
+    T, R = T_scan_axis.copy(), tilt_matrix(mount.axis_roll, mount.axis_pitch)
+    middle = T[:3, 3] + along * T[:3, 2]
+    T[:3, :3] = R @ T[:3, :3]
+    T[:3, 3] = middle + R @ (T_scan_axis[:3, 3] - middle)
+    return np.asarray(T)
 
 
 def measure_turn_rate(image: RangeImage) -> float:
@@ -66,6 +93,9 @@ def compose_mounts(first: MountConfig, then: MountConfig) -> MountConfig:
         yaw_scale=(1.0 + first.yaw_scale) * (1.0 + then.yaw_scale) - 1.0,
         time_offset=first.time_offset + then.time_offset,
         yaw=first.yaw + then.yaw,
+        play=first.play + then.play,
+        axis_roll=first.axis_roll + then.axis_roll,
+        axis_pitch=first.axis_pitch + then.axis_pitch,
     )
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scan3d_twin.core.config import Config
+from scan3d_twin.core.config import Config, MountConfig
 from scan3d_twin.core.errors import DataLossError, LinkTimeoutError
 from scan3d_twin.core.hal import BunchingLidar, Robot
 from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
@@ -52,6 +52,8 @@ SILENT_PERIODS = 20
 MAX_OUTAGE = 60.0
 """Longest disconnection of the lidar before the sweep fails [s]: time to plug it in again, and 3 s
 for its motor to get up to speed; an assumption."""
+MIDDLE = math.radians(1.0)
+"""Angle of a turntable to either side that is its middle [rad], as noise changes the sign of 0."""
 LINES_PER_READ = 8
 """Lines that are read at once from a lidar that computes several faster than one by one."""
 
@@ -84,10 +86,12 @@ def sweep(
     config: Config,
     on_line: Callable[[ScanLine], None],
     half: float | None = None,
+    rightwards: bool | None = None,
 ) -> Observation:
     """Scan ``config.sweep.width`` and margins around the heading ``yaw`` in ``odom`` [rad].
 
-    A stand, which nothing turns, scans all round.
+    A stand, which nothing turns, scans all round, to the right: the play of its turntable then
+    turns all its views alike.
 
     Args:
         robot: At rest.
@@ -95,6 +99,7 @@ def sweep(
         config: The effective configuration.
         on_line: Called with each line as it arrives.
         half: Half the angle of a narrower sweep [rad].
+        rightwards: Direction of the turn; None starts at the nearer end, where that is not settled.
 
     Raises:
         DataLossError: Lines or parts of them are still missing after ``config.sweep.retries`` more
@@ -109,8 +114,10 @@ def sweep(
     if robot.turntable is not None:
         yaw, rate = robot.base.odometry().T_odom_base.yaw, turner.choose_rate(rate)
         half = turner.limit(half, whole, RUN_UP_LINES * rate * robot.lidar.spec.line_period)
+        if rightwards is None:
+            rightwards = robot.base.spec.is_stand or turner.heading() >= -MIDDLE
     started = robot.clock.now()
-    sector = _Sector(yaw, half, rate, LOST_LINE_GAP, turner)
+    sector = _Sector(yaw, half, rate, LOST_LINE_GAP, turner, rightwards)
     lines = _scan_sector(robot, sector, config, on_line)
     spacing = rate * robot.lidar.spec.line_period
     kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
@@ -145,7 +152,10 @@ def take_panorama(
     turn_by(robot, -half, config.motion)
     turn_to(robot, yaw, config.motion)
     observation = _assemble_observation(robot, lines, sector, started, config)
-    seen = correct_extrinsics(observation, config.mount)
+    mount = config.mount
+    if robot.turntable is not None:  # it knows the rest of the mount
+        mount = MountConfig(yaw_scale=mount.yaw_scale, time_offset=mount.time_offset)
+    seen = correct_extrinsics(observation, mount)
     if not is_upright(seen.image):
         return replace(seen, image=make_upright(seen.image))
     return replace(seen, image=unfold(seen.image)) if both_halves else seen

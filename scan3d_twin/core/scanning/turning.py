@@ -18,6 +18,7 @@ from scan3d_twin.core.errors import ConfigError, MotionTimeoutError
 from scan3d_twin.core.hal import Robot, Turntable
 from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
 from scan3d_twin.core.scanning.deskew import Lines, deskew_lines, deskew_table_lines
+from scan3d_twin.core.scanning.extrinsics import apply_mount, lean_axis
 from scan3d_twin.core.scanning.patterns import (
     MAX_LEAN,
     find_axis_mount,
@@ -25,6 +26,7 @@ from scan3d_twin.core.scanning.patterns import (
     is_ahead,
     is_through_middle,
     is_vertical,
+    rotate_z,
     turn_lidar,
 )
 from scan3d_twin.core.types import FloatArray, ScanLine, read_only, wrap
@@ -95,7 +97,10 @@ class BaseTurner:
         self._T_base_lidar = robot.T_base_lidar
 
     def park_table(self) -> None:
-        """Turn the turntable to where its plane is upright, if there is one."""
+        """Turn the turntable to where its plane is upright, if there is one, and note its mount.
+
+        The calibrated mount is that of the lidar on the turntable: it is part of this.
+        """
         robot = self._robot
         if robot.turntable is None:
             return
@@ -103,8 +108,11 @@ class BaseTurner:
         angle = find_parking_angle(robot.T_base_axis)
         turn_table(robot, robot.turntable, angle - PARKING_RUN_UP, ARRIVAL_RATE)
         turn_table(robot, robot.turntable, angle, ARRIVAL_RATE)
-        carried = robot.turntable.angle().angle - robot.turntable.spec.play / 2
-        self._T_base_lidar = turn_lidar(robot.T_base_axis, robot.T_base_lidar, carried)
+        mount = self._config.mount
+        carried = robot.turntable.angle().angle - (robot.turntable.spec.play + mount.play) / 2
+        T = apply_mount(find_axis_mount(robot.T_base_axis, robot.T_base_lidar), mount)
+        axis = lean_axis(robot.T_base_axis, float(T[2, 3]), mount)
+        self._T_base_lidar = np.asarray(axis @ rotate_z(carried) @ T)
 
     @property
     def looks_up(self) -> bool:

@@ -34,6 +34,9 @@ class RangeImage:
             ``spec``; None where all lines have those of ``spec``.
         T_scan_axis: Pose of the turntable's axis, its z, in ``scan`` (4, 4); None where the base
             turned. A point is ``T_scan_axis Rz(yaw) T_base_lidar beam``.
+        noise: Noise along and across the lines that were measured, where those of the image are
+            others: range sigma at 0 m [m], its growth per metre, sigma of a line's yaw [rad],
+            factor for correlated beams (4,), NaN to be estimated; None if all is.
 
     >>> image = session.views[0].observation.image
     >>> image.ranges.shape == image.yaws.shape == image.points.shape[:2]
@@ -48,6 +51,7 @@ class RangeImage:
     T_base_lidar: FloatArray
     elevations: FloatArray | None = None
     T_scan_axis: FloatArray | None = None
+    noise: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if self.elevations is not None and np.array_equal(

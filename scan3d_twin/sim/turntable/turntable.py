@@ -21,13 +21,16 @@ MIN_HISTORY = 20_000
 class SimTurntable:
     """A ``Turntable`` on the twin; a ``Device`` of its clock."""
 
-    def __init__(self, world: World, model: TurntableModel, rng: np.random.Generator) -> None:
+    def __init__(
+        self, world: World, model: TurntableModel, rng: np.random.Generator, worn: float = 1.0
+    ) -> None:
         """Rest at the angle 0.
 
         Args:
             world: Its time.
             model: What it is.
             rng: Draws its play, and the noise of its sensor.
+            worn: Factor of its play.
         """
         self._world, self._model, self._rng = world, model, rng
         self.spec = TurntableSpec(
@@ -39,7 +42,8 @@ class SimTurntable:
             sample_period=model.sample_period,
             play=model.play,
         )
-        self.play = model.play * max(0.0, 1 + model.play_spread * float(rng.standard_normal()))
+        drawn = max(0.0, 1 + model.play_spread * float(rng.standard_normal()))
+        self.play = worn * model.play * drawn
         self._motion = Motion(self.play, HISTORY_STEPS * world.timestep)
         self._samples = 0
         self.next_step = self._due(1)

@@ -319,27 +319,11 @@ def tilted(pattern: str) -> RangeImage:
     return replace(image, ranges=ranges)
 
 
-def write_pilidar(path: Path, image: RangeImage, *, protocol: int = 4) -> None:
-    """Write ``image``, of a lidar on PiLiDAR's mount, as its raw scan."""
-    planes = []
-    for k in range(image.n_lines):
-        r = np.nan_to_num(image.ranges[k]) * 1000.0
-        e = image.spec.elevations
-        planes.append(np.stack([r * np.cos(e), r * np.sin(e), 100.0 * np.ones(len(e))], axis=1))
-    content = {
-        "header": {"scan_id": "240824-1230", "device_id": None},
-        "z_angles": [np.degrees(-image.yaws[k, 0]) for k in range(image.n_lines)],
-        "angular": None,
-        "cartesian": [plane.astype(np.float32) for plane in planes],
-    }
-    path.write_bytes(pickle.dumps(content, protocol=protocol))
-
-
 @pytest.mark.parametrize("protocol", [4, 5])
 def test_a_raw_scan_of_pilidar_gives_the_points_that_its_own_program_makes(tmp_path, protocol):
     image = sweep()
     image = replace(image, yaws=np.repeat(image.yaws[:, :1], image.spec.n_beams, axis=1))
-    write_pilidar(tmp_path / "240824-1230_lidar.pkl", image, protocol=protocol)
+    other_scanners.write_pilidar(tmp_path / "240824-1230_lidar.pkl", image, protocol=protocol)
     options = ImportOptions(Mount(height=0.0))
     (found,) = read_sweeps(tmp_path / "240824-1230_lidar.pkl", options, ignore)
     check_image(found)

@@ -37,7 +37,7 @@ def test_the_lidar_is_where_it_is_told_to_be() -> None:
     assert e == pytest.approx(about_y @ about_x @ d, abs=1e-3)
 
 
-@pytest.mark.parametrize("name", ["mount_lateral", "mount_roll", "mount_pitch"])
+@pytest.mark.parametrize("name", ["mount_lateral", "mount_roll", "mount_pitch", "mount_yaw"])
 def test_an_impossible_mount_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match=name):
         replace(IDEAL_ROBOT, **{name: 1.0})
