@@ -27,9 +27,12 @@ quick: $(SETUP)  ## run the tests that take no simulator, in a minute
 	@echo "the tests of the core, the codecs and the settings: under a minute on 2 cores"
 	$(BIN)/pytest -n 2 -m "not slow" tests/core tests/devices tests/run tests/recording
 
+# Three for two cores, as tests also wait for programs and emulated devices. Each takes a row of files,
+# whose fixtures are then made once.
+WORKERS ?= 3
 test: $(SETUP)  ## run all tests
-	@echo "all tests: 10 to 15 minutes on 2 cores; make quick takes one"
-	$(BIN)/pytest -n 2
+	@echo "all tests: about 10 minutes on 2 cores; make quick takes one"
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 
 check: $(SETUP)  ## format, lint, types, import rules, spelling
 	$(BIN)/ruff format --check $(SOURCES)

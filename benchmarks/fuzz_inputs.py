@@ -322,8 +322,8 @@ def _changed_record(each: Any, draw: Random) -> Any:
     """Return a metadata record or message with other content; of a session record, other JSON."""
     from mcap.records import Metadata
 
+    from scan3d_twin.recording.mcap import cdr
     from scan3d_twin.recording.mcap import ros_messages as ros
-    from scan3d_twin.recording.mcap import ros_records
 
     if isinstance(each, Metadata):
         texts = {name: change_text(text, draw) for name, text in each.metadata.items()}
@@ -343,7 +343,7 @@ def _changed_record(each: Any, draw: Random) -> Any:
         blob = change_bytes(blob, draw) if blob else blob
     kind = draw.choice(("views", "plans", "mark", "x")) if draw.random() < 0.05 else message.kind
     index = draw.choice((0, 1, 7, 2**31)) if draw.random() < 0.05 else message.index
-    _, data = ros_records.encode_record(each.nanoseconds / 1e9, kind, index, (text, blob))
+    _, data = cdr.encode_record(each.nanoseconds / 1e9, kind, index, (text, blob))
     return replace(each, data=data)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from short_runs import COARSE
 
 from scan3d_twin import extend
 from scan3d_twin.devices.registry import base_names, lidar_names, turntable_names
@@ -22,7 +23,7 @@ PAGE = ROOT / "docs" / "extending.md"
 FILE = re.compile(r"^`([\w./]+)`\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 """A file of the page: its name on a line of its own, and a block of code."""
 BUILD = "import sys; from hatchling.build import build_wheel; build_wheel(sys.argv[1])"
-RUN = ["--max-views", "2", "--planning.trials", "2", "--json"]
+RUN = ["--max-views", "2", "--planning.trials", "2", "--json", *COARSE]
 
 
 def with_packages(path):
@@ -105,7 +106,8 @@ def test_the_commands_of_the_page_run_in_order_in_one_folder(site, tmp_path):
     (tmp_path / "crates.xml").write_bytes((site / "crates.xml").read_bytes())
     commands = re.findall(r"^    (twin .*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     assert {command.split()[1] for command in commands} == {"sim", "export", "emulate"}
-    environment = {**with_packages([site]), "TWIN_MAX_VIEWS": "2"}
+    quick = {"TWIN_MAX_VIEWS": "2", "TWIN_SWEEP_YAW_RATE": "0.5", "TWIN_SWEEP_LOOK_RATE": "1.2"}
+    environment = {**with_packages([site]), **quick}
     for command in commands:
         words = [sys.executable, "-m", "scan3d_twin.cli", *shlex.split(command, comments=True)[1:]]
         with subprocess.Popen(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,16 @@ import numpy as np
 from scan3d_twin.core.model.evaluation import (
     Comparison,
     Distances,
+    Evaluation,
     Reference,
     evaluate_model,
     is_of_target,
     measure_mesh_accuracy,
 )
-from scan3d_twin.core.model.fused_cloud import build_view_clouds, join_models
+from scan3d_twin.core.model.fused_cloud import Model, build_view_clouds, join_models
 from scan3d_twin.core.model.mesh import Mesh, build_mesh
 from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import FloatArray
 from scan3d_twin.recording.ply import model_ply
 from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.closed_loop import Truth
@@ -57,16 +60,11 @@ def save_run(
     # Evaluate against the ground truth
     seen = build_view_clouds(session)
     model = join_models([each.cleaned for each in seen])
-    known = truth is not None and len(model) and is_of_target(session, truth)
-    reference = (
-        Reference.of(session, truth, settings.run.target) if truth is not None and known else None
-    )
-    compared = None if reference is None else Comparison.of(model, reference)
-    evaluation = None if reference is None else evaluate_model(session, model, reference, compared)
-
     mesh = build_mesh(session, seen)
+    found = _evaluate(session, model, mesh, truth, settings.run.target)
 
     # Build the report
+    known = () if truth is None else _list_notes(truth, found.reference, settings)
     report = build_report(
         scene,
         settings,
@@ -74,41 +72,70 @@ def save_run(
         journey,
         effort,
         len(model),
-        evaluation,
-        None if reference is None else _mesh_accuracy(session, mesh, reference),
-        (*notes, *(() if truth is None else _list_notes(truth, reference, settings))),
+        found.evaluation,
+        found.mesh_accuracy,
+        (*notes, *known),
     )
 
-    # Write views in their final poses
+    # Write views in their final poses, model, pictures and report
+    _write_views(folder, session)
+    way = place_track(journey.track, session)[:, :2]
+    pictures = Pictures(_draw_top_view(session, model, report, way, found), scene_picture)
+    write_file(folder / "model.ply", model_ply(model, "metres, frame world"))
+    write_file(folder / "top_view.svg", pictures.top_view)
+    write_file(folder / "report.json", report_json(report))
+    if scene_picture:
+        write_file(folder / "scene.png", scene_picture)
+    shown = show_run(session, model, mesh, found.compared)
+    options = settings_toml(settings)
+    page = render_report_page(report, options, session, shown, pictures, found.evaluation)
+    write_file(folder / "report.html", page)
+    return report
+
+
+@dataclass(frozen=True)
+class _Findings:
+    """What the truth says of a run; nothing where it is not known or of another thing."""
+
+    reference: Reference | None = None
+    compared: Comparison | None = None
+    evaluation: Evaluation | None = None
+    mesh_accuracy: Distances | None = None
+
+
+def _evaluate(
+    session: Session, model: Model, mesh: Mesh, truth: Truth | None, target: str
+) -> _Findings:
+    """Return what the ``truth`` says of ``model`` and ``mesh``, where they show its ``target``."""
+    if truth is None or not len(model) or not is_of_target(session, truth, target):
+        return _Findings()
+    reference = Reference.of(session, truth, target)
+    compared = Comparison.of(model, reference)
+    evaluation = evaluate_model(session, model, reference, compared)
+    return _Findings(reference, compared, evaluation, _mesh_accuracy(session, mesh, reference))
+
+
+def _write_views(folder: Path, session: Session) -> None:
+    """Write the files of the views of ``session``, and remove those of views it has no more."""
     for index, each in enumerate(session.views):
         write_inside(folder, view_path(folder, index), view_bytes(each))
     _remove_views_from(len(session.views), folder)
 
-    # Write top view, model and report
-    picture = draw_top_view(
+
+def _draw_top_view(
+    session: Session, model: Model, report: Report, way: FloatArray, found: _Findings
+) -> str:
+    """Return the top view of ``model`` with the ``way`` (n, 2) [m] of the robot."""
+    return draw_top_view(
         model.points,
         model.view,
         [each.T_world_scan for each in session.views],
         sweep_width=session.config.sweep.width,
         standoff=session.config.planning.standoff,
         title=_title(report),
-        way=place_track(journey.track, session)[:, :2],
-        truth=None if compared is None else compared.surface,
+        way=way,
+        truth=None if found.compared is None else found.compared.surface,
     )
-    write_file(folder / "model.ply", model_ply(model, "metres, frame world"))
-    write_file(folder / "top_view.svg", picture)
-    write_file(folder / "report.json", report_json(report))
-    if scene_picture:
-        write_file(folder / "scene.png", scene_picture)
-
-    # Write the report page
-    pictures = Pictures(picture, scene_picture)
-    options = settings_toml(settings)
-    page = render_report_page(
-        report, options, session, show_run(session, model, mesh, compared), pictures, evaluation
-    )
-    write_file(folder / "report.html", page)
-    return report
 
 
 def _remove_views_from(count: int, folder: Path) -> None:
@@ -131,12 +158,17 @@ def _note_other_thing(
     """Say that another thing than the target was scanned, where there is no ``reference``."""
     if reference is not None:
         return
-    asked = settings.run.target
-    what = f"the target {asked!r} that was asked for" if asked in truth.targets else "a target"
-    known = ", ".join(truth.targets)
+    asked, known = settings.run.target, ", ".join(truth.targets)
+    what, cure = (
+        "a target",
+        "something else is in front of it, or more salient; --target chooses by name",
+    )
+    if asked in truth.targets:
+        what = f"the target {asked!r} that was asked for"
+        cure = "something else is in front of it; a site 'spawn' says where the robot starts"
     yield (
         f"What was scanned is not {what} of this scene ({known}), so there are no coverage and no "
-        "errors: something else is in front of it, or more salient; --target chooses by name."
+        f"errors: {cure}."
     )
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, get_args
 
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
-from scan3d_twin.cli.environment import refuse_unknown_variables
+from scan3d_twin.cli.environment import prefer_command_line, refuse_unknown_variables
 from scan3d_twin.cli.exit_codes import INTERRUPTED, WRONG_OPTION, exit_code
 from scan3d_twin.cli.output import discard, say
 from scan3d_twin.cli.signals import catch_ending_signals
@@ -90,7 +90,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(negative=(), show_env_var=False, show_default=_show_default),
-    config=(refuse_unknown_variables, _refuse_fractions),
+    config=(refuse_unknown_variables, prefer_command_line, _refuse_fractions),
 )
 for _name, (_place, _help) in COMMANDS.items():
     app.command(f"scan3d_twin.cli.commands.{_place}", name=_name, help=_help)

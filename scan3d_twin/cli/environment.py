@@ -4,11 +4,29 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from typing import Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from scan3d_twin import limits
 from scan3d_twin.cli.defaults import PREFIX
 from scan3d_twin.core.errors import ConfigError, find_near_name
+
+if TYPE_CHECKING:
+    from cyclopts import ArgumentCollection
+
+SYNONYMS = (("--robot", "--base"), ("--epsilon", "--planning.epsilon"))
+"""Options that are the same."""
+
+
+def prefer_command_line(_: Any, command: tuple[str, ...], arguments: ArgumentCollection) -> None:
+    """Forget what the environment says of an option that is given under its other name.
+
+    A hook that cyclopts calls before each command.
+    """
+    for names in SYNONYMS:
+        same = [each for each in arguments if each.name in names]
+        if any(token.source == "cli" for each in same for token in each.tokens):
+            for each in same:
+                each.tokens[:] = [token for token in each.tokens if token.source == "cli"]
 
 
 def refuse_unknown_variables(*_: Any) -> None:
@@ -38,13 +56,14 @@ def _suggest_cure(name: str, known: Iterable[str]) -> str:
 def known_variables() -> frozenset[str]:
     """Return the variables that set an option of some command."""
     from scan3d_twin.cli.dotted import dotted_fields
-    from scan3d_twin.cli.options import PortOptions, RunOptions, SceneOptions
+    from scan3d_twin.cli.options import PortOptions, RunOptions, SceneOptions, TurntableOptions
     from scan3d_twin.cli.viewing import ViewOptions
     from scan3d_twin.core.config import Config
     from scan3d_twin.sim.config import TwinConfig
 
     dotted = (option.variable for option in dotted_fields(Config, TwinConfig))
-    return frozenset([*dotted, *_variables((SceneOptions, RunOptions, PortOptions, ViewOptions))])
+    described = (SceneOptions, TurntableOptions, RunOptions, PortOptions, ViewOptions)
+    return frozenset([*dotted, *_variables(described)])
 
 
 def _variables(classes: Iterable[type]) -> Iterator[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.coverable import find_coverable_surface
-from scan3d_twin.core.model.evaluation import Surface
+from scan3d_twin.core.model.sampled_surface import Surface
 from scan3d_twin.core.types import BoolArray
 from scan3d_twin.sim.kinematic import KinematicWorld
 from scan3d_twin.sim.ray_casting import RayCaster, choose_caster

@@ -28,9 +28,14 @@ class _Packer:
     """Collects the arrays of one value; an array that occurs twice is stored once."""
 
     def __init__(self) -> None:
-        self.blob = bytearray()
         self._places: dict[int, list[Any]] = {}
         self._alive: list[Array] = []
+        self._parts: list[memoryview | bytes] = []
+        self._size = 0
+
+    def blob(self) -> bytes:
+        """Return the bytes of all arrays; they are copied only here, as a view has megabytes."""
+        return b"".join(self._parts)
 
     def tree(self, value: Any) -> Any:
         """Return ``value`` as a tree of JSON types."""
@@ -58,11 +63,12 @@ class _Packer:
         if id(array) not in self._places:
             stored = _narrowed(array)
             self._places[id(array)] = [
-                array.dtype.str, list(array.shape), stored.dtype.str, len(self.blob)
+                array.dtype.str, list(array.shape), stored.dtype.str, self._size
             ]  # fmt: skip
             self._alive.append(array)
-            self.blob += stored.tobytes()
-            self.blob += bytes(-len(self.blob) % 8)
+            padding = bytes(-stored.nbytes % 8)
+            self._parts += [np.ascontiguousarray(stored).data, padding]
+            self._size += stored.nbytes + len(padding)
         return self._places[id(array)]
 
 
@@ -75,7 +81,7 @@ def pack(value: Any) -> Packed:
     """Return ``value``, a nest of dataclasses, tuples, arrays and scalars, as JSON and bytes."""
     packer = _Packer()
     tree = packer.tree(value)
-    return json.dumps(tree, separators=(",", ":"), allow_nan=False), bytes(packer.blob)
+    return json.dumps(tree, separators=(",", ":"), allow_nan=False), packer.blob()
 
 
 def pack_fields(value: Any, unlike: Any = None) -> Packed:
@@ -86,7 +92,7 @@ def pack_fields(value: Any, unlike: Any = None) -> Packed:
         for f in stored_fields(type(value))
         if unlike is None or getattr(value, f.name) is not getattr(unlike, f.name)
     }
-    return json.dumps(changed, separators=(",", ":"), allow_nan=False), bytes(packer.blob)
+    return json.dumps(changed, separators=(",", ":"), allow_nan=False), packer.blob()
 
 
 def unpack(hint: Any, packed: Packed) -> Any:

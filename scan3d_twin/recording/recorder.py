@@ -247,7 +247,9 @@ class Recorder:
         here = self._attached().base.odometry().T_odom_base
         self.mark = replace(self.mark, stamp=now, T_odom_base=here)
         for kind, index, packed in self._log.changes(session, self.mark):
-            self._file.write(RECORDS, now, ros_records.encode_record(now, kind, index, packed))
+            record = cdr.encode_record(now, kind, index, packed)
+            del packed  # megabytes, which the record holds now
+            self._file.write(RECORDS, now, record)
         self._file.flush(now)
         self._file.sink.sync()
         self._kept = True

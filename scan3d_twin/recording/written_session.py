@@ -169,7 +169,7 @@ def _append(file: McapFile, before: Session | None, session: Session, mark: Mark
     log = SessionLog(before)
     for state in (replace(session, stop_reason=""), session):
         for kind, index, packed in log.changes(state, mark):
-            record = ros_records.encode_record(mark.stamp, kind, index, packed)
+            record = cdr.encode_record(mark.stamp, kind, index, packed)
             file.write(RECORDS, mark.stamp, record)
     write_display(file, mark.stamp, session)
     return mark

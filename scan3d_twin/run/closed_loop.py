@@ -31,7 +31,7 @@ Timer = Callable[[], float]
 class Truth(truth.Truth, Protocol):
     """The ground truth of the twin, which also knows its targets by name."""
 
-    def locate(self, name: str) -> tuple[float, float]:
+    def locate_shown(self, name: str) -> tuple[float, float]:
         """Return the place (x, y) in ``odom`` [m] of the target ``name``."""
         ...
 
@@ -233,7 +233,7 @@ def _find_target(text: str, truth: Truth | None) -> tuple[float, float] | None:
     if not text:
         return None
     if "," not in text and truth is not None:
-        return truth.locate(text)
+        return truth.locate_shown(text)
     return parse_place(text, "x,y in metres" if truth is None else NAME_OR_PLACE)
 
 

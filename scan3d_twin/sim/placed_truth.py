@@ -70,6 +70,6 @@ class PlacedTruth:
         """See ``Truth``."""
         return self._truth.first_opaque_hits(origins, directions)
 
-    def locate(self, name: str) -> tuple[float, float]:
+    def locate_shown(self, name: str) -> tuple[float, float]:
         """See ``Truth``."""
-        return self._truth.locate(name)
+        return self._truth.locate_shown(name)

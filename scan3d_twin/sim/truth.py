@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.lidar.glass import Panes
 from scan3d_twin.sim.lidar.scanner import Evidence
@@ -18,6 +19,10 @@ from scan3d_twin.sim.scenes.surface_samples import bounding_points, sample_geom
 
 MIN_FACE_HEIGHT = 0.002
 """Height below which a face that points down lies on the floor [m]."""
+SHOWN_SPACING = 0.05
+"""Distance of the samples by which a target is looked for from the start [m]."""
+AT_SURFACE = 0.01
+"""Largest distance of a hit from the sample that it shows [m]; assumption."""
 
 
 class PoseHistory(Protocol):
@@ -147,6 +152,28 @@ class Truth:
         x, y = ((extent.min(axis=0) + extent.max(axis=0)) / 2)[:2]
         odom = self._T_map_odom.inverse() @ Pose2(x, y)
         return odom.x, odom.y
+
+    def locate_shown(self, name: str) -> tuple[float, float]:
+        """Return the place (x, y) [m] in the odometry frame by which a panorama knows ``name``.
+
+        Of what the lidar sees of that target from the start it is nearest to the centre, which may
+        itself lie deep inside; the centre, if it sees nothing of it.
+
+        Raises:
+            UnknownNameError: There is no such target.
+        """
+        centre = self.locate(name)
+        points, _ = self.surface(SHOWN_SPACING, [name])
+        start = self._T_map_odom
+        rays = points - (start.x, start.y, LIDAR_HEIGHT)
+        lengths = np.linalg.norm(rays, axis=1)
+        origins = np.tile((start.x, start.y, LIDAR_HEIGHT), (len(rays), 1))
+        distances = self.first_opaque_hits(origins, rays / lengths[:, None])
+        places = start.inverse().apply(points[np.abs(distances - lengths) <= AT_SURFACE, :2])
+        if len(places) == 0:
+            return centre
+        x, y = places[np.argmin(np.linalg.norm(places - centre, axis=1))]
+        return float(x), float(y)
 
     def _scene_data(self) -> mujoco.MjData:
         """Return the present state of the scene, without the robot."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from cyclopts import App
+from short_runs import TWO_VIEWS
 
 from scan3d_twin.cli import main
 from scan3d_twin.cli.app import app
@@ -71,6 +72,5 @@ def fails(twin) -> Callable[..., str]:
 def finished(tmp_path_factory) -> tuple[Path, dict[str, object]]:
     """A finished run of two views: its folder and its report."""
     folder = tmp_path_factory.mktemp("runs") / "run"
-    scan = ["sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100"]
-    assert main([*scan, "--out", str(folder)]) == 0
+    assert main([*TWO_VIEWS, "--out", str(folder)]) == 0
     return folder, json.loads((folder / "report.json").read_text())

@@ -17,7 +17,8 @@ from scan3d_twin.bench.record import without_timings
 from scan3d_twin.bench.store import RESULTS_FILE, read_results
 
 QUICK = ("bench", "--scenes", "shiny_cylinder", "--presets", "paper", "--max-views", "1")
-FAST = (*QUICK, "--seeds", "4", "--jobs", "2")
+FOUR = (*QUICK, "--seeds", "4")
+FAST = (*FOUR, "--jobs", "2")
 
 
 def lines(folder: Path) -> int:
@@ -88,7 +89,8 @@ def test_a_killed_bench_goes_on_and_ends_as_if_nothing_had_been(whole, twin, tmp
 
 def test_shards_together_are_the_whole(whole, twin, tmp_path):
     for shard in ("2/3", "1/3", "3/3"):
-        assert twin(*FAST, "--shard", shard, "--out", tmp_path / "parts").code == 0
+        alone = ("--shard", shard, "--jobs", "1", "--out", tmp_path / "parts")
+        assert twin(*FOUR, *alone).code == 0
     names = {path.name for path in (tmp_path / "parts").glob("journal*")}
     assert names == {f"journal-{k}of3.jsonl" for k in (1, 2, 3)}
     assert records(tmp_path / "parts") == records(whole)
@@ -115,8 +117,9 @@ def _alive(pid: int) -> bool:
 
 def test_more_seeds_are_added_to_what_there_is(whole, twin, tmp_path):
     folder = tmp_path / "grown"
-    assert twin(*QUICK, "--seeds", "1", "--out", folder).code == 0
-    result = twin(*QUICK, "--seeds", "2", "--out", folder)
+    alone = ("--jobs", "1", "--out", folder)
+    assert twin(*QUICK, "--seeds", "1", *alone).code == 0
+    result = twin(*QUICK, "--seeds", "2", *alone)
     assert "1 of 2 runs are done already" in result.err
     assert records(folder) == records(whole)[:2]
 

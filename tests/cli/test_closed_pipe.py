@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from short_runs import ONE_VIEW
 
 TWIN = [sys.executable, "-m", "scan3d_twin.cli"]
 
@@ -45,8 +46,7 @@ def test_an_error_that_nobody_reads_keeps_its_code(arguments):
 
 
 def test_a_run_goes_on_when_nobody_reads_its_progress(tmp_path):
-    arguments = ("sim", "--max-views", 1, "--sweep.yaw-rate", 0.5, "--out", tmp_path / "run")
-    done = unread(*arguments, stream="stderr")
+    done = unread(*ONE_VIEW, "--out", tmp_path / "run", stream="stderr")
     assert done.returncode == 0
     assert "1 view, " in done.stdout
     assert (tmp_path / "run" / "model.ply").is_file()

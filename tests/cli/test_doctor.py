@@ -6,7 +6,7 @@ import pytest
 from round_scene import RoundScene
 from virtual import VirtualClock
 
-from scan3d_twin.cli.commands.doctor import _lidar
+from scan3d_twin.cli.checks import check_lidar
 from scan3d_twin.devices.device import Finding
 from scan3d_twin.devices.ldrobot.device import STL27L
 from scan3d_twin.devices.ldrobot.emulator import LdEmulator
@@ -22,7 +22,7 @@ def examine(monkeypatch: pytest.MonkeyPatch, flips: float) -> dict[str, Finding]
     monkeypatch.setattr(
         "scan3d_twin.devices.links.transport.SerialTransport", lambda port: Wire(line, clock)
     )
-    return {finding.what: finding for finding in _lidar(STL27L, "/dev/lidar", clock)}
+    return {finding.what: finding for finding in check_lidar(STL27L, "/dev/lidar", clock)}
 
 
 def test_damage_is_judged_by_the_bytes_not_by_the_lines(monkeypatch: pytest.MonkeyPatch) -> None:

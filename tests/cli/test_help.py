@@ -9,13 +9,15 @@ from typing import get_args
 
 import pytest
 
+from scan3d_twin.bench.spec import suite_names
 from scan3d_twin.cli.app import app
 from scan3d_twin.cli.commands.options import default_of
 from scan3d_twin.cli.commands.sim import SimOptions, resolve
 from scan3d_twin.cli.dotted import dotted_fields
 from scan3d_twin.core.config import Config, Tour
 from scan3d_twin.core.options import option_key
-from scan3d_twin.sim.config import TwinConfig
+from scan3d_twin.core.presets import PRESETS
+from scan3d_twin.sim.config import WORLDS, TwinConfig
 
 SCREEN = (100, 40)
 """Columns (set in conftest.py) and lines of a terminal on which a help page must fit."""
@@ -145,16 +147,22 @@ def test_an_unknown_section_lists_the_known_ones(fails):
     assert all(name in error for name in ("'planing'", "planning", "sweep", "lidar"))
 
 
-def test_what_is_listed_can_be_given(twin):
+@pytest.mark.parametrize("underscores", [False, True])
+def test_what_is_listed_can_be_given(twin, underscores):
+    """All at once, as a command line takes long to parse."""
+    wanted, arguments = {}, []
     for option in dotted_fields(Config, TwinConfig):
         value = default_of(option)
         text = str(value).lower() if isinstance(value, bool) else str(value)
-        for flag in (option.flag, option.flag.replace("-", "_").replace("__", "--", 1)):
-            _, bound, _ = app.parse_args(
-                ["sim", f"{flag}={text}"], exit_on_error=False, print_error=False
-            )
-            given = bound.arguments["dotted"]
-            assert getattr(given, f"{option.section}__{option.name}") == value
+        flag = option.flag
+        if underscores:
+            flag = flag.replace("-", "_").replace("__", "--", 1)
+        arguments.append(f"{flag}={text}")
+        wanted[f"{option.section}__{option.name}"] = value
+    _, bound, _ = app.parse_args(["sim", *arguments], exit_on_error=False, print_error=False)
+    given = bound.arguments["dotted"]
+    assert len(wanted) == len(arguments) > 100
+    assert {name: getattr(given, name) for name in wanted} == wanted
 
 
 def test_no_option_has_an_underscore_in_its_name(commands):
@@ -170,3 +178,21 @@ def test_no_option_has_an_underscore_in_its_name(commands):
 
 def test_the_choices_of_a_tour_are_shown(twin):
     assert f"[choices: {', '.join(get_args(Tour))}]" in words(twin("sim", "--help").out)
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "names"),
+    [
+        ("bench", "--suite", suite_names()),
+        ("bench", "--presets", PRESETS),
+        ("bench", "--world", WORLDS),
+        ("sim", "--preset", PRESETS),
+        ("sim", "--world", WORLDS),
+        ("replay", "--preset", PRESETS),
+    ],
+)
+def test_the_names_that_an_option_takes_are_shown(twin, command, option, names):
+    rows = re.split(r" (?=--[a-z-]+ [A-Z]+)", words(twin(command, "--help").out))
+    (row,) = [row for row in rows if row.startswith(f"{option} ")]
+    told = re.sub(r"\[default: [^]]*\]", "", row.split(":", 1)[1])
+    assert sorted(re.findall(r"[a-z][a-z0-9-]+", re.sub(r"\bor\b", " ", told))) == sorted(names)

@@ -8,6 +8,7 @@ import sys
 
 import jsonschema
 import pytest
+from short_runs import COARSE
 
 import scan3d_twin.cli.app as program
 from scan3d_twin.cli import signals
@@ -19,7 +20,8 @@ from scan3d_twin.run.report import report_schema
 def test_a_signal_during_a_sweep_saves_the_finished_views(tmp_path, number):
     command = [sys.executable, "-m", "scan3d_twin.cli", "sim", "--scene", "sine_box", "--json"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen([*command, "--out", str(tmp_path / "run")], **pipes) as process:
+    command += [*COARSE, "--out", str(tmp_path / "run")]
+    with subprocess.Popen(command, **pipes) as process:
         seen = ""
         for line in process.stderr:
             seen += line
@@ -48,7 +50,7 @@ def test_a_closed_terminal_saves_the_finished_views(tmp_path):
     """As ssh closes it: nobody reads any more, and SIGHUP comes twice."""
     ours, theirs = os.openpty()
     command = [sys.executable, "-m", "scan3d_twin.cli", "sim", "--scene", "sine_box"]
-    command += ["--sweep.width", "0.8", "--sweep.yaw-rate", "0.5"]
+    command += ["--sweep.width", "0.8", *COARSE]
     lead = "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0);"
     lead += "os.execv(sys.argv[1], sys.argv[1:])"
     with subprocess.Popen(

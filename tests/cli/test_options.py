@@ -144,6 +144,26 @@ def test_the_list_says_how_a_file_names_the_options_of_the_command_line(twin):
     )
 
 
+@pytest.mark.parametrize("name", ["--robot", "--base"])
+def test_either_name_of_an_option_wins_over_the_environment(monkeypatch, name):
+    monkeypatch.setenv("TWIN_ROBOT", "create1")
+    assert effective().twin.robot == "create1"
+    assert effective(name, "roomba500").twin.robot == "roomba500"
+
+
+@pytest.mark.parametrize(
+    ("variable", "stated"),
+    [
+        ("TWIN_EPSILON", ("--planning.epsilon", "0.007")),
+        ("TWIN_PLANNING_EPSILON", ("--epsilon", "7")),
+    ],
+)
+def test_either_unit_of_epsilon_wins_over_the_environment(monkeypatch, variable, stated):
+    monkeypatch.setenv(variable, "5")
+    settings = effective(*stated)
+    assert settings.config.planning.epsilon == pytest.approx(0.007)
+
+
 def test_epsilon_wins_over_the_files_epsilon(tmp_path):
     Path("my.toml").write_text("planning.epsilon = 0.02")
     assert effective("--config", "my.toml").config.planning.epsilon == 0.02

@@ -82,42 +82,39 @@ def test_the_doctor_finds_nothing_wrong(ports):
     assert set(RATES) < set(findings)
 
 
-def test_the_doctor_names_cause_and_cure():
-    result = call("doctor", "--port", "/dev/nowhere", "--lidar-port", "/dev/null")
-    assert result.returncode == 3
-    assert "BAD  base port: /dev/nowhere does not exist\n     -> plug it in" in result.stdout
-    assert "/dev/null is no serial port" in result.stdout
-    assert result.stderr.startswith("error: ")
-    assert result.stderr.count("\n") == 1
+def test_the_doctor_names_cause_and_cure(twin):
+    result = twin("doctor", "--port", "/dev/nowhere", "--lidar-port", "/dev/null")
+    assert result.code == 3
+    assert "BAD  base port: /dev/nowhere does not exist\n     -> plug it in" in result.out
+    assert "/dev/null is no serial port" in result.out
+    assert result.err.startswith("error: ")
+    assert result.err.count("\n") == 1
 
 
-def test_the_doctor_asks_no_rplidar_before_a_base_is_found():
+def test_the_doctor_asks_no_rplidar_before_a_base_is_found(twin):
     """Its requests may be commands to a base, which may be on that port."""
     given = ["--port", "/dev/nowhere", "--lidar-port", "/dev/null", "--lidar", "rplidar_c1"]
-    result = call("doctor", *given, "--json")
-    assert result.returncode == 3
-    findings = {each["what"]: each for each in json.loads(result.stdout)}
+    result = twin("doctor", *given, "--json")
+    assert result.code == 3
+    findings = {each["what"]: each for each in json.loads(result.out)}
     assert findings["lidar"]["found"] == "not asked"
     assert "a base is first to be found" in findings["lidar"]["cure"]
 
 
-def test_the_doctor_says_that_one_port_is_given_for_both():
-    result = call("doctor", "--port", "/dev/null", "--lidar-port", "/dev/../dev/null")
-    assert result.returncode == 3
-    assert "BAD  ports: one for both" in result.stdout
-    assert "/dev/null, which is /dev/../dev/null," in result.stdout
+def test_the_doctor_says_that_one_port_is_given_for_both(twin):
+    result = twin("doctor", "--port", "/dev/null", "--lidar-port", "/dev/../dev/null")
+    assert result.code == 3
+    assert "BAD  ports: one for both" in result.out
+    assert "/dev/null, which is /dev/../dev/null," in result.out
 
 
 @pytest.mark.parametrize("command", [["real", "--dry-run"], ["real"], ["scan"]])
-def test_without_a_robot_one_line_says_what_to_do_and_nothing_is_left(command, tmp_path):
-    nowhere = ["--port", "/dev/nowhere", "--lidar-port", "/dev/nowhere"]
-    result = subprocess.run(
-        [*TWIN, *command, *nowhere], cwd=tmp_path, capture_output=True, text=True, timeout=60
-    )
-    assert result.returncode == 3
-    assert result.stdout == ""
+def test_without_a_robot_one_line_says_what_to_do_and_nothing_is_left(command, twin, tmp_path):
+    result = twin(*command, "--port", "/dev/nowhere", "--lidar-port", "/dev/nowhere")
+    assert result.code == 3
+    assert result.out == ""
     assert not list(tmp_path.rglob("*.*"))
-    assert result.stderr.splitlines(keepends=True)[-1] == (
+    assert result.err.splitlines(keepends=True)[-1] == (
         "error: there is no port /dev/nowhere: plug the device in; `twin doctor` lists the ports\n"
     )
 
@@ -200,16 +197,14 @@ def test_one_image_from_here(ports, tmp_path):
     assert {path.name for path in (tmp_path / "one").iterdir()} == {"scan.ply", "scan.npz"}
 
 
-def test_one_image_of_the_twin(tmp_path):
-    result = call("scan", "--scene", "three_boxes", "--width", "20", "--out", tmp_path / "one")
-    assert result.returncode == 0, result.stderr
-    assert "points" in result.stdout
+def test_one_image_of_the_twin(twin, tmp_path):
+    result = twin("scan", "--scene", "three_boxes", "--width", "20", "--out", tmp_path / "one")
+    assert result.code == 0, result.err
+    assert "points" in result.out
 
 
-def test_a_scene_and_a_port_do_not_go_together():
-    result = call("scan", "--scene", "three_boxes", "--port", os.devnull)
-    assert result.returncode == 2
-    assert "--scene" in result.stderr
+def test_a_scene_and_a_port_do_not_go_together(fails):
+    assert "--scene" in fails(2, "scan", "--scene", "three_boxes", "--port", os.devnull)
 
 
 def test_auto_is_the_lidar_that_is_plugged_in(monkeypatch, capsys):

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from short_runs import TWO_VIEWS
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.load import find_session_file, load_session, read_lines
 
-SCAN = ["sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100"]
 RESULTS = ("model.ply", "config.toml", "top_view.svg", "views/000.npz", "views/001.npz")
 
 
@@ -31,7 +31,7 @@ sys.exit(main(sys.argv[1:]))
 
 def kill(folder, words, count):
     """Kill a run ``count`` lines after it has said ``words``; return the stamp of its last line."""
-    command = [sys.executable, "-c", TOLD, *SCAN, "--out", str(folder)]
+    command = [sys.executable, "-c", TOLD, *TWO_VIEWS, "--out", str(folder)]
     told, said = [], False
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         for line in process.stderr:

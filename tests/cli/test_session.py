@@ -10,6 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from scan3d_twin.recording.load import load_session
+from scan3d_twin.recording.names import RECORDS
 from scan3d_twin.run.report import report_schema
 
 
@@ -72,12 +73,18 @@ def test_a_killed_run_can_be_looked_at_and_made_whole(run, twin):
 
 
 def test_a_view_in_a_damaged_part_is_the_only_loss_and_is_told(run, twin):
-    """The run's largest chunk is the record of a view; the messages of the others are counted."""
+    """The largest chunk of records alone is that of a view; messages of the others are counted."""
     path = run / "session.mcap"
     data = bytearray(path.read_bytes())
     with path.open("rb") as stream:
-        chunks = make_reader(stream).get_summary().chunk_indexes
-    largest = max(chunks, key=lambda each: each.compressed_size)
+        summary = make_reader(stream).get_summary()
+    topics = {number: channel.topic for number, channel in summary.channels.items()}
+    records = [
+        each
+        for each in summary.chunk_indexes
+        if {topics[number] for number in each.message_index_offsets} == {RECORDS}
+    ]
+    largest = max(records, key=lambda each: each.compressed_size)
     data[largest.chunk_start_offset + largest.chunk_length // 2] ^= 0x10
     path.write_bytes(data)
     result = twin("session", "recover", run)

@@ -6,11 +6,10 @@ import jsonschema
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
+from short_runs import COARSE, ONE_VIEW, TWO_VIEWS
 
 from scan3d_twin.run.report import TIMING_FIELDS, report_schema
 from scan3d_twin.sim.scenes.load import load_scene
-
-SCAN = ("sim", "--scene", "three_boxes", "--max-views", "2", "--epsilon", "100")
 
 
 def lasting(report):
@@ -82,21 +81,19 @@ def test_the_saved_settings_give_the_same_bytes_again(finished, twin):
         assert (folder / name).read_bytes() == Path("again", name).read_bytes(), name
 
 
-def test_json_is_one_document_and_equals_the_file(twin):
-    result = twin(*SCAN, "--json", "--seed", "1", "--out", "run")
+def test_json_is_one_document_and_equals_the_file_and_another_seed_gives_another_model(
+    finished, twin
+):
+    result = twin(*TWO_VIEWS, "--json", "--seed", "1", "--out", "run")
     assert result.code == 0
     assert result.out == Path("run/report.json").read_text()
     jsonschema.validate(json.loads(result.out), report_schema())
     assert "view 0" in result.err
-
-
-def test_another_seed_gives_another_model(finished, twin):
-    assert twin(*SCAN, "--seed", "1", "--out", "run").code == 0
     assert (finished[0] / "model.ply").read_bytes() != Path("run/model.ply").read_bytes()
 
 
 def test_the_default_folder_is_named_after_the_scene(twin, tmp_path):
-    result = twin(*SCAN)
+    result = twin(*ONE_VIEW)
     assert result.code == 0
     (folder,) = (tmp_path / "runs").iterdir()
     assert folder.name.startswith("three_boxes-20")
@@ -106,8 +103,9 @@ def test_the_default_folder_is_named_after_the_scene(twin, tmp_path):
 def test_a_mesh_file_is_a_scene(twin, tmp_path):
     trimesh.creation.box((300, 300, 500)).export(tmp_path / "crate.stl")
     result = twin(
-        "sim", "--scene", "crate.stl", "--mesh-scale", "0.001", "--max-views", "2", "--json"
-    )
+        "sim", "--scene", "crate.stl", "--mesh-scale", "0.001", "--max-views", "2", "--json",
+        *COARSE,
+    )  # fmt: skip
     assert result.code in (0, 4)
     assert json.loads(result.out)["scene"] == "crate"
     (folder,) = (tmp_path / "runs").iterdir()
@@ -120,7 +118,7 @@ def test_what_was_repaired_is_said_at_once_and_in_the_report(twin, tmp_path):
     box = trimesh.creation.box((0.3, 0.4, 0.5))
     box.invert()
     box.export(tmp_path / "crate.stl")
-    result = twin("sim", "--scene", "crate.stl", "--max-views", "1", "--json")
+    result = twin("sim", "--scene", "crate.stl", "--max-views", "1", "--json", *COARSE)
     note = "Mesh target: 12 of 12 faces are wound inwards and were turned."
     size, said, *_ = result.err.splitlines()
     assert size.startswith(
@@ -136,7 +134,7 @@ def test_a_target_that_was_not_scanned_is_told(twin, tmp_path):
         '<geom type="box" size=".2 .6 .5" pos="1.7 0 .5"/>'
         '<geom name="target" type="box" size=".1 .1 .1" pos="3.2 0 .1"/></worldbody></mujoco>'
     )
-    result = twin("sim", "--scene", "hidden.xml", "--max-views", "1", "--json")
+    result = twin("sim", "--scene", "hidden.xml", "--max-views", "1", "--json", *COARSE)
     report = json.loads(result.out)
     assert report["coverage_20mm"] is None
     assert "What was scanned is not a target of this scene (target)" in report["warnings"][0]
@@ -144,5 +142,5 @@ def test_a_target_that_was_not_scanned_is_told(twin, tmp_path):
 
 def test_a_target_can_be_named_or_placed(twin):
     name = next(iter(load_scene("three_boxes").targets))
-    assert twin(*SCAN, "--target", name, "--out", "named").code == 0
-    assert twin(*SCAN, "--target", "1.6,-0.6", "--out", "placed").code == 0
+    assert twin(*ONE_VIEW, "--target", name, "--out", "named").code == 0
+    assert twin(*ONE_VIEW, "--target", "1.6,-0.6", "--out", "placed").code == 0

@@ -2,6 +2,7 @@ import json
 import tomllib
 
 import pytest
+from short_runs import COARSE
 from two_targets import TWO
 
 
@@ -14,7 +15,8 @@ def scene(tmp_path):
 
 def test_each_target_is_a_run_in_a_folder_of_its_own(twin, fails, scene, tmp_path):
     out = tmp_path / "both"
-    told = twin("sim", "--scene", scene, "--targets", 3, "--max-views", 2, "--out", out, "--json")
+    given = ("--targets", 3, "--max-views", 2, "--out", out, "--json", *COARSE)
+    told = twin("sim", "--scene", scene, *given)
     assert told.code == 0
     assert "found 2 of 3 targets" in told.err
     reports = json.loads(told.out)["targets"]

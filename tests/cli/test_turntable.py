@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from scan3d_twin.cli.commands import doctor
-from scan3d_twin.cli.commands.doctor import DoctorOptions, examine
+from scan3d_twin.cli.checks import check_latency
+from scan3d_twin.cli.commands.doctor import TURNTABLE_NOT_ASKED, DoctorOptions, examine
 from scan3d_twin.cli.commands.emulate import EmulateOptions, ports
 from scan3d_twin.cli.commands.real import (
     RealOptions,
@@ -65,20 +65,20 @@ def test_a_dry_run_reads_its_angle(served):
 def test_without_a_base_nothing_is_sent_to_it():
     given = {"port": "/dev/nowhere", "lidar_port": "/dev/null", "turntable_port": "/dev/zero"}
     findings = list(examine(DoctorOptions(**given)))
-    assert doctor.TURNTABLE_NOT_ASKED in findings
+    assert TURNTABLE_NOT_ASKED in findings
 
 
 def test_an_adapter_that_holds_bytes_back_is_named_with_its_cure(tmp_path):
     file = tmp_path / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
     file.parent.mkdir(parents=True)
     file.write_text("16\n")
-    (finding,) = doctor._latency("/dev/ttyUSB0", tmp_path)
+    (finding,) = check_latency("/dev/ttyUSB0", tmp_path)
     assert not finding.ok
     assert finding.cure == f"echo 1 | sudo tee {file}"
     file.write_text("1\n")
-    (finding,) = doctor._latency("/dev/ttyUSB0", tmp_path)
+    (finding,) = check_latency("/dev/ttyUSB0", tmp_path)
     assert finding.ok
-    assert list(doctor._latency("/dev/ttyACM0", tmp_path)) == []
+    assert list(check_latency("/dev/ttyACM0", tmp_path)) == []
 
 
 @pytest.mark.parametrize(

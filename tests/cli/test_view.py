@@ -4,6 +4,8 @@ import subprocess
 import sys
 import urllib.request
 
+from short_runs import ONE_VIEW
+
 from scan3d_twin.cli import main
 
 
@@ -25,8 +27,7 @@ def test_a_folder_without_a_run_is_no_view(fails):
 
 
 def test_a_run_may_be_watched_by_nobody(twin, tmp_path):
-    run = ("sim", "--max-views", "1", "--view", "--view-port", "0", "--out", "run")
-    result = twin(*run)
+    result = twin(*ONE_VIEW, "--view", "--view-port", "0", "--out", "run")
     assert result.code == 0
     assert (tmp_path / "run" / "model.ply").is_file()
     assert "live view: http://127.0.0.1:" in result.err

@@ -147,14 +147,26 @@ def test_text_on_the_banner_has_enough_contrast():
         assert 1.05 / (luminance(colour) + 0.05) >= 4.5  # WCAG AA, white text
 
 
-def test_the_way_driven_is_drawn_as_it_is_driven(view):
-    drawn = []
-    view.stage.show_path = lambda places: drawn.append(places)
-    with open_sim("three_boxes", 0) as (robot, _):
-        session = run_loop(
-            view.attach(robot), make_planner("siicp"), paper_config(max_views=2), 0, view
-        )
-        end = session.views[-1].T_world_scan
+@pytest.fixture(scope="module")
+def watched():
+    """A live view of two views in the twin; the session, its evaluation and the ways drawn."""
+    scene, drawn = load_scene("three_boxes"), []
+    with (
+        open_live_view(
+            LOOPBACK, 0, "boxes", "unlimited", lambda _: None, lambda: scene_triangles(scene)
+        ) as view,
+        open_sim("three_boxes", 0) as (robot, truth),
+    ):
+        view.stage.show_path = lambda places: drawn.append(places)
+        robot = view.attach(robot, truth)
+        assert view._place_surface() is None  # the first view defines where it is
+        session = run_loop(robot, make_planner("siicp"), paper_config(max_views=2), 0, view)
+        yield view, session, evaluate(session, truth), drawn
+
+
+def test_the_way_driven_is_drawn_as_it_is_driven(watched):
+    _, session, _, drawn = watched
+    end = session.views[-1].T_world_scan
     way = drawn[-1]
     steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
     assert len(way) > 3
@@ -162,25 +174,16 @@ def test_the_way_driven_is_drawn_as_it_is_driven(view):
     assert np.linalg.norm(way[-1] - (end.x, end.y)) < 0.15
 
 
-def test_in_the_twin_the_realised_errors_and_the_true_surface_are_shown():
-    scene = load_scene("three_boxes")
-    with (
-        open_live_view(
-            LOOPBACK, 0, "boxes", "unlimited", lambda _: None, lambda: scene_triangles(scene)
-        ) as view,
-        open_sim("three_boxes", 0) as (robot, truth),
-    ):
-        robot = view.attach(robot, truth)
-        assert view._place_surface() is None  # the first view defines where it is
-        session = run_loop(robot, make_planner("siicp"), paper_config(max_views=2), 0, view)
-        error = evaluate(session, truth).pairs[0].error
-        assert f"| {1e3 * error:.1f} mm |" in view._errors.content
-        assert "realised" in view._errors.content
+def test_in_the_twin_the_realised_errors_and_the_true_surface_are_shown(watched):
+    view, session, evaluation, _ = watched
+    error = evaluation.pairs[0].error
+    assert f"| {1e3 * error:.1f} mm |" in view._errors.content
+    assert "realised" in view._errors.content
 
-        # The true surface lies on the model
-        points, _ = sample_triangles(view._place_surface(), 0.005)
-        off, _ = cKDTree(points).query(build_model(session).points)
-        assert np.median(off) < 0.010  # range noise of the lidar
+    # The true surface lies on the model
+    points, _ = sample_triangles(view._place_surface(), 0.005)
+    off, _ = cKDTree(points).query(build_model(session).points)
+    assert np.median(off) < 0.010  # range noise of the lidar
 
 
 def test_a_pause_is_said_once():
@@ -193,14 +196,11 @@ def test_a_pause_is_said_once():
     assert notes[1:] == [ANNOUNCED["pausing"], ANNOUNCED["paused"], ANNOUNCED["running"]]
 
 
-def test_watching_changes_nothing(view):
-    def run(observer, attach):
-        with open_sim("three_boxes", 3) as (robot, truth):
-            planner = make_planner("siicp")
-            return run_loop(attach(robot, truth), planner, paper_config(max_views=2), 3, observer)
-
-    watched, alone = run(view, view.attach), run(Unobserved(), lambda robot, _: robot)
-    for mine, other in zip(watched.views, alone.views, strict=True):
+def test_watching_changes_nothing(watched):
+    with open_sim("three_boxes", 0) as (robot, _):
+        config = paper_config(max_views=2)
+        alone = run_loop(robot, make_planner("siicp"), config, 0, Unobserved())
+    for mine, other in zip(watched[1].views, alone.views, strict=True):
         assert mine.T_world_scan == other.T_world_scan
         np.testing.assert_array_equal(mine.observation.image.ranges, other.observation.image.ranges)
 

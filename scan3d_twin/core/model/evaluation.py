@@ -17,6 +17,7 @@ from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.model.coverable import find_coverable_surface
 from scan3d_twin.core.model.fused_cloud import Model, build_model, thin_by_voxel
 from scan3d_twin.core.model.mesh import Mesh
+from scan3d_twin.core.model.sampled_surface import Surface
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.session import Session, View
@@ -116,55 +117,6 @@ class Evaluation:
         """
         within = all(pair.error <= epsilon for pair in self.pairs)
         return bool(self.pairs) and within and self.f_score[0.020] >= MIN_F_SCORE
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A surface by samples, each of which represents a small flat patch.
-
-    Attributes:
-        points: The samples (n, 3) [m].
-        normals: Their unit normals (n, 3).
-        spacing: Their spacing [m].
-        tree: Search tree over ``points``.
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    spacing: float
-    tree: cKDTree
-
-    @staticmethod
-    def of(points: FloatArray, normals: FloatArray, spacing: float) -> Surface:
-        """Return the surface of these samples."""
-        return Surface(points, normals, spacing, cKDTree(points))
-
-    def distance(self, points: FloatArray) -> FloatArray:
-        """Return the distance (m,) [m] of ``points`` (m, 3) to the nearest samples' patches.
-
-        The patches are flat, so that the sampling adds no distance of its own.
-        """
-        _, index = find_nearest(self.tree, points)
-        return self._off(points, index)
-
-    def within(self, points: FloatArray, distance: float) -> BoolArray:
-        """Return which ``points`` (m, 3) are no farther away than ``distance`` [m].
-
-        Samples whose patches cannot be within reach are not searched for, which is quicker.
-        """
-        reach = (distance + self.spacing / np.sqrt(2)) * (1 + 1e-9)
-        found, index = find_nearest(self.tree, points, reach)
-        near = np.isfinite(found)
-        near[near] = self._off(points[near], index[near]) <= distance
-        return near
-
-    def _off(self, points: FloatArray, index: IntArray) -> FloatArray:
-        """Return the distance (m,) [m] of ``points`` (m, 3) to the patches ``index`` (m,)."""
-        offset, normals = points - self.points[index], self.normals[index]
-        along = np.sum(offset * normals, axis=1)
-        across = np.linalg.norm(offset - along[:, None] * normals, axis=1)
-        beside = np.maximum(0.0, across - self.spacing / np.sqrt(2))
-        return np.asarray(np.hypot(along, beside))
 
 
 @dataclass(frozen=True)
@@ -338,11 +290,17 @@ def _find_hinted(trees: Mapping[str, cKDTree], T_map_world: Pose2, session: Sess
     return [name for k, name in enumerate(trees) if np.mean(nearest == k) >= MIN_HINT_SHARE]
 
 
-def is_of_target(session: Session, truth: Truth) -> bool:
-    """Return whether ``session`` is of the target of ``truth``, and not of another thing."""
-    surface, _ = truth.surface(HINT_DISTANCE)
+def is_of_target(session: Session, truth: Truth, asked: str = "") -> bool:
+    """Return whether ``session`` is of the target of ``truth``, and not of another thing.
+
+    Most of the panorama's points are on it; of a target that was ``asked`` for by name, which may
+    be a part of what the robot takes for one thing, ``MIN_HINT_SHARE`` of them are.
+    """
+    named = asked in truth.targets
+    surface, _ = truth.surface(HINT_DISTANCE, [asked] if named else None)
     hint = lay_on_truth(session, truth).apply(session.hint)
-    return bool(np.median(find_nearest(cKDTree(surface[:, :2]), hint)[0]) <= HINT_DISTANCE)
+    distances = find_nearest(cKDTree(surface[:, :2]), hint)[0]
+    return bool(np.quantile(distances, MIN_HINT_SHARE if named else 0.5) <= HINT_DISTANCE)
 
 
 def measure_mesh_accuracy(mesh: Mesh, reference: Reference, rng: np.random.Generator) -> Distances:
@@ -442,16 +400,6 @@ def _sample_truth(truth: Truth, targets: Sequence[str]) -> Surface:
         return Surface.of(points, normals, TRUTH_SPACING)
     spacing = TRUTH_SPACING * float(np.sqrt(len(points) / MAX_TRUTH_SAMPLES))
     return Surface.of(*truth.surface(spacing, targets), spacing)
-
-
-def measure_surface_distance(
-    points: FloatArray, surface: FloatArray, normals: FloatArray, spacing: float
-) -> FloatArray:
-    """Return the distance (n,) [m] of ``points`` (n, 3) to a surface sampled every ``spacing`` [m].
-
-    ``Surface`` answers repeated queries faster.
-    """
-    return Surface.of(surface, normals, spacing).distance(points)
 
 
 def _compute_f_score(to_truth: FloatArray, to_model: FloatArray, distance: float) -> float:

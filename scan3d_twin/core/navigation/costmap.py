@@ -226,12 +226,12 @@ def _mark_observation(
     """Write what one observation shows into ``cells``."""
     image, pose = observation.image, observation.T_odom_scan
     points, reach, yaws = _recall_floor(image, config, workspace)
-    window = _find_window(pose, yaws, reach, origin, cells.shape)
-    part = cells[window]
-    part[
-        _is_swept(*_cell_centres(pose.inverse(), origin, window), yaws, reach) & (part != TOUCHED)
-    ] = FREE
-    _mark_cells(cells, origin, pose.apply(points), OBSTACLE)
+    place = np.array([pose.x, pose.y, math.cos(pose.yaw), math.sin(pose.yaw)])
+    done = engine.mark_floor(
+        cells, *cells.shape, origin, RESOLUTION, place, yaws, reach, len(yaws), points, len(points)
+    )
+    if done < 0:
+        raise MemoryError
     _mark_cells(cells, origin, np.array(observation.touched).reshape(-1, 2), TOUCHED)
 
 
@@ -244,27 +244,6 @@ def _mark_cells(cells: IntArray, origin: FloatArray, points: FloatArray, what: i
     inside = (i >= 0) & (i < cells.shape[0]) & (j >= 0) & (j < cells.shape[1])
     i, j = i[inside], j[inside]
     cells[i, j] = np.where(cells[i, j] == TOUCHED, TOUCHED, what)
-
-
-def _find_window(
-    pose: Pose2, yaws: FloatArray, reach: FloatArray, origin: FloatArray, shape: tuple[int, ...]
-) -> tuple[slice, slice]:
-    """Return the window of a grid ``shape`` (nx, ny) that lines from ``pose`` can have swept.
-
-    The area between two lines, up to the reach of both, is within the hull of their ends, apart
-    from the bulge of an arc over its chord.
-    """
-    # Bound the ends and the bulge
-    ends = reach[:, None] * np.stack([np.cos(yaws), np.sin(yaws)], axis=1)
-    corners = pose.apply(np.concatenate([np.zeros((1, 2)), ends]))
-    widest = min(float(np.max(-np.diff(yaws), initial=0.0)), math.pi)
-    margin = float(reach.max(initial=0.0)) * (1 - math.cos(widest / 2)) + RESOLUTION
-
-    # Convert to cells
-    low = np.floor((corners.min(axis=0) - margin - origin) / RESOLUTION).astype(np.int64)
-    high = np.ceil((corners.max(axis=0) + margin - origin) / RESOLUTION).astype(np.int64)
-    first, end = np.clip(low, 0, shape), np.clip(high, 0, shape)
-    return slice(int(first[0]), int(end[0])), slice(int(first[1]), int(end[1]))
 
 
 def _recall_floor(image: RangeImage, config: Config, workspace: Workspace | None) -> Floor:
@@ -297,7 +276,7 @@ def _find_floor(image: RangeImage, config: Config) -> Floor:
     # Measure the free reach
     reach = _free_reach(lines, distance, kinds, image.n_lines, config)
     yaws = image.yaws[:, image.spec.n_beams // 2].copy()
-    return Floor(points[solid, :2], reach, yaws)
+    return Floor(np.ascontiguousarray(points[solid, :2]), reach, yaws)
 
 
 def _free_reach(
@@ -320,28 +299,3 @@ def _free_reach(
     if done < 0:
         raise MemoryError
     return reach
-
-
-def _is_swept(x: FloatArray, y: FloatArray, yaws: FloatArray, reach: FloatArray) -> BoolArray:
-    """Return which places ``x``, ``y`` (nx, ny) are between two lines and within their reach."""
-    bearing, distance = np.arctan2(y, x), np.hypot(x, y)
-    middle = (yaws[0] + yaws[-1]) / 2
-    bearing = middle + (bearing - middle + np.pi) % (2 * np.pi) - np.pi
-
-    # Find the lines beside each
-    left = np.searchsorted(-yaws, -bearing, side="right") - 1
-    between = (left >= 0) & (left < len(yaws) - 1)
-    left = np.clip(left, 0, max(0, len(yaws) - 2))
-    both = np.minimum(reach[left], reach[np.minimum(left + 1, len(yaws) - 1)])
-    return np.asarray(between & (distance <= both))
-
-
-def _cell_centres(
-    T_scan_odom: Pose2, origin: FloatArray, window: tuple[slice, slice]
-) -> tuple[FloatArray, FloatArray]:
-    """Return x and y in ``scan`` of the middles of the cells of a window (nx, ny) [m]."""
-    i, j = (np.arange(part.start, part.stop) for part in window)
-    x = (origin[0] + (i + 0.5) * RESOLUTION)[:, None]
-    y = origin[1] + (j + 0.5) * RESOLUTION
-    c, s = math.cos(T_scan_odom.yaw), math.sin(T_scan_odom.yaw)
-    return T_scan_odom.x + c * x - s * y, T_scan_odom.y + s * x + c * y

@@ -53,7 +53,9 @@ def standardise(pairs: FloatArray) -> FloatArray:
 
 def robust_spread(values: FloatArray) -> float:
     """Return the robust standard deviation: 1.4826 median absolute deviations."""
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    off = np.array(values)
+    off -= engine.find_median(off, len(off))  # which reorders them, in a tenth of NumPy's time
+    return 1.4826 * float(engine.find_median(np.abs(off, out=off), len(off)))
 
 
 def weigh(z: FloatArray) -> FloatArray:

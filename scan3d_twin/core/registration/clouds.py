@@ -68,7 +68,7 @@ from scan3d_twin.core.registration.pose_prior import (
     PosePrior,
     deviation,
     displace,
-    predict_rmse,
+    predict_rmse_of_moments,
     shift_to_target,
 )
 from scan3d_twin.core.registration.undetermined import with_infinite_variance
@@ -269,7 +269,7 @@ class _Pair:
     @cached_property
     def reach(self) -> float:
         """RMS distance of the source's points from its origin [m]."""
-        return math.sqrt(float(np.mean(np.sum(self.source.points**2, axis=1))))
+        return math.sqrt(float(np.trace(self.source.moments.second)))
 
     @property
     def first_gate(self) -> float:
@@ -279,8 +279,8 @@ class _Pair:
         widest = min(WIDEST_GATE, WIDEST_SHARE * self.target.radius)
         if self.prior is None:
             return widest
-        points = self.source.points @ self.prior.T[:3, :3].T
-        return min(widest, PRIOR_GATE * predict_rmse(points, self.prior.covariance))
+        points = self.source.moments.rotated(self.prior.T[:3, :3])
+        return min(widest, PRIOR_GATE * predict_rmse_of_moments(points, self.prior.covariance))
 
     # --- starts ---
 
@@ -485,7 +485,7 @@ class _Pair:
         back = np.linalg.inv(shift)
         covariance = invert_information(information)
         undetermined = degenerate if self.prior is None else degenerate[:0]
-        predicted = predict_rmse(self.source.points @ T[:3, :3].T, covariance)
+        predicted = predict_rmse_of_moments(self.source.moments.rotated(T[:3, :3]), covariance)
         return RegistrationResult(
             T_target_source=read_only(T),
             covariance=read_only(

@@ -39,13 +39,12 @@ class Panorama:
     def of(points: FloatArray) -> Panorama:
         """Return the panorama of ``points`` (n, 3) [m] seen from their origin."""
         ranges, azimuth, elevation = _find_bins(points[:: max(1, len(points) // MOST_POINTS)])
-        image = np.full((AZIMUTHS, ELEVATIONS), np.inf)
-        np.minimum.at(image, (azimuth, elevation), ranges)
-        around = np.pad(image, ((1, 1), (0, 0)), mode="wrap")
-        around = np.minimum(np.minimum(around[:-2], around[1:-1]), around[2:])
-        around = np.pad(around, ((0, 0), (1, 1)), constant_values=np.inf)
+        image = np.full((AZIMUTHS + 2, ELEVATIONS + 2), np.inf)
+        np.minimum.at(image, (azimuth + 1, elevation + 1), ranges)
+        image[0], image[-1] = image[-2], image[1]  # azimuths go round
+        around = np.minimum(np.minimum(image[:-2], image[1:-1]), image[2:])
         nearest = np.minimum(np.minimum(around[:, :-2], around[:, 1:-1]), around[:, 2:])
-        return Panorama(nearest, np.isfinite(image))
+        return Panorama(nearest, np.isfinite(image[1:-1, 1:-1]))
 
     def contradiction(self, points: FloatArray, margin: float) -> float:
         """Return the share of ``points`` (n, 3) [m] in front of what was seen there, 0..1.

@@ -127,7 +127,10 @@ class Moments(NamedTuple):
 
     def turned(self, yaw: float) -> Moments:
         """Return the moments of the points rotated by ``yaw`` [rad] about z."""
-        R = Pose2(0.0, 0.0, yaw).matrix()[:3, :3]
+        return self.rotated(Pose2(0.0, 0.0, yaw).matrix()[:3, :3])
+
+    def rotated(self, R: FloatArray) -> Moments:
+        """Return the moments of the points rotated by ``R`` (3, 3)."""
         return Moments(R @ self.first, R @ self.second @ R.T)
 
 

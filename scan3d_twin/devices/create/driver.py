@@ -74,6 +74,9 @@ ASK_AGAIN = 0.1
 FRAME_AT_LOWEST = 1.5
 """Time that a base called back from 300 bit/s may take to send the frame that it had begun [s]: 45
 bytes."""
+KEEP_AWAKE = 60.0
+"""Time after which a base in Passive is sent its request again [s]: a Create 2 falls asleep after
+five minutes without a command (manual); that a request counts as one is an assumption."""
 CALL_AFTER_ASKS = 4
 """Unanswered requests before a standing base is called back from 300 bit/s."""
 ASKS_AT_ONE_SPEED = 10
@@ -235,6 +238,7 @@ class CreateBase:
             self._check_hazards(before, now)
         self._check_silence(now)
         self._read_at_rest(now)
+        self._keep_awake(now)
 
     def close(self) -> None:
         """Stop the wheels and leave the base in mode Passive; the port stays open."""
@@ -249,8 +253,8 @@ class CreateBase:
         return self._sent != (0, 0)
 
     def _ask(self, packets: tuple[Packet, ...]) -> Source:
-        self._packets = packets
-        self._heard = max(self._heard, self._clock.now() - SILENCE / 2)
+        self._packets, self._requested_at = packets, self._clock.now()
+        self._heard = max(self._heard, self._requested_at - SILENCE / 2)
         return open_source(self._transport, self.contact, packets, self._header_summed)
 
     def _ask_anew(self) -> Source:
@@ -585,3 +589,10 @@ class CreateBase:
             and self._packets == watched_packets(self.contact)
         ):
             self._source = self._ask(packets_at_rest(self.contact))
+
+    def _keep_awake(self, now: float) -> None:
+        """Repeat the request to a base that streams in Passive, before it falls asleep."""
+        is_due = now - self._requested_at > KEEP_AWAKE and isinstance(self._source, Stream)
+        if is_due and self.mode is Mode.PASSIVE and not is_away(self._transport):
+            self._transport.write(oi.stream(self._packets))
+            self._requested_at = now

@@ -5,10 +5,10 @@ No single answer decides, and no single missing one: a byte may be lost, and a l
 * Only a Create 2 has encoder counts (packets 43 and 44). It is named after ``AGREEING`` frames that
   contain them, each with its checksum. A Roomba 500 to 800 answers like a Create 2: only the user
   can tell which it is.
-* A Create 1 leaves that question unanswered (a refusal): the base answers a question of the same
-  length right before and right after it, so that neither the line nor the base is at fault. Only a
-  Create 1 has the command Show Script: it is named after a refusal and two equal answers to that.
-  Where they do not come, it takes ``REFUSALS`` refusals and the baud rate of a Create 1.
+* A Create 1 leaves that question unanswered (a refusal): the base answers other questions right
+  before and right after it, so that neither the line nor the base is at fault. Only a Create 1 has
+  the command Show Script: it is named after a refusal and two equal answers to that. Where they do
+  not come, it takes ``REFUSALS`` refusals and the baud rate of a Create 1.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from scan3d_twin.devices.create.link import (
     COUNTS,
     HALF_ANYTHING,
     HALF_DRIVE,
+    HALF_STREAM,
     MODE_SETTLE,
     Contact,
     Values,
@@ -37,11 +38,12 @@ from scan3d_twin.devices.links.transport import Transport
 
 log = logging.getLogger(__name__)
 
-CONNECT_TIMEOUT = 8.0
-"""Time within which a base is found, even while it boots after a reset [s]; assumption."""
-IDENTIFY_TIMEOUT = 2.2
-"""Time after the first answer within which the model is found [s]; assumption: with the search
-before it, people wait less than 3 s."""
+CONNECT_TIMEOUT = 2.9
+"""Time within which a base is found and its model is clear [s]; assumption: people wait 3 s."""
+BOOT_TIMEOUT = 6.0
+"""The same from when a base says that it boots [s]; it is deaf for 3 s then (assumption)."""
+BOOTS = b"bl-start"
+"""What a Create 2 and a Roomba print when they boot; robotics.stackexchange 7121."""
 ANSWER_TIMEOUT = 0.3
 """Time within which an answer begins [s]: ten periods, and 150 ms for a slow line (a network bridge
 or a busy computer); assumption."""
@@ -49,8 +51,8 @@ EXTRA_TIME = 0.1
 """Time that the question for encoder counts is given beyond the delay of the answer before it [s]:
 seven periods; assumption."""
 REPEAT = 0.06
-"""Time between two repetitions of an unanswered request, beyond the delay of the line [s]: four
-periods. Each repetition may be corrupted too, into a command that makes the base deaf."""
+"""Time between two repetitions of an unanswered request [s]: four periods. Each repetition may be
+corrupted too, into a command that makes the base deaf: only every second one comes so soon."""
 UNKNOWN_DELAY = 0.1
 """Delay of the line as long as no answer has shown it [s]; assumption."""
 QUIET = 3 * oi.PERIOD
@@ -63,12 +65,16 @@ REFUSALS = 3
 """Number of refusals that decide."""
 STARTS = 3
 """Number of Start commands after which the base must be in mode Passive: one may be lost."""
+MODE_QUESTION = (Packet.WALL, Packet.MODE)
+"""Question for the mode. Here and below the smallest packet comes first that is no opcode, as 7 is:
+where the number of packets is lost on the way, the base takes that one for it and waits for so many
+bytes; where the opcode is lost, it takes what follows for commands."""
 CONTROLS = (
-    (Packet.MODE, Packet.REQUESTED_RIGHT, Packet.REQUESTED_LEFT),
-    (Packet.MODE, Packet.REQUESTED_VELOCITY, Packet.REQUESTED_RADIUS),
+    (Packet.WALL, Packet.REQUESTED_RIGHT, Packet.REQUESTED_LEFT),
+    (Packet.WALL, Packet.REQUESTED_VELOCITY, Packet.REQUESTED_RADIUS),
 )
 """Questions that every base answers, as long as ``QUESTION``; in turn, so that an answer is new."""
-QUESTION = (Packet.MODE, *COUNTS)
+QUESTION = (Packet.WALL, *COUNTS)
 """Question that only a Create 2 answers."""
 
 
@@ -127,33 +133,30 @@ def find_base(transport: Transport, clock: Clock, stated: Model | None = None) -
         LinkError: It is not clear which model answers, or not the stated one does, or the port is
             gone.
     """
-    give_up = clock.now() + CONNECT_TIMEOUT
     questioner = _Questioner(transport, clock)
-    # At a wrong baud rate the base may hear Reset, or on a Create 1 Wait, which makes it deaf: try
-    # that of a stated model first
+    # On a noisy line a base at a wrong baud rate may hear Reset, or on a Create 1 Wait, which makes
+    # it deaf: try that of a stated model first
     bauds = BAUDS if stated is None else dict.fromkeys((stated.baud, *BAUDS))
-    # It may hear the start of a long command, too: complete it every 2nd time
-    tries = list(product((HALF_DRIVE, HALF_ANYTHING), bauds))
-    for number, (pad, baud) in enumerate(cycle(tries)):
-        if clock.now() > give_up:
+    # It may hear the start of a long command, too: complete ever longer ones
+    for pad, baud in cycle(product((HALF_DRIVE, HALF_STREAM, HALF_ANYTHING), bauds)):
+        if questioner.is_over():
             break
-        if number and number % len(tries) == 0:
+        if pad is HALF_ANYTHING and baud == next(iter(bauds)):
             clock.sleep(call_back(transport, BAUDS[0]))
 
         # Find the baud rate and the mode
         transport.set_baud(baud)
-        mode = questioner.start(pad, baud)
+        evidence = Evidence(baud)
+        mode = questioner.start(pad, evidence)
         if mode is None:
             continue
 
         # Find the model
-        evidence = Evidence(baud)
         questioner.gather(evidence, stated)
         transport.write(oi.command(Op.PAUSE_RESUME, 0))
-        if evidence.controls:
-            model = _decide(evidence, stated)
-            log.info("found a %s at %d baud: %s", model.name, baud, evidence)
-            return Contact(model, baud, mode - Mode.PASSIVE)
+        model = _decide(evidence, stated)
+        log.info("found a %s at %d baud: %s", model.name, baud, evidence)
+        return Contact(model, baud, mode - Mode.PASSIVE)
 
     speeds = ", ".join(map(str, BAUDS))
     raise LinkTimeoutError(
@@ -192,19 +195,27 @@ class _Questioner:
         self._header_summed: bool | None = None
         self._delay = UNKNOWN_DELAY
         self._counts = StreamParser(QUESTION)
+        self._tail, self._give_up = b"", clock.now() + CONNECT_TIMEOUT
 
-    def start(self, pad: bytes, baud: int) -> int | None:
+    def is_over(self) -> bool:
+        """Return whether the time for all questions is over."""
+        return self._clock.now() > self._give_up - ROUNDING
+
+    def start(self, pad: bytes, evidence: Evidence) -> int | None:
         """Bring the base into mode Passive and return the mode that it then reports.
 
-        None if no base answers at this ``baud`` rate [bit/s]. It is sent ``pad`` first, to complete
-        what it has not received in full. Where it does not report Passive, Start may have been
-        lost, so it is sent again before the mode counts as reported one too high.
+        None if no base answers at the baud rate of ``evidence``, to which the answers are added. It
+        is sent ``pad`` first, to complete what it has not received in full. Where it does not
+        report Passive, Start may have been lost, so it is sent again before the mode counts as
+        reported one too high.
         """
         mode = None
         for _ in range(STARTS):
             self._transport.write(pad + oi.command(Op.START))
-            self._clock.sleep(len(pad) * 10 / baud + MODE_SETTLE)
-            heard = {values[Packet.MODE] for values in self._ask([Packet.MODE], ANSWER_TIMEOUT)}
+            self._clock.sleep(len(pad) * 10 / evidence.baud + MODE_SETTLE)
+            answers = self._ask(MODE_QUESTION, ANSWER_TIMEOUT, evidence)
+            heard = {values[Packet.MODE] for values in answers}
+            evidence.controls += bool(heard)
             if not heard:
                 return mode
             if heard in ({Mode.PASSIVE}, {Mode.PASSIVE + 1}):
@@ -215,32 +226,33 @@ class _Questioner:
 
     def gather(self, evidence: Evidence, stated: Model | None) -> None:
         """Ask the base until its model is clear, or the ``stated`` one is supported; add it all."""
-        deadline = self._clock.now() + IDENTIFY_TIMEOUT
         self._counts = StreamParser(QUESTION)
-        was_unanswered, pads = False, cycle((HALF_DRIVE, HALF_ANYTHING))
+        # The answer to ``start`` was the first control
+        is_heard, pads = True, cycle((HALF_STREAM, HALF_STREAM, HALF_ANYTHING))
         for control in cycle(CONTROLS):
-            # Find out whether the base answers, and how fast
-            asked_at = self._clock.now()
+            # Ask for the encoder counts
+            was_unanswered = False
+            if is_heard:
+                evidence.asked += 1
+                self._ask(QUESTION, self._delay + EXTRA_TIME, evidence)
+                was_unanswered = not evidence.counts
+            else:
+                self._transport.write(next(pads))
+            if self._is_enough(evidence, stated):
+                return
+
+            # Find out whether the base answers at all
             is_heard = bool(self._ask(control, ANSWER_TIMEOUT, evidence, enough=1))
             evidence.controls += is_heard
             evidence.refused += was_unanswered and is_heard
-            if is_heard:
-                self._delay = self._clock.now() - asked_at
-            if was_unanswered and is_heard and not self._is_enough(evidence, stated):
-                evidence.shows_script = evidence.shows_script or self._shows_script()
-            if self._is_enough(evidence, stated) or self._clock.now() > deadline:
+            if self._is_enough(evidence, stated) or self.is_over():
                 return
 
-            # Ask for the encoder counts
-            was_unanswered = False
-            if not is_heard:
-                self._transport.write(next(pads))
-                continue
-            evidence.asked += 1
-            self._ask(QUESTION, self._delay + EXTRA_TIME, evidence)
-            was_unanswered = not evidence.counts
-            if self._is_enough(evidence, stated):
-                return
+            # Ask for what only a Create 1 has
+            if was_unanswered and is_heard:
+                evidence.shows_script |= self._shows_script()
+                if self._is_enough(evidence, stated):
+                    return
 
     @staticmethod
     def _is_enough(evidence: Evidence, stated: Model | None) -> bool:
@@ -252,7 +264,7 @@ class _Questioner:
         self,
         packets: Sequence[Packet],
         timeout: float,
-        evidence: Evidence | None = None,
+        evidence: Evidence,
         enough: int = AGREEING,
     ) -> list[Values]:
         """Request a stream of ``packets`` until it comes; return its first frames.
@@ -260,42 +272,58 @@ class _Questioner:
         That is ``enough`` of them, or fewer if they do not come within ``timeout`` [s]. Encoder
         counts are added to ``evidence`` whatever was asked: they may be late.
         """
-        parser = self._counts if packets is QUESTION else StreamParser(packets)
+        is_question, frames = packets is QUESTION, list[Values]()
+        parser = self._counts if is_question else StreamParser(packets)
         parser.header_summed = self._header_summed
-        request_at = self._clock.now()
-        deadline, frames = request_at + timeout, list[Values]()
-        while (left := deadline - self._clock.now()) > ROUNDING and len(frames) < enough:
-            if self._clock.now() >= request_at:
+        asked_at = now = request_at = self._clock.now()
+        waits = cycle((REPEAT, self._delay + REPEAT))
+        deadline = min(asked_at + timeout, self._give_up)
+        # Read once after the deadline: this computer may have been busy meanwhile
+        while len(frames) < enough and now < deadline - ROUNDING:
+            # Request, and take what has arrived
+            if now >= request_at:
                 self._transport.write(oi.stream(packets))
-                request_at = self._clock.now() + self._delay + REPEAT
-            data = self._transport.read(min(oi.PERIOD, left))
-            frames += parser.feed(data)
-            if evidence is not None and parser is not self._counts:
+                request_at = now + next(waits)
+            data = self._read(max(0.0, min(oi.PERIOD, deadline - self._clock.now())))
+            now = self._clock.now()
+
+            # Sort the answers
+            answers = parser.feed(data)
+            if answers and not frames and not is_question:
+                self._delay = now - asked_at
+            frames += answers
+            if not is_question:
                 evidence.counts += len(self._counts.feed(data))
-        if evidence is not None and parser is self._counts:
+        if is_question:
             evidence.counts += len(frames)
         self._header_summed = parser.header_summed
         return frames
 
     def _shows_script(self) -> bool:
-        """Return whether the base answers Show Script twice alike: its length, then its bytes."""
-        # Wait until the line is quiet
-        self._transport.write(oi.command(Op.PAUSE_RESUME, 0))
-        self._read_until_quiet(self._delay + QUIET)
+        """Return whether the base answers Show Script twice alike: its length, then its bytes.
 
-        # Ask twice
-        answers = []
-        for _ in range(2):
-            self._transport.write(oi.command(Op.SHOW_SCRIPT))
-            answers.append(self._read_until_quiet(self._delay + 2 * QUIET))
-            if len(answers[-1]) != 1 + next(iter(answers[-1]), 0):
-                return False
-        return answers[0] == answers[1]
+        The first answer follows what the stream still held: Show Script ends it.
+        """
+        before = self._show_script()
+        answer = self._show_script() if before else b""
+        return len(answer) == 1 + next(iter(answer), 0) and before.endswith(answer)
 
-    def _read_until_quiet(self, timeout: float) -> bytes:
-        """Return what arrives, from within ``timeout`` [s] until the line is quiet."""
-        data = b""
-        deadline = self._clock.now() + timeout + ANSWER_TIMEOUT
-        while (got := self._transport.read(timeout)) and self._clock.now() < deadline:
+    def _show_script(self) -> bytes:
+        """Send Show Script; return what arrives until the line is quiet, b"" if it never is."""
+        self._transport.write(oi.command(Op.SHOW_SCRIPT))
+        data, timeout = b"", self._delay + 2 * QUIET
+        deadline = min(self._clock.now() + timeout, self._give_up)
+        while got := self._read(timeout):
             data, timeout = data + got, QUIET
+            if self._clock.now() > deadline:
+                return b""
+        return data
+
+    def _read(self, timeout: float) -> bytes:
+        """Return what arrives within ``timeout`` [s]; wait longer for a base that boots."""
+        data = self._transport.read(timeout)
+        tail = self._tail + data
+        if BOOTS in tail:
+            self._give_up = self._clock.now() + BOOT_TIMEOUT
+        self._tail = tail[1 - len(BOOTS) :]
         return data

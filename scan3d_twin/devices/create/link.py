@@ -22,9 +22,10 @@ POLL_PERIOD = 2 * oi.PERIOD
 """Time between two polls, used where the line is too slow for a stream [s]."""
 POLL_TIMEOUT = 4 * oi.PERIOD
 """Time after which an unanswered poll is repeated [s]."""
-HALF_DRIVE, HALF_ANYTHING = bytes(5), bytes(2 + 2 * 255)
+HALF_DRIVE, HALF_STREAM, HALF_ANYTHING = bytes(5), bytes(2 + 3 + 128), bytes(2 + 2 * 255)
 """Zeros that complete a command left unfinished by a killed client or a noisy line: a drive
-command, or any command up to the longest song. 0 is no opcode, so surplus zeros are ignored."""
+command; a request for 3 packets whose number has a wrong bit; any command up to the longest song. 0
+is no opcode, so surplus zeros are ignored."""
 
 BAUD_SETTLE = 0.1
 """Time after a change of the baud rate until the base listens at it [s]; manual, page 8."""

@@ -12,12 +12,11 @@ import numpy as np
 
 from scan3d_twin.core.errors import HazardError, LinkError
 from scan3d_twin.core.hal import Clock
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE, Uart
 
 BUFFER = 65536
 """Size of the client's input buffer [bytes]; what does not fit is lost. Assumption: Linux keeps up
 to 640 KiB behind its 4 KiB, adapters much less."""
-BITS_PER_BYTE = 10
-"""8N1: start bit, eight data bits, stop bit."""
 POLL = 0.002
 """Interval at which a reader in virtual time polls the line [s]."""
 
@@ -56,7 +55,7 @@ class Faults:
         stalls: Stalls per second; during a stall nothing arrives, afterwards everything at once.
         stall: Length of a stall [s].
         junk: Bytes in the port when it is opened.
-        silent: Whether a wrong bit rate yields nothing instead of garbage.
+        silent: Whether a wrong bit rate yields nothing instead of what a UART reads of it.
     """
 
     drop: float = 0.0
@@ -114,6 +113,7 @@ class Line:
         self.plugged = True
         self.passed = 0
         self._rng = np.random.default_rng(seed)
+        self._device_uart, self._client_uart = Uart(2 * seed), Uart(2 * seed + 1)
         self._up: deque[_Burst] = deque()
         self._down: deque[_Burst] = deque()
         self._free_at = 0.0
@@ -144,8 +144,8 @@ class Line:
         if self.plugged and data:
             speed = self.device.baud
             start = max([now, *(burst.end for burst in self._up)])
-            heard = self._add_faults(self._decode_at(data, baud, speed))
-            self._up.append(_Burst(start, baud if speed else 0, heard))
+            heard = self._decode_at(self._device_uart, data, start, baud, speed)
+            self._up.append(_Burst(start, speed if baud else 0, self._add_faults(heard)))
             self._push(now)
 
     def receive(self, now: float, baud: int) -> bytes:
@@ -160,6 +160,8 @@ class Line:
         while self._up and self._up[0].end <= now + 1e-9:
             burst = self._up.popleft()
             self.device.receive(burst.data, max(burst.end, self._looked))
+        if not self._up and (rest := self._device_uart.idle(now)):
+            self.device.receive(self._add_faults(rest), now)
 
     def _pull(self, now: float, baud: int) -> None:
         """Transfer the bytes of both directions up to ``now`` [s]."""
@@ -178,15 +180,17 @@ class Line:
         if not self.plugged:
             self._down.clear()
         if not self._is_stalled(now):
-            for data, speed in self._take_arrived(now - self.latency):
-                self._store(self._add_faults(self._decode_at(data, speed, baud)))
+            for data, start, speed in self._take_arrived(now - self.latency):
+                heard = self._decode_at(self._client_uart, data, start, speed, baud)
+                self._store(self._add_faults(heard))
+            self._store(self._add_faults(self._client_uart.idle(now - self.latency)))
         self._looked = now
 
-    def _take_arrived(self, now: float) -> Iterator[tuple[bytes, int]]:
-        """Yield (bytes, bit rate) that have arrived by ``now`` [s], and remove them."""
+    def _take_arrived(self, now: float) -> Iterator[tuple[bytes, float, int]]:
+        """Yield (bytes, start, bit rate) that have arrived by ``now`` [s], and remove them."""
         while self._down and (count := self._down[0].arrived(now)):
             burst = self._down.popleft()
-            yield burst.data[:count], burst.baud
+            yield burst.data[:count], burst.start, burst.baud
             if count < len(burst.data):
                 rest = burst.data[count:]
                 start = burst.start + count * BITS_PER_BYTE / burst.baud
@@ -203,14 +207,13 @@ class Line:
             self._stalled_until = now + self.faults.stall
         return now < self._stalled_until
 
-    def _decode_at(self, data: bytes, sent: int, heard: int) -> bytes:
-        """Return what a UART at ``heard`` baud receives of ``data`` sent at ``sent`` baud."""
+    def _decode_at(self, uart: Uart, data: bytes, start: float, sent: int, heard: int) -> bytes:
+        """Return what ``uart`` at ``heard`` baud receives of ``data`` sent at ``sent`` baud."""
         if sent == heard or not sent or not heard:
             return data
         if self.faults.silent:
             return b""
-        # A slower UART reads several bytes as one; a faster one reads each as one or two.
-        return self._rng.bytes(round(len(data) * min(2.0, heard / sent)))
+        return uart.take(data, start, sent, heard)
 
     def _add_faults(self, data: bytes) -> bytes:
         """Return ``data`` with random transmission errors."""

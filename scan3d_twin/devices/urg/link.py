@@ -18,8 +18,6 @@ TIMEOUT = 0.45
 19200 baud, and a margin for a busy host; three attempts fit into the time-out for connecting."""
 ATTEMPTS = 3
 """Number of times that a request is sent before giving up."""
-BITS_PER_BYTE = 10
-"""8N1: start bit, eight data bits, stop bit."""
 
 
 @dataclass(frozen=True, slots=True)

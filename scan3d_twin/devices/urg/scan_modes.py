@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from scan3d_twin.core.errors import ConfigError, LinkError
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 from scan3d_twin.devices.urg import codec as scip
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.devices.urg.codec import ScanCommand, ScanRequest
-from scan3d_twin.devices.urg.link import BITS_PER_BYTE
 from scan3d_twin.devices.urg.model import ScanMode
 from scan3d_twin.devices.urg.replies import scan_length
 

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from scan3d_twin.core.types import LidarSpec, Odometry, Pose2, ScanLine
+from scan3d_twin.recording.exact_json import Packed
 from scan3d_twin.recording.mcap.ros_messages import Message, split_stamp, yaw_quaternion
 
 _CDR = b"\x00\x01\x00\x00"
@@ -27,6 +28,7 @@ _COMMAND = Struct(f"<4s iI 16s {_TWIST}")
 _FRAMES = Struct(f"<4s I iI 12s 16s {_POSE} iI 12s 12s {_POSE}")
 _SCAN = Struct("<4s iI 12s 7f")
 _SERIAL = Struct("<4s iI 8s")
+_RECORD = Struct("<4s iI")
 _COUNT = Struct("<I")
 
 
@@ -124,3 +126,16 @@ def encode_serial_bytes(stamp: float, direction: Literal["<", ">"], data: bytes)
     """Return ``data`` that came from (<) or went to (>) a device."""
     head = _SERIAL.pack(_CDR, *split_stamp(stamp), _text(direction))
     return Message("scan3d_twin_msgs/msg/SerialBytes", head + _COUNT.pack(len(data)) + data)
+
+
+def encode_record(stamp: float, kind: str, index: int, packed: Packed) -> Message:
+    """Return a record of the session log, stored bit by bit; its megabytes are copied once."""
+    text, blob = packed
+    head = _RECORD.pack(_CDR, *split_stamp(stamp))
+    parts = (head, _aligned(_text(kind)), _COUNT.pack(index), _aligned(_text(text)))
+    return Message("scan3d_twin_msgs/msg/Record", b"".join((*parts, _COUNT.pack(len(blob)), blob)))
+
+
+def _aligned(text: bytes) -> bytes:
+    """Return ``text`` with zeros up to the alignment of a count after it."""
+    return text + bytes(-len(text) % _COUNT.size)

@@ -14,7 +14,6 @@ from scan3d_twin.core.types import (
     RegistrationResult,
     ScanLine,
 )
-from scan3d_twin.recording.exact_json import Packed
 from scan3d_twin.recording.mcap import ros_messages as ros
 
 INFO = 20
@@ -94,17 +93,4 @@ def encode_registration(stamp: float, index: int, result: RegistrationResult) ->
         num_inliers=int(result.num_inliers),
         iterations=int(result.iterations),
         ambiguity_gap=float(result.ambiguity_gap),
-    )
-
-
-def encode_record(stamp: float, kind: str, index: int, packed: Packed) -> ros.Message:
-    """Return a record of the session log, stored bit by bit."""
-    text, blob = packed
-    return ros.encode(
-        "scan3d_twin_msgs/msg/Record",
-        stamp=ros.make_time(stamp),
-        kind=kind,
-        index=index,
-        json=text,
-        data=np.frombuffer(blob, dtype=np.uint8),
     )

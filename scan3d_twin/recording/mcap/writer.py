@@ -17,7 +17,6 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -35,6 +34,10 @@ _HEAD = struct.Struct("<BQ")
 """Head of a record: opcode and length of its body."""
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence number, log time, publish time."""
+_ZSTD = b"zstd"
+_CHUNK = struct.Struct(f"<BQQQQII{len(_ZSTD)}sQ")
+"""Head of a chunk: opcode, length, first and last time, size and checksum of its content, the
+compression and its name, size of what is compressed."""
 
 
 class Stream(Protocol):
@@ -102,15 +105,17 @@ class McapWriter:
             return
 
         # Compress the chunk
-        chunk, places = bytes(self._chunk), self._places
+        chunk, places = self._chunk, self._places
         self._chunk, self._places = bytearray(), {}
-        packed = zstandard.compress(chunk)
+        packed, checksum, whole = zstandard.compress(chunk), zlib.crc32(chunk), len(chunk)
+        del chunk  # megabytes, where it holds a view
 
         # Write the chunk
         times = [time for each in places.values() for time in each[::2]]
         first, last = min(times), max(times)
-        record = Chunk("zstd", packed, last, first, zlib.crc32(chunk), len(chunk))
-        start, size = self._write(record)
+        body = (first, last, whole, checksum, len(_ZSTD), _ZSTD, len(packed))
+        head = _CHUNK.pack(Opcode.CHUNK, _CHUNK.size - _HEAD.size + len(packed), *body)
+        start, size = self._stream.tell(), self._stream.write(b"".join((head, packed)))
 
         # Write its message index
         offsets, index = {}, bytearray()
@@ -125,13 +130,13 @@ class McapWriter:
             ChunkIndex(
                 chunk_length=size,
                 chunk_start_offset=start,
-                compression="zstd",
+                compression=_ZSTD.decode(),
                 compressed_size=len(packed),
                 message_end_time=last,
                 message_index_length=len(index),
                 message_index_offsets=offsets,
                 message_start_time=first,
-                uncompressed_size=len(chunk),
+                uncompressed_size=whole,
             )
         )
 

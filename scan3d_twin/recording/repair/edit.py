@@ -13,7 +13,7 @@ from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.mapping.loop_closure import Alignment, align, apply_alignment
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.load import RecordedRun, find_session_file, load_session
-from scan3d_twin.recording.mcap import ros_records
+from scan3d_twin.recording.mcap import cdr
 from scan3d_twin.recording.mcap.recovering_reader import is_written
 from scan3d_twin.recording.mcap.rewrite import back_up, find_latest_backup, reopen
 from scan3d_twin.recording.names import RECORDS, SESSION_FILE
@@ -72,7 +72,7 @@ def drop_view(folder: Path, index: int, wall: Callable[[], float]) -> RecordedRu
     log = SessionLog(recorded.session)
     for state in (replace(session, stop_reason=""), session):
         for kind, number, packed in log.changes(state, mark):
-            record = ros_records.encode_record(mark.stamp, kind, number, packed)
+            record = cdr.encode_record(mark.stamp, kind, number, packed)
             reopened.file.write(RECORDS, mark.stamp, record)
     write_display(reopened.file, mark.stamp, session)
     finish_file(reopened.file, recorded.path.with_name(SESSION_FILE))

@@ -11,7 +11,7 @@ from mcap.records import Metadata
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.load import decode_record, find_session_file, load_session, read_options
-from scan3d_twin.recording.mcap import ros_records
+from scan3d_twin.recording.mcap import cdr
 from scan3d_twin.recording.mcap.recovering_reader import (
     RawMessage,
     is_finished,
@@ -148,7 +148,7 @@ class _Reading:
         log, stamp = SessionLog(), self.mark.stamp
         for state in (replace(self.session, stop_reason=""), self.session):
             for kind, number, packed in log.changes(state, self.mark):
-                write(RECORDS, stamp, ros_records.encode_record(stamp, kind, number, packed))
+                write(RECORDS, stamp, cdr.encode_record(stamp, kind, number, packed))
 
     def _records(self) -> Iterator[Record]:
         for each in self._found.read(self._chunks):

@@ -11,6 +11,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, SceneError, UnknownNameError
 from scan3d_twin.sim.mesh_up import parse_mesh_up
+from scan3d_twin.sim.mujoco_log import write_no_log_file
 from scan3d_twin.sim.resources import find_resource_dir
 from scan3d_twin.sim.room import DEFAULT_ROOM, parse_room
 from scan3d_twin.sim.scenes.meshes.files import MESH_SUFFIXES, refuse_other_format
@@ -64,6 +65,8 @@ def load_scene(
     if not (mesh_scale > 0 and np.isfinite(mesh_scale)):
         raise ConfigError(f"mesh scale must be > 0, got {mesh_scale:g}")
     size, up = parse_room(room), parse_mesh_up(mesh_up)
+    write_no_log_file()
+
     if name_or_path.startswith(NAME_PREFIX):
         scene = scene_of_seed(name_or_path)
         if not target and not keyframe:

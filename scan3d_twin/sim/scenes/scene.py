@@ -31,9 +31,10 @@ from scan3d_twin.sim.scenes.mjcf.floors import (
     name_planes,
     widen_floors,
 )
-from scan3d_twin.sim.scenes.mjcf.free_floor import choose_spawn, corners, ring
+from scan3d_twin.sim.scenes.mjcf.free_floor import choose_spawn, corners, rings
 from scan3d_twin.sim.scenes.mjcf.freeze import freeze
 from scan3d_twin.sim.scenes.mjcf.settings import reset_settings, unify_contacts
+from scan3d_twin.sim.scenes.mjcf.target_sight import TargetSight
 from scan3d_twin.sim.scenes.orientation import find_facings
 from scan3d_twin.sim.scenes.surface_samples import SAMPLED_TYPES
 from scan3d_twin.sim.scenes.visibility import DRAWN_GROUPS, choose_seen_parts
@@ -74,7 +75,7 @@ class Scene:
     @property
     def target_geoms(self) -> tuple[str, ...]:
         """Names of all target geoms, each once."""
-        return tuple(dict.fromkeys(name for geoms in self.targets.values() for name in geoms))
+        return _each_once(self.targets)
 
 
 def scene_from_spec(
@@ -103,51 +104,69 @@ def scene_from_spec(
     targets = _targets(spec, label, target)
 
     # Lay the floor and find the start
-    model, spawn = _place_robot(spec, targets, label)
+    model, around = _lay_ground(spec, targets, label)
     targets = choose_seen_parts(model, targets, label)
-
-    # Read tour and front
-    texts = {text.name: text.data for text in spec.texts}
-    tour = texts.get("scan3d.tour", "full")
-    if tour not in ("front", "full"):
-        raise SceneError(f"{label}: scan3d.tour must be front or full, got {tour!r}")
-    front = _site_pose(model, "front") if tour == "front" else None
-    if tour == "front" and front is None:
-        raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
+    spawn = _site_pose(model, "spawn")
+    if spawn is None:
+        spawn = choose_spawn(model, spec, _each_once(targets), around, label)
 
     # Turn the faces of meshes outwards
     facings = find_facings(model, targets, spawn)
-    repairs = [facing.describe(name) for name, facing in facings.items()]
+    notes = [facing.describe(name) for name, facing in facings.items()]
+    notes += [_describe_cover(model, targets[target], target, spawn)] if target in targets else []
 
-    # Return it with its options
+    # Read its options
+    tour, front = _read_tour(spec, model, label)
     return Scene(
         name=name,
         spec=spec,
         model=model,
         spawn=spawn,
-        tour=cast(Tour, tour),
+        tour=tour,
         standoff=_positive(spec, "scan3d.standoff", "m", label),
         friction=_positive(spec, "scan3d.friction", "", label),
         targets=targets,
         front=front,
-        description=texts.get("scan3d.description", ""),
+        description=_texts(spec).get("scan3d.description", ""),
         facings=facings,
-        notes=tuple(repair for repair in repairs if repair),
+        notes=tuple(note for note in notes if note),
     )
 
 
-def _place_robot(
+def _read_tour(spec: Any, model: Any, label: str) -> tuple[Tour, Pose2 | None]:
+    """Return the tour of a scene, and the middle of its front where it is scanned from there."""
+    tour = _texts(spec).get("scan3d.tour", "full")
+    if tour not in ("front", "full"):
+        raise SceneError(f"{label}: scan3d.tour must be front or full, got {tour!r}")
+    front = _site_pose(model, "front") if tour == "front" else None
+    if tour == "front" and front is None:
+        raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
+    return cast(Tour, tour), front
+
+
+def _texts(spec: Any) -> dict[str, str]:
+    """Return the custom texts of a scene by name."""
+    return {text.name: text.data for text in spec.texts}
+
+
+def _each_once(targets: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """Return the names of all geoms of ``targets``, each once."""
+    return tuple(dict.fromkeys(name for geoms in targets.values() for name in geoms))
+
+
+def _lay_ground(
     spec: Any, targets: Mapping[str, tuple[str, ...]], label: str
-) -> tuple[Any, Pose2]:
-    """Lay the floor of ``spec`` at z = 0; return the compiled model and the robot's start."""
+) -> tuple[Any, FloatArray]:
+    """Lay the floor of ``spec`` at z = 0; return the model and the target's corners (n, 3) [m]."""
     # Find the floor, or add one
-    geoms = tuple(dict.fromkeys(name for parts in targets.values() for name in parts))
-    model = compile_scene(spec.copy(), label)
+    geoms = _each_once(targets)
+    copy = spec.copy()
+    model = compile_scene(copy, label)
     around, frame = corners(model, geoms), _site_frame(model, "spawn")
     site = None if frame is None else frame[:3, 3]
-    starts = ring(around) if site is None else site[None]
+    starts = rings(around) if site is None else (site[None],)
     fallback = min(0.0, float(around[:, 2].min())) if site is None else float(site[2])
-    if lay_floor(spec, starts, set(geoms), fallback, label):
+    if lay_floor(spec, (copy, model), starts, set(geoms), fallback):
         model = compile_scene(spec.copy(), label)
         around = corners(model, geoms)
 
@@ -156,10 +175,15 @@ def _place_robot(
     widened, bounded = widen_floors(spec, model, places), bound_planes(spec, model)
     if widened or bounded:
         model = compile_scene(spec.copy(), label)
+    return model, around
 
-    # Choose the start where none is given
-    spawn = _site_pose(model, "spawn")
-    return model, choose_spawn(model, geoms, around, label) if spawn is None else spawn
+
+def _describe_cover(model: Any, geoms: tuple[str, ...], target: str, spawn: Pose2) -> str:
+    """Return what hides the named ``target`` from the start, in a sentence; empty if it is seen."""
+    sight, place = TargetSight(model, geoms), np.array([spawn.x, spawn.y])
+    if sight.shares(place[None])[0] > 0:
+        return ""
+    return f"Target {target} is not seen from the start: {sight.find_cover(place)}."
 
 
 def _targets(spec: Any, label: str, wanted: str) -> dict[str, tuple[str, ...]]:

@@ -4,7 +4,9 @@
    which is the geom's own where it differs from MuJoCo's default, else its material's.
 2. Geoms of the groups 0 to 2, which MuJoCo's viewers draw, are seen; but where a body has visual
    geoms (drawn, without contacts), its geoms with contacts in other groups stand in for them, and
-   are not seen: the convention of URDF imports, MuJoCo Menagerie and robosuite.
+   are not seen: the convention of URDF imports, MuJoCo Menagerie and robosuite. A label
+   does not replace the box that it is on: where the bounding box of the visual geoms holds less
+   than a quarter of that of a geom with contacts, this one is seen.
 3. Geoms of the groups 3 to 5 are not drawn. Those with contacts are seen where nothing drawn stands
    for them: no drawn geom of their body or, as things in the world body do not belong together,
    none whose bounding box meets theirs.
@@ -33,6 +35,11 @@ GROUNDS = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 """Geom types that things stand on: they stand for nothing else."""
 TOUCHING = 0.01
 """Distance of bounding boxes within which what is drawn stands for what is not [m]; assumption."""
+
+STANDS_IN = 0.25
+"""Least share of a geom's bounding box inside that of what it stands in for; assumption."""
+MIN_EXTENT = 1e-6
+"""Least extent of a bounding box [m]."""
 
 
 def drawn_rgba(model: Any, geom: int) -> FloatArray:
@@ -69,12 +76,16 @@ def find_seen_geoms(model: Any) -> BoolArray:
 
     # Visual geoms before those with contacts
     visual = drawn & ~touched
-    for body in np.unique(model.geom_bodyid[visual]):
-        if body == 0:
-            continue  # things in the world body do not belong together
+    bodies = np.setdiff1d(
+        model.geom_bodyid[visual], [0]
+    )  # those of the world do not belong together
+    boxes = _bounding_boxes(model) if len(bodies) else None
+    for body in bodies:
         of_body = model.geom_bodyid == body
         groups = model.geom_group[of_body & visual]
-        seen &= ~(of_body & touched & ~np.isin(model.geom_group, groups))
+        doubles = of_body & touched & ~np.isin(model.geom_group, groups)
+        if boxes is not None and doubles.any():
+            seen &= ~(doubles & (_shares_inside(boxes, of_body & visual) >= STANDS_IN))
     return seen
 
 
@@ -119,6 +130,16 @@ def _bounding_boxes(model: Any) -> tuple[FloatArray, FloatArray]:
     middle = data.geom_xpos + np.einsum("nij,nj->ni", rotations, model.geom_aabb[:, :3])
     half = np.einsum("nij,nj->ni", np.abs(rotations), model.geom_aabb[:, 3:])
     return middle - half, middle + half
+
+
+def _shares_inside(boxes: tuple[FloatArray, FloatArray], which: BoolArray) -> FloatArray:
+    """Return the share (n_geoms,) of each box that lies in the box around ``which`` of them."""
+    low, high = boxes
+    first, last = low[which].min(axis=0) - TOUCHING, high[which].max(axis=0) + TOUCHING
+    inside = np.minimum(high, last) - np.maximum(low, first)
+    extent = np.maximum(high - low, MIN_EXTENT)
+    shares: FloatArray = np.clip((inside + MIN_EXTENT) / extent, 0.0, 1.0).prod(axis=1)
+    return shares
 
 
 def _do_meet(boxes: tuple[FloatArray, FloatArray], geom: int) -> BoolArray:

@@ -18,14 +18,13 @@ from scan3d_twin.core.model.evaluation import (
     Distances,
     Evaluation,
     Reference,
-    Surface,
     evaluate_model,
     find_true_pose,
     is_of_target,
     measure_displacement,
-    measure_surface_distance,
 )
 from scan3d_twin.core.model.fused_cloud import build_model, thin_by_voxel
+from scan3d_twin.core.model.sampled_surface import Surface, measure_surface_distance
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2
 
@@ -145,6 +144,17 @@ def test_the_truth_is_about_its_own_target_only() -> None:
     assert is_of_target(session, BoxTruth((FIRST,)))
     other = replace(session, hint=np.array([[0.6, 1.5], [0.6, 1.7]]))
     assert not is_of_target(other, BoxTruth((FIRST,)))
+
+
+@pytest.mark.parametrize(("share", "scanned"), [(0.05, False), (0.2, True)])
+def test_a_target_that_was_asked_for_may_be_a_part_of_what_was_scanned(share, scanned) -> None:
+    """A hand is a part of its arm: where the robot takes them for one thing, it scans both."""
+    session, count = session_of(FIRST), 100
+    inside = np.arange(count) < share * count
+    hint = np.where(inside[:, None], session.hint[0], session.hint[0] + (0.0, 3.0))
+    mixed = replace(session, hint=hint)
+    assert is_of_target(mixed, BoxTruth((FIRST,)), "target") == scanned
+    assert not is_of_target(mixed, BoxTruth((FIRST,)))
 
 
 def test_the_error_of_a_pair_is_that_of_its_relative_pose() -> None:

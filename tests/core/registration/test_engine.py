@@ -16,6 +16,7 @@ import pytest
 import reference.algebra
 import reference.edges
 import reference.extract_surfels
+import reference.floor
 import reference.free_space
 import reference.gauss_newton
 import reference.grids
@@ -32,6 +33,7 @@ import synthetic
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.grids import dilate, label_cells
+from scan3d_twin.core.navigation.costmap import RESOLUTION
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
 from scan3d_twin.core.registration.cloud_pairs import PAIR
@@ -630,6 +632,67 @@ def test_free_reach() -> None:
     floor, solid = (np.where(kinds == kind, distance, np.inf) for kind in (1, 2))
     assert len(np.unique(reach)) > 10
     assert np.array_equal(reach, reference.readings.free_reach(floor, solid, 0.2, 0.45, 0.05))
+
+
+@pytest.mark.parametrize(
+    ("first", "last"),
+    [(0.6, -0.5), (math.pi, -math.pi), (3.5, -2.6), (7.0, 5.9)],
+    ids=["a sweep", "a full turn", "more than half a turn to the left", "after a full turn"],
+)
+def test_floor(first: float, last: float) -> None:
+    rng = np.random.default_rng(0)
+    cells, origin, pose = rng.integers(0, 4, (90, 70)), np.array([-1.0, 2.0]), Pose2(1.2, 3.6, 2.9)
+    yaws = np.linspace(first, last, 60) + rng.uniform(-0.001, 0.001, 60)
+    reach, points = rng.uniform(-0.05, 2.5, 60), rng.uniform(-3.0, 3.0, (50, 2))
+    wanted = reference.floor.mark_floor(cells, origin, pose, yaws, reach, points)
+    marked = cells.copy()
+    place = np.array([pose.x, pose.y, math.cos(pose.yaw), math.sin(pose.yaw)])
+    assert not engine.mark_floor(
+        marked, *cells.shape, origin, RESOLUTION, place, yaws, reach, 60, points, 50
+    )
+    assert np.count_nonzero(marked != cells) > 100
+    assert np.array_equal(marked, wanted)
+
+
+def test_a_sweep_without_lines_shows_no_floor() -> None:
+    cells, none = np.zeros((5, 4), np.int64), np.empty(0)
+    assert not engine.mark_floor(
+        cells, 5, 4, np.zeros(2), RESOLUTION, np.eye(4)[2], none, none, 0, none, 0
+    )
+    assert not cells.any()
+
+
+def test_rays_that_meet_planes() -> None:
+    rng, sweep = np.random.default_rng(0), image(1)
+    for seen in (sweep, shift_lines(sweep)):
+        met = rng.random(seen.ranges.shape) < 0.3
+        n = np.count_nonzero(met)
+        normals, offsets = rng.standard_normal((n, 3)), rng.uniform(0.5, 2.0, n)
+        ranges, beams, yaws = np.full(met.shape, np.nan), Beams.of(seen), seen.yaws[met]
+        engine.meet_planes(
+            np.flatnonzero(met), n, met.shape[1], np.cos(yaws), np.sin(yaws), beams.directions,
+            beams.directions.ndim == 3, beams.lever, normals, offsets, ranges,
+        )  # fmt: skip
+        plain = reference.readings.meet_planes(seen, met, normals, offsets)
+        assert n > 1000
+        assert np.array_equal(ranges, plain, equal_nan=True)
+
+
+def test_hidden_faces() -> None:
+    rng = np.random.default_rng(0)
+    surface, origin, side = rng.random((3, 60, 50)) < 0.01, np.array([-0.3, 0.2]), 0.015
+    points, normals = rng.uniform(-0.4, 0.8, (200, 2)), rng.standard_normal((200, 2))
+    slices, place, steps = rng.integers(0, 3, 200), np.array([1.0, 0.1]), np.arange(side, 2, side)
+    hidden = np.empty(200, dtype=bool)
+    engine.find_hidden(
+        surface, 60, 50, origin, origin + side * np.array([60, 50]), side, points, normals, slices,
+        200, place, steps, len(steps), hidden,
+    )  # fmt: skip
+    plain = reference.floor.find_hidden(
+        surface, origin, side, points, normals, slices, place, steps
+    )
+    assert 10 < np.count_nonzero(hidden) < 190
+    assert np.array_equal(hidden, plain)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.4, 1.0])

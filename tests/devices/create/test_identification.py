@@ -4,13 +4,16 @@ from itertools import product
 
 import pytest
 from kinematic import JumpingClock, KinematicBase
+from virtual import VirtualClock
 
 from scan3d_twin.core.errors import LinkError, LinkTimeoutError
-from scan3d_twin.devices.create.codec import CREATE1, CREATE2, Op
+from scan3d_twin.devices.create.codec import CREATE1, CREATE2, CommandParser, Op
 from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.create.identification import AGREEING, REFUSALS, Evidence, find_base
+from scan3d_twin.devices.create.link import BAUDS
 from scan3d_twin.devices.create.packets import Mode
 from scan3d_twin.devices.links.line_model import NO_FAULTS, Faults, Line, Wire
+from scan3d_twin.devices.links.uart import Uart
 
 MODELS = pytest.mark.parametrize("model", [CREATE1, CREATE2], ids=lambda model: model.name)
 
@@ -53,6 +56,7 @@ def test_no_base_is_taken_for_the_other_on_a_bad_line(model):
             named += 1
         except LinkError as error:
             words.append(str(error))
+        assert bench.clock.now() < 3.0
     assert all("not clearly which" in each or "no Create answers" in each for each in words)
     assert named >= 36
 
@@ -101,12 +105,73 @@ def test_a_stated_base_opens_at_once_and_the_other_one_is_refused(model):
         Bench(model).find(other)
 
 
-@pytest.mark.parametrize("seed", [1012, 1045, 1116])
-def test_a_stated_create_1_hears_nothing_at_another_baud_rate(seed):
-    """With these seeds it hears Reset or Wait at 115200 baud, and answers no more in time."""
+class Deaf:
+    """A ``Transport`` on which nothing answers; it keeps what is sent, with time and baud rate."""
+
+    def __init__(self, clock):
+        self.clock, self.baud, self.sent = clock, 0, []
+
+    def read(self, timeout):
+        self.clock.sleep(timeout)
+        return b""
+
+    def write(self, data):
+        self.sent.append((self.clock.now(), self.baud, data))
+
+    def set_baud(self, baud):
+        self.baud = baud
+
+
+@pytest.fixture(scope="module")
+def whole_search():
+    """What is sent where no base answers: [(time, baud rate, bytes)]."""
+    line = Deaf(VirtualClock())
+    with pytest.raises(LinkTimeoutError, match="no Create answers"):
+        find_base(line, line.clock)
+    assert line.clock.now() < 3.0
+    return line.sent
+
+
+@MODELS
+@pytest.mark.parametrize("own", BAUDS)
+def test_a_search_at_other_baud_rates_makes_no_base_deaf(whole_search, model, own):
+    """A base on a line without faults must not hear Reset, Baud or Wait, whatever its rate is."""
+    assert {baud for _, baud, _ in whole_search} == {*BAUDS, 300}
+    heard = set()
+    for seed in range(10):
+        uart, parser = Uart(seed), CommandParser(model)
+        for when, baud, data in whole_search:
+            if baud not in (own, 300):
+                got = uart.take(data, when, baud, own) + uart.idle(when + 1.0)
+                heard |= {command.op for command in parser.feed(got)}
+    harmless = {Op.START, Op.SCRIPT, Op.SCHEDULING_LEDS, Op.SET_DAY_TIME}
+    assert heard <= harmless
+
+
+def test_a_stated_create_1_is_asked_at_its_own_baud_rate_first():
+    line = Deaf(VirtualClock())
     with pytest.raises(LinkTimeoutError):
-        Bench(CREATE1, seed=seed).find()
-    assert Bench(CREATE1, seed=seed).find(CREATE1).model is CREATE1
+        find_base(line, line.clock, CREATE1)
+    assert next(baud for _, baud, _ in line.sent) == CREATE1.baud
+
+
+@pytest.mark.parametrize("seed", [1012, 1045, 1116])
+def test_a_create_1_that_heard_random_bytes_at_115200_baud_is_found(seed):
+    """With these seeds a line that made random bytes of a wrong baud rate made it deaf."""
+    assert Bench(CREATE1, seed=seed).find().model is CREATE1
+
+
+def test_an_answer_that_a_busy_computer_reads_late_is_an_answer():
+    """Each read takes as long as half of the time for an answer, or more."""
+    bench = Bench(CREATE2)
+    read = bench.wire.read
+
+    def late(timeout):
+        bench.clock.sleep(0.35)
+        return read(timeout)
+
+    bench.wire.read = late
+    assert bench.find().model is CREATE2
 
 
 @pytest.mark.parametrize("lost", [1, 2])

@@ -22,6 +22,8 @@ MESSAGES = {
     "a line": cdr.encode_scan(line(3.000000001), spec()),
     "bytes": cdr.encode_serial_bytes(0.75, ">", b"\x80\x83\x01"),
     "no bytes": cdr.encode_serial_bytes(0.75, "<", b""),
+    "a record": cdr.encode_record(2.5, "views", 3, ('{"a":[1]}', bytes(range(11)))),
+    "an empty record": cdr.encode_record(0.0, "mark", 0, ("{}", b"")),
 }
 
 
@@ -90,3 +92,10 @@ def test_a_line_keeps_ranges_and_codes():
 def test_bytes_keep_their_direction():
     read = decoded(MESSAGES["bytes"])
     assert (read.direction, read.data.tobytes()) == (">", b"\x80\x83\x01")
+
+
+def test_a_record_keeps_its_text_and_bytes():
+    read = decoded(MESSAGES["a record"])
+    assert (read.kind, read.index, read.json) == ("views", 3, '{"a":[1]}')
+    assert read.data.tobytes() == bytes(range(11))
+    assert (read.stamp.sec, read.stamp.nanosec) == (2, 500_000_000)

@@ -47,13 +47,18 @@ static int64_t number_cells(const int32_t *cells, int64_t n, int32_t *distinct, 
     return m;
 }
 
-/* Write the moments (n, CELL_MOMENTS) of single points. */
-static void start_moments(const double *points, int64_t n, double *moments) {
+/* Write the cells (n, 3) of points, of sides 1 / `scale`. */
+static void find_cells(const double *points, int64_t n, double scale, int32_t *cells) {
+    for (int64_t k = 0; k < 3 * n; k++) cells[k] = (int32_t)floor(points[k] * scale);
+}
+
+/* Add the moments of points relative to `mean` to those of their cells. */
+static void sum_moments(const double *points, const double *mean, const int32_t *numbers, int64_t n,
+                        double *sums) {
     for (int64_t k = 0; k < n; k++) {
-        const double *p = points + 3 * k;
-        const double own[CELL_MOMENTS] = {1, p[0], p[1], p[2], p[0] * p[0], p[0] * p[1], p[0] * p[2],
-                                     p[1] * p[1], p[1] * p[2], p[2] * p[2]};
-        memcpy(moments + CELL_MOMENTS * k, own, sizeof own);
+        double x = points[3 * k] - mean[0], y = points[3 * k + 1] - mean[1], z = points[3 * k + 2] - mean[2];
+        const double own[CELL_MOMENTS] = {1, x, y, z, x * x, x * y, x * z, y * y, y * z, z * z};
+        for (int i = 0; i < CELL_MOMENTS; i++) sums[CELL_MOMENTS * numbers[k] + i] += own[i];
     }
 }
 

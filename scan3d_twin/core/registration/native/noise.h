@@ -115,16 +115,54 @@ static double difference_across(const Sweep *sweep, const uint8_t *valid, int64_
     return r * r * (sum - per_yaw * bend);
 }
 
-/* Write differences and slopes of line i. */
-static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i, Across out) {
-    const double *middle = sweep->yaws + sweep->n_beams / 2;
+/* Inverse ranges of the lines around the one in work, NaN where there is no reading: line i is row i modulo
+ * their number. Lines before `next` are known. */
+typedef struct {
+    double *rows;
+    int64_t next;
+} InverseRanges;
+
+/* Write the inverse ranges of the lines about line i that are not known yet, and where each begins. */
+static void invert_lines(const Sweep *sweep, const uint8_t *valid, int64_t i, InverseRanges *inverse,
+                         const double *lines[2 * REACH + 1]) {
+    enum { N = 2 * REACH + 1 };
+    inverse->next = inverse->next > i - REACH ? inverse->next : i - REACH;
+    for (; inverse->next <= i + REACH; inverse->next++) {
+        const double *ranges = sweep->ranges + inverse->next * sweep->stride;
+        const uint8_t *known = valid + inverse->next * sweep->stride;
+        double *row = inverse->rows + inverse->next % N * sweep->n_beams;
+        for (int64_t j = 0; j < sweep->n_beams; j++) row[j] = known[j] ? 1 / ranges[j] : NAN;
+    }
+    for (int k = 0; k < N; k++) lines[k] = inverse->rows + (i - REACH + k) % N * sweep->n_beams;
+}
+
+/* Write what `difference_across` gives for all of line i. */
+static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i, InverseRanges *inverse,
+                            Across out) {
+    const double *middle = sweep->yaws + sweep->n_beams / 2, *ranges = sweep->ranges + i * sweep->stride;
+    const double *lines[2 * REACH + 1];
+    double *restrict difference = out.difference, *restrict slope = out.slope;
     double bend = 0, turn = middle[(i + SLOPE_REACH) * sweep->stride]
                 - middle[(i - SLOPE_REACH) * sweep->stride];
     for (int k = -REACH; k <= REACH; k++) bend += SIXTH[REACH + k] * middle[(i + k) * sweep->stride];
+    invert_lines(sweep, valid, i, inverse, lines);
+
+    /* sums across the lines, NaN where one has no reading, and slopes */
+    const double *restrict before = lines[REACH - SLOPE_REACH], *restrict after = lines[REACH + SLOPE_REACH];
     for (int64_t j = 0; j < sweep->n_beams; j++) {
-        out.slope[j] = NAN;
-        out.difference[j] = turn == 0 ? NAN
-            : difference_across(sweep, valid, i, j, bend, turn, out.slope + j);
+        double sum = 0, r = ranges[j];
+        for (int k = 0; k <= 2 * REACH; k++) sum += SIXTH[k] * lines[k][j];
+        sum = turn == 0 ? NAN : sum;
+        slope[j] = isnan(sum) ? NAN : r * r * ((after[j] - before[j]) / turn);
+        difference[j] = sum;
+    }
+
+    /* without what the lines' own elevations and the bend of their yaws add */
+    for (int64_t j = 0; sweep->ray_stride > 0 && j < sweep->n_beams; j++)
+        if (!isnan(difference[j])) difference[j] -= difference_by_elevation(sweep, valid, i, j);
+    for (int64_t j = 0; j < sweep->n_beams; j++) {
+        double r = ranges[j], per_yaw = (after[j] - before[j]) / turn;
+        difference[j] = r * r * (difference[j] - per_yaw * bend);
     }
 }
 
@@ -184,12 +222,12 @@ static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, doubl
 /* Return the factor on the variance of a mean along a line for the noise's correlation between beams:
  * 1 + 2 sum rho_k. What beams FAR_LAG apart have in common is the yaw error of their lines. */
 static double estimate_correlation(const Sweep *sweep, const uint8_t *valid, const double noise[2],
-                                   Across line) {
+                                   InverseRanges inverse, Across line) {
     double sums[FAR_LAG + 1] = {0};
     int64_t counts[FAR_LAG + 1] = {0}, n_beams = sweep->n_beams;
     int64_t step = sweep->n_lines * n_beams / (16 * MAX_READINGS);
     for (int64_t i = REACH; i < sweep->n_lines - REACH; i += step > 1 ? step : 1) {
-        difference_line(sweep, valid, i, line);
+        difference_line(sweep, valid, i, &inverse, line);
         for (int64_t j = 0; j < n_beams; j++) {
             double r = sweep->ranges[i * sweep->stride + j];
             double z = line.difference[j] / (sqrt(SQUARES) * (noise[0] + noise[1] * r));
@@ -213,12 +251,12 @@ static double estimate_correlation(const Sweep *sweep, const uint8_t *valid, con
 /* Return the yaw jitter of the lines, a standard deviation: see scan_noise.py. `lines` has room for the
  * differences and slopes of 2 REACH + 1 lines, `square` for 2 numbers per line. */
 static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, const double noise[3],
-                                  Across *lines, double *square) {
+                                  InverseRanges inverse, Across *lines, double *square) {
     enum { N = 2 * REACH + 1 };
     double *expected = square + sweep->n_lines;
     int64_t n = 0;
     for (int64_t i = REACH; i < sweep->n_lines - REACH; i++) {
-        difference_line(sweep, valid, i, lines[i % N]);
+        difference_line(sweep, valid, i, &inverse, lines[i % N]);
         int64_t at = i - REACH;     /* the line in work: its neighbours' slopes are known */
         if (at < 2 * REACH) continue;
 
@@ -272,14 +310,16 @@ static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, cons
 static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise[NOISES]) {
     enum { N = 2 * REACH + 1 };
     size_t beams = (size_t)sweep->n_beams;
-    double *room = malloc(sizeof *room * 2 * (N * beams + (size_t)sweep->n_lines));
+    double *room = malloc(sizeof *room * (3 * N * beams + 2 * (size_t)sweep->n_lines));
     if (!room) return -1;
     Across lines[N];
     for (size_t k = 0; k < N; k++) lines[k] = (Across){room + 2 * k * beams, room + (2 * k + 1) * beams};
+    const InverseRanges inverse = {room + 2 * N * beams, 0};
     if (isnan(noise[RANGE_SIGMA])) estimate_range_noise(sweep, valid, noise);
-    if (isnan(noise[CORRELATION])) noise[CORRELATION] = estimate_correlation(sweep, valid, noise, lines[0]);
+    if (isnan(noise[CORRELATION])) noise[CORRELATION] = estimate_correlation(sweep, valid, noise, inverse, lines[0]);
     const double known[3] = {noise[RANGE_SIGMA], noise[RANGE_GROWTH], noise[CORRELATION]};
-    if (isnan(noise[YAW_SIGMA])) noise[YAW_SIGMA] = estimate_yaw_jitter(sweep, valid, known, lines, room + 2 * N * beams);
+    if (isnan(noise[YAW_SIGMA]))
+        noise[YAW_SIGMA] = estimate_yaw_jitter(sweep, valid, known, inverse, lines, room + 3 * N * beams);
     free(room);
     return 0;
 }
