@@ -261,7 +261,7 @@ def _named_target(spec: Any, name: str) -> tuple[list[str], list[str]]:
 
     Raises:
         UnknownNameError: There is no such body or geom.
-        SceneError: The body has no geom.
+        SceneError: The body has no geom, or nothing has a name.
     """
     body = spec.body(name)
     if body is not None and not body.find_all("geom"):
@@ -270,6 +270,8 @@ def _named_target(spec: Any, name: str) -> tuple[list[str], list[str]]:
         return [name], []  # before a geom of the same name
     if spec.geom(name) is not None:
         return [], [name]
+    if not _names(spec):
+        raise SceneError(f"no target {name!r}: the scene holds nothing with a name that can be one")
     raise UnknownNameError("target", name, _names(spec))
 
 

@@ -317,6 +317,7 @@ def test_files_of_many_manners_open_and_drive(tmp_path, head, body, target, worl
         ),
         (TORUS, RING, "ring", "'ring/0'.*not of type sdf"),
         ("", '<body name="empty"/>' + BOX, "empty", "'empty' has no geom"),
+        ("", '<body name="empty"/>', "box", "holds nothing with a name"),
         ("", f'<frame scale="2 2 2"><body name="b"><joint/>{BOX}</body></frame>', "b", "scale"),
     ],
 )

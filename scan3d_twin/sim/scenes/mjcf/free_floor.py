@@ -85,7 +85,7 @@ def choose_spawn(
     wanted = np.clip(float((high - low).min()) / MIN_ANGLE, MIN_DISTANCE, WANTED_DISTANCE)
     cost = np.abs(gap - wanted) + SIDE_WEIGHT * _turn_from_behind(cells - middle)
     order = np.argsort(cost, kind="stable")
-    cells, areas = cells[order], areas[order]
+    cells, areas, gap = cells[order], areas[order], gap[order]
 
     # Take the first that shows enough of the target and where the robot stands free
     sight, footprint = TargetSight(model, targets), Footprint(spec, caster, np.array(model.qpos0))
@@ -103,7 +103,7 @@ def choose_spawn(
     # Name the cause
     reason = "has room for the robot"
     if hidden and len(cells):
-        reason += f" and sees it: {sight.find_cover(cells[0])}"
+        reason += f" and sees it: {sight.find_cover(cells[np.argmax(gap)])}"
     raise SceneError(
         f"{name}: no free floor within {MAX_DISTANCE:g} m of the target {reason}; add a site "
         "'spawn' where the robot starts"
