@@ -107,7 +107,7 @@ def _evaluate(
     session: Session, model: Model, mesh: Mesh, truth: Truth | None, target: str
 ) -> _Findings:
     """Return what the ``truth`` says of ``model`` and ``mesh``, where they show its ``target``."""
-    if truth is None or not len(model) or not is_of_target(session, truth):
+    if truth is None or not len(model) or not is_of_target(session, truth, target):
         return _Findings()
     reference = Reference.of(session, truth, target)
     compared = Comparison.of(model, reference)

@@ -56,13 +56,14 @@ def _suggest_cure(name: str, known: Iterable[str]) -> str:
 def known_variables() -> frozenset[str]:
     """Return the variables that set an option of some command."""
     from scan3d_twin.cli.dotted import dotted_fields
-    from scan3d_twin.cli.options import PortOptions, RunOptions, SceneOptions
+    from scan3d_twin.cli.options import PortOptions, RunOptions, SceneOptions, TurntableOptions
     from scan3d_twin.cli.viewing import ViewOptions
     from scan3d_twin.core.config import Config
     from scan3d_twin.sim.config import TwinConfig
 
     dotted = (option.variable for option in dotted_fields(Config, TwinConfig))
-    return frozenset([*dotted, *_variables((SceneOptions, RunOptions, PortOptions, ViewOptions))])
+    described = (SceneOptions, TurntableOptions, RunOptions, PortOptions, ViewOptions)
+    return frozenset([*dotted, *_variables(described)])
 
 
 def _variables(classes: Iterable[type]) -> Iterator[str]:

@@ -49,13 +49,13 @@ class TurntableOptions(BaseName):
     """What turns the lidar; None is not stated."""
 
     pattern: Annotated[Pattern | None, env("PATTERN")] = None
-    """Base or table turns the lidar."""
+    """How the lidar is turned."""
     turntable: Annotated[str | None, env("TURNTABLE"), Parameter(show=False)] = None
     """Name of the turntable: xl330 or ideal."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneOptions(TurntableOptions):
+class SceneOptions(BaseName):
     """What only the twin has a choice of; None is not stated."""
 
     scene: Annotated[str | None, env("SCENE", "{run.scene}")] = None

@@ -17,6 +17,7 @@ from scan3d_twin.core.drive_to_viewpoint import drive
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.mapping.loop_closure import align_final, align_on_loop_closure
+from scan3d_twin.core.mapping.motion_model import MotionModel
 from scan3d_twin.core.mapping.scan_matching import match_to_previous, predict_pose
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.navigation.legs import measure_legs
@@ -344,7 +345,8 @@ def integrate(session: Session, observation: Observation) -> Session:
     image = fill_gaps(image, config.gaps)
 
     # Predict by odometry
-    prior = predict_pose(session.views, observation, config)
+    motion = MotionModel.of(session.views, config)
+    prior = predict_pose(session.views, observation, motion)
 
     # Extract the target
     points = extract_points(image, config)
@@ -354,7 +356,7 @@ def integrate(session: Session, observation: Observation) -> Session:
     # Register on the previous view
     view = View(observation, image, target, points, prior, None)
     if session.views:
-        view = match_to_previous(view, session.views, config, session.workspace)
+        view = match_to_previous(view, session.views, config, motion, session.workspace)
     return align_on_loop_closure(session.with_view(view))
 
 

@@ -110,7 +110,7 @@ class TriangleScene:
         if self._any_curved:
             curved = np.flatnonzero(self._curved.take(index))
             if len(curved):
-                distances[curved], normals[curved] = self._refined(
+                distances[curved], normals[curved] = self._refine(
                     self._shapes.take(index[curved]),
                     origins[curved],
                     directions[curved],
@@ -118,7 +118,7 @@ class TriangleScene:
                 )
         return distances, normals, geoms
 
-    def _refined(
+    def _refine(
         self, shapes: IntArray, origins: FloatArray, directions: FloatArray, distances: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return exact distances (n,) and normals (n, 3) of rays that hit near ``distances``.

@@ -41,7 +41,7 @@ more than two minutes."""
 
 
 class Stream(IntEnum):
-    """Of the one seed; a new source of chance gets a new number, so that the others stay."""
+    """Sources of randomness under one seed; a new one gets a new number, so that others stay."""
 
     ROBOT = 0
     LIDAR = 1
@@ -56,7 +56,7 @@ Parts = tuple[World, SimBase | SimStand, SimLidar, SimClock, Table | None]
 
 
 def stream(seed: int, which: Stream) -> np.random.Generator:
-    """Return the chance of one kind that ``seed`` draws."""
+    """Return the random generator of one source under ``seed``."""
     return np.random.default_rng([seed, which])
 
 

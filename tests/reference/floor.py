@@ -51,3 +51,36 @@ def _is_swept(x: FloatArray, y: FloatArray, yaws: FloatArray, reach: FloatArray)
     between = (left >= 0) & (left < len(yaws) - 1)
     left = np.clip(left, 0, len(yaws) - 2)
     return np.asarray(between & (distance <= np.minimum(reach[left], reach[left + 1])))
+
+
+def find_hidden(
+    surface: BoolArray,
+    origin: FloatArray,
+    side: float,
+    points: FloatArray,
+    normals: FloatArray,
+    slices: IntArray,
+    place: FloatArray,
+    steps: FloatArray,
+) -> BoolArray:
+    """Return which faces (n,) are hidden from ``place`` (2,) by surface in their slice.
+
+    Args:
+        surface: Cells of each slice in which surface was seen (n_slices, nx, ny).
+        origin: Corner of cell (0, 0) (2,) [m].
+        side: Side of a cell [m].
+        points: Top view of the faces (n, 2) [m].
+        normals: Their outward normals (n, 2).
+        slices: The slice of each (n,).
+        place: Where the lidar is.
+        steps: Distances from the faces, less one cell, that are tested [m].
+    """
+    starts = points + side * normals
+    lengths = np.linalg.norm(place - starts, axis=1)
+    on_rays = starts[:, None] + steps[:, None] * ((place - starts) / lengths[:, None])[:, None]
+    end = origin + side * np.array(surface.shape[1:])
+    inside = np.all((on_rays >= origin) & (on_rays < end), axis=-1) & (steps < lengths[:, None])
+    cells = np.floor((on_rays - origin) / side).astype(np.int64)
+    cells = np.clip(cells, 0, np.array(surface.shape[1:]) - 1)
+    met = surface[slices[:, None], cells[..., 0], cells[..., 1]]
+    return np.asarray((met & inside).any(axis=1))

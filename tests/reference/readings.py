@@ -103,3 +103,21 @@ def neighbours(
         count[a] += near
         count[b] += near
     return count
+
+
+def meet_planes(
+    image: RangeImage, met: BoolArray, normals: FloatArray, offsets: FloatArray
+) -> FloatArray:
+    """Return the ranges (m, n) at which rays meet planes, NaN where ``met`` (m, n) is False."""
+    lines, beams = np.nonzero(met)
+    directions = np.broadcast_to(image.beams, (*met.shape, 3))[lines, beams]
+    c, s = np.cos(image.yaws[met]), np.sin(image.yaws[met])
+
+    def turned(vectors: FloatArray) -> FloatArray:
+        x, y, z = np.broadcast_to(vectors, (len(c), 3)).T
+        return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+
+    ranges = np.full(met.shape, np.nan)
+    eyes = np.sum(normals * turned(image.T_base_lidar[:3, 3]), axis=1)
+    ranges[met] = (offsets - eyes) / np.sum(normals * turned(directions), axis=1)
+    return ranges

@@ -51,7 +51,7 @@ class BenchOptions:
     """What is run, where and by which workers."""
 
     suite: str | None = None
-    """Experiment of the package: smoke, paper-fig10, paper-fig13, full, costs or lidars."""
+    """Experiment of the package: smoke, paper-fig10, paper-fig13, costs, lidars or full."""
     scenes: Annotated[Names, _shown("{run.scene}")] = ()
     """Scenes, by name or file."""
     planners: Annotated[Names, _shown("each preset's own")] = ()

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from scan3d_twin.cli.begin import begun
 from scan3d_twin.cli.dotted import dotted_options, stated
-from scan3d_twin.cli.options import RunOptions, SceneOptions, stated_options
+from scan3d_twin.cli.options import RunOptions, SceneOptions, TurntableOptions, stated_options
 from scan3d_twin.cli.output import say
 from scan3d_twin.cli.viewing import ViewOptions
 from scan3d_twin.core.config import Config
@@ -35,7 +35,7 @@ SPEED = "10x"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimOptions(ViewOptions, RunOptions, SceneOptions):
+class SimOptions(ViewOptions, RunOptions, TurntableOptions, SceneOptions):
     """The options of the twin; None is not stated."""
 
 

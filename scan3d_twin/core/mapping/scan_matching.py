@@ -24,35 +24,41 @@ from scan3d_twin.core.types import (
 from scan3d_twin.core.viewpoints import is_end_in_view
 
 
-def predict_pose(views: Sequence[View], observation: Observation, config: Config) -> Pose2:
+def predict_pose(views: Sequence[View], observation: Observation, motion: MotionModel) -> Pose2:
     """Return ``T_world_scan`` of a sweep by odometry from the latest view, its errors corrected.
 
-    The first view defines the world.
+    The first view defines the world; ``motion`` is what the ``views`` show of those errors.
     """
     if not views:
         return observation.T_odom_scan
     move, legs = describe_move(views[-1], observation)
-    return views[-1].T_world_scan @ MotionModel.of(views, config).correct(move, legs)
+    return views[-1].T_world_scan @ motion.correct(move, legs)
 
 
 def match_to_previous(
-    view: View, views: Sequence[View], config: Config, workspace: Workspace | None = None
+    view: View,
+    views: Sequence[View],
+    config: Config,
+    motion: MotionModel,
+    workspace: Workspace | None = None,
 ) -> View:
     """Return ``view`` registered on the last of ``views``; by odometry where that fails.
+
+    ``motion`` is what the ``views`` show of the errors of the odometry.
 
     The surfels of ``view`` stay in the ``workspace``, for the planner and the next registration;
     those of the previous view are forgotten, as one view's take 13 MB.
     """
     if config.registration.engine == "grid":
-        return _match_by_grid(view, views, config, workspace or Workspace())
+        return _match_by_grid(view, views[-1], config, motion, workspace or Workspace())
     return _match_by_icp(view, views[-1], config)
 
 
-def _match_by_grid(view: View, views: Sequence[View], config: Config, workspace: Workspace) -> View:
+def _match_by_grid(
+    view: View, previous: View, config: Config, motion: MotionModel, workspace: Workspace
+) -> View:
     """Register by the grid engine; odometry is the prior, so that the result is never worse."""
-    # Predict by odometry
-    previous = views[-1]
-    prior = MotionModel.of(views, config).prior(*describe_move(previous, view.observation))
+    prior = motion.prior(*describe_move(previous, view.observation))
 
     # Register on the previous view
     try:

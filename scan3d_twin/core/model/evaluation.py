@@ -290,11 +290,17 @@ def _find_hinted(trees: Mapping[str, cKDTree], T_map_world: Pose2, session: Sess
     return [name for k, name in enumerate(trees) if np.mean(nearest == k) >= MIN_HINT_SHARE]
 
 
-def is_of_target(session: Session, truth: Truth) -> bool:
-    """Return whether ``session`` is of the target of ``truth``, and not of another thing."""
-    surface, _ = truth.surface(HINT_DISTANCE)
+def is_of_target(session: Session, truth: Truth, asked: str = "") -> bool:
+    """Return whether ``session`` is of the target of ``truth``, and not of another thing.
+
+    Most of the panorama's points are on it; of a target that was ``asked`` for by name, which may
+    be a part of what the robot takes for one thing, ``MIN_HINT_SHARE`` of them are.
+    """
+    named = asked in truth.targets
+    surface, _ = truth.surface(HINT_DISTANCE, [asked] if named else None)
     hint = lay_on_truth(session, truth).apply(session.hint)
-    return bool(np.median(find_nearest(cKDTree(surface[:, :2]), hint)[0]) <= HINT_DISTANCE)
+    distances = find_nearest(cKDTree(surface[:, :2]), hint)[0]
+    return bool(np.quantile(distances, MIN_HINT_SHARE if named else 0.5) <= HINT_DISTANCE)
 
 
 def measure_mesh_accuracy(mesh: Mesh, reference: Reference, rng: np.random.Generator) -> Distances:

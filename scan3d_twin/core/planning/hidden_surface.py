@@ -22,7 +22,8 @@ from scipy import ndimage
 
 from scan3d_twin.core.planning.profiles import Edge, Profile
 from scan3d_twin.core.planning.voxels import is_passed
-from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.registration.native import engine
+from scan3d_twin.core.session import Session, View, Workspace
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 
 SLICE_CELL = 0.015
@@ -142,18 +143,19 @@ class Slices:
 
         Rays start one cell in front of the faces, so that they do not hide themselves.
         """
-        # Step along the rays
-        starts = faces.points + SLICE_CELL * faces.normals
-        ways = place - starts
-        lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
-        steps = np.arange(SLICE_CELL, float(np.max(lengths, initial=0.0)), SLICE_CELL)
-        points = starts[:, None] + steps[:, None] * (ways / lengths[:, None])[:, None]
+        # Test at steps as far as the farthest ray goes
+        points, normals = np.ascontiguousarray(faces.points), np.ascontiguousarray(faces.normals)
+        longest = np.linalg.norm(place - (points + SLICE_CELL * normals), axis=1)
+        steps = np.arange(SLICE_CELL, float(np.max(longest, initial=0.0)), SLICE_CELL)
 
         # Look up surface on them
-        inside = np.all((points >= self.origin) & (points < self._end), axis=-1)
-        met = self.at(self.surface, points, faces.slices[:, None]) > 0
-        met &= inside & (steps < lengths[:, None])
-        return np.asarray(met.any(axis=1))
+        hidden = np.empty(len(faces), dtype=bool)
+        engine.find_hidden(
+            np.ascontiguousarray(self.surface), *self.surface.shape[1:], self.origin, self._end,
+            SLICE_CELL, points, normals, np.ascontiguousarray(faces.slices), len(faces), place,
+            steps, len(steps), hidden,
+        )  # fmt: skip
+        return hidden
 
     @property
     def _end(self) -> FloatArray:
@@ -174,9 +176,7 @@ class HiddenSurface:
     @cached_property
     def _profiles(self) -> list[list[Profile]]:
         """The profiles of each view, one for each slice."""
-        return [
-            Profile.through(view, SLICE_HEIGHTS, SLICE_THICKNESS) for view in self.session.views
-        ]
+        return [_recall_profiles(view, self.session.workspace) for view in self.session.views]
 
     @cached_property
     def faces(self) -> Faces:
@@ -201,7 +201,7 @@ class HiddenSurface:
         """Return the edges of the target in slice ``index``, in ``world``."""
         edges = []
         for view, profiles in zip(self.session.views, self._profiles, strict=True):
-            edges += [each.seen_from(view.T_world_scan) for each in profiles[index].edges()]
+            edges += [each.seen_from(view.T_world_scan) for each in profiles[index].edges]
         return merge_edges(edges)
 
     def measure_areas(self, poses: Iterable[Pose2]) -> FloatArray:
@@ -233,6 +233,15 @@ class HiddenSurface:
         hidden = self.slices.find_hidden(faces.select(shown), np.array([pose.x, pose.y]))
         shown[shown] = ~hidden
         return np.asarray(shown)
+
+
+def _recall_profiles(view: View, workspace: Workspace) -> list[Profile]:
+    """Return the profiles of ``view``, one for each slice, from ``workspace`` if they are there."""
+    results = workspace.results_of(view.image)
+    if Profile not in results:
+        results[Profile] = Profile.through(view, SLICE_HEIGHTS, SLICE_THICKNESS)
+    profiles: list[Profile] = results[Profile]
+    return profiles
 
 
 def expect_faces(edges: Iterable[Edge], index: int) -> Iterator[Faces]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -87,7 +88,7 @@ class Profile:
             # Choose the median reading per line
             count = within.sum(axis=1)
             middle: IntArray = np.maximum(count - 1, 0) // 2
-            beams = np.argsort(np.where(within, away, np.inf), axis=1)[lines, middle]
+            beams = _find_ranked(np.where(within, away, np.inf), middle)
             enough = count >= MIN_BEAMS
 
             # Leave out lines beside ends
@@ -96,8 +97,12 @@ class Profile:
             found.append(Profile(places, enough & target[lines, beams] & ~ends))
         return found
 
-    def edges(self) -> Iterator[Edge]:
-        """Yield the edges of the target, those on the right first."""
+    @cached_property
+    def edges(self) -> tuple[Edge, ...]:
+        """The edges of the target, those on the right first."""
+        return tuple(self._find_edges())
+
+    def _find_edges(self) -> Iterator[Edge]:
         for side in (1, -1):
             places, on_target = self.places[::side], self.on_target[::side]
             for k in np.flatnonzero(_find_ends(np.linalg.norm(places, axis=1))):
@@ -105,6 +110,18 @@ class Profile:
                     edge = _fit_edge(places[: k + 1], side)
                     if edge is not None:
                         yield edge
+
+
+def _find_ranked(values: FloatArray, ranks: IntArray) -> IntArray:
+    """Return the column (m,) of each row's value of rank ``ranks`` (m,) among ``values`` (m, n).
+
+    Columns without a finite value are not sorted; where a row has none, any column is returned.
+    """
+    used = np.flatnonzero(np.isfinite(values).any(axis=0))
+    if len(used) == 0:
+        return np.zeros(len(values), dtype=np.int64)
+    order = np.argsort(values[:, used], axis=1)
+    return np.asarray(used[order[np.arange(len(values)), ranks]])
 
 
 def _fit_edge(places: FloatArray, side: int) -> Edge | None:

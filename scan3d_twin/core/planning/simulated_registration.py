@@ -23,6 +23,7 @@ from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.sequential_test import is_decided
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
+from scan3d_twin.core.planning.visibility import NextSweep
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels import X
@@ -46,7 +47,6 @@ class SimulatedRegistration:
         config: The run's configuration.
         seed: Seed of the draws, the same for all candidates.
         motion: Errors of the odometry, as learned in this run; as configured by default.
-        half: Half the angle of the next sweep [rad]; all of it by default.
     """
 
     grid: SurfelGrid
@@ -54,7 +54,6 @@ class SimulatedRegistration:
     config: Config
     seed: int
     motion: MotionModel | None = None
-    half: float | None = None
 
     @staticmethod
     def of(context: PlanningContext, seed: int) -> SimulatedRegistration:
@@ -69,25 +68,26 @@ class SimulatedRegistration:
         grid = surfels_of(view, config, context.session.workspace)
         return SimulatedRegistration(grid, on_target, config, seed, motion)
 
-    def error(self, viewpoint: Pose2, draws: int) -> float:
+    def error(self, viewpoint: Pose2, draws: int, half: float | None = None) -> float:
         """Return the ``planning.quantile`` of the errors [m] of up to ``draws`` draws, rounded up.
 
         Args:
             viewpoint: O2 in the frame of the latest view.
             draws: Largest number of draws; fewer when ``planning.certainty`` is reached.
+            half: Half the angle of the next sweep [rad]; all of it by default.
         """
         planning = self.config.planning
         errors: list[float] = []
-        for error in self.errors(viewpoint, draws):
+        for error in self.errors(viewpoint, draws, half):
             errors.append(error)
             failed = sum(e > planning.epsilon for e in errors)
             if is_decided(failed, len(errors), draws, planning.quantile, planning.certainty):
                 break
         return float(np.quantile(errors, planning.quantile, method="higher"))
 
-    def errors(self, viewpoint: Pose2, draws: int) -> Iterator[float]:
+    def errors(self, viewpoint: Pose2, draws: int, half: float | None = None) -> Iterator[float]:
         """Yield the error [m] of each draw; infinite if too little of the target is in view."""
-        planes = self._surface.seen_from(viewpoint)
+        planes = self._surface.seen_from(viewpoint, self._next_sweep(half))
         if np.count_nonzero(planes.on_target) < MIN_SHARED_READINGS:
             yield from repeat(math.inf, draws)
             return
@@ -103,13 +103,13 @@ class SimulatedRegistration:
         The points are those of the latest view, as the next view shows about as much at a similar
         distance. Scans that cannot be registered keep the pose by odometry.
         """
-        # Draw noise and motion
-        here, noise = self._here(k)
+        # Draw the motion
         truth = prior.T
         guess = displace_prior(prior, self._rng(k, MOTION_STREAM).standard_normal(3))
 
-        # Register as in a run
+        # Scan and register as in a run
         try:
+            here, noise = self._here(k)
             result = register(
                 here,
                 planes.read(noise, self._rng(k, THERE_STREAM)),
@@ -121,7 +121,11 @@ class SimulatedRegistration:
         return _displacement(points, result.T_target_source, truth)
 
     def _here(self, k: int) -> tuple[SurfelGrid, DrawnNoise]:
-        """Return the scan from here of draw ``k``, and the noise of both of its scans."""
+        """Return the scan from here of draw ``k``, and the noise of both of its scans.
+
+        Raises:
+            RegistrationError: Too little surface is in view.
+        """
         if k in self._scans:
             return self._scans[k]
         rng, assumed = self._rng(k, HERE_STREAM), self.grid.noise
@@ -140,9 +144,19 @@ class SimulatedRegistration:
 
     @cached_property
     def _surface(self) -> Surface:
-        whole = self.config.sweep.width / 2 + self.config.sweep.margin
-        half = whole if self.half is None else self.half
-        return Surface(self.grid, self.on_target, half, self.config.target.max_range)
+        return Surface(self.grid, self.on_target, self.config.target.max_range)
+
+    def _next_sweep(self, half: float | None) -> NextSweep:
+        """Return the next sweep of ``half`` [rad] to either side; None for all of it."""
+        if half is None:
+            half = self.config.sweep.width / 2 + self.config.sweep.margin
+        if half not in self._sweeps:
+            self._sweeps[half] = NextSweep.like(self.grid, half)
+        return self._sweeps[half]
+
+    @cached_property
+    def _sweeps(self) -> dict[float, NextSweep]:
+        return {}
 
 
 def displace_prior(prior: PosePrior, draw: FloatArray) -> PosePrior:

@@ -19,6 +19,7 @@ from scipy.ndimage import uniform_filter1d
 
 from scan3d_twin.core.planning.visibility import NextSweep, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, CURVE_RANGES, ScanNoise
 from scan3d_twin.core.registration.surfels import (
     EMPTY_RAY,
@@ -173,10 +174,13 @@ class Planes:
 
     def ranges(self, image: RangeImage) -> FloatArray:
         """Return the ranges (n_lines, n_beams) [m] at which rays of ``image`` meet the planes."""
-        ranges, n = np.full(self.met.shape, np.nan), self.normals
-        eyes, rays = _cast_rays(image, self.met)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ranges[self.met] = (self.offsets - np.sum(n * eyes, axis=1)) / np.sum(n * rays, axis=1)
+        ranges, beams = np.full(self.met.shape, np.nan), Beams.of(image)
+        index, yaws = np.flatnonzero(self.met), image.yaws[self.met]
+        engine.meet_planes(
+            index, len(index), image.spec.n_beams, np.cos(yaws), np.sin(yaws), beams.directions,
+            beams.directions.ndim == 3, beams.lever, np.ascontiguousarray(self.normals),
+            self.offsets, ranges,
+        )  # fmt: skip
         return ranges
 
     def where(self, kept: BoolArray) -> Planes:
@@ -206,13 +210,11 @@ class Surface:
     Attributes:
         grid: Surfels of the latest view, in the scope of registration.
         on_target: Its readings of the target (n_lines, n_beams).
-        half: Half the width of the next sweep [rad].
         most: Longest range that is trusted [m].
     """
 
     grid: SurfelGrid
     on_target: BoolArray
-    half: float
     most: float
 
     @cached_property
@@ -225,14 +227,15 @@ class Surface:
             image, there, rows[:, N], offsets, self._in_scope & there, self.on_target & there, empty
         )
 
-    def seen_from(self, viewpoint: Pose2) -> Planes:
-        """Return the planes that a sweep at ``viewpoint`` would read.
+    def seen_from(self, viewpoint: Pose2, sweep: NextSweep) -> Planes:
+        """Return the planes that a ``sweep`` at ``viewpoint`` would read.
 
         Args:
             viewpoint: O2 in frame ``scan`` of the latest view.
+            sweep: The next sweep.
         """
         # Find the planes in view
-        sweep, back = self._sweep, viewpoint.inverse()
+        back = viewpoint.inverse()
         shape = sweep.image.ranges.shape
         rows, scope, on_target = self._rows
         seen = find_visible(rows, self._ranges, viewpoint, sweep, self.most)
@@ -255,7 +258,7 @@ class Surface:
         offsets = np.sum(normals * points, axis=1)
         planes = Planes(sweep.image, met, normals, offsets, keep[0], keep[1], ~met)
         planes = planes.where(_find_near(planes, points, seen.ranges[own], self.grid.line_spacing))
-        return replace(planes, empty=~planes.met & self._seen_through(viewpoint))
+        return replace(planes, empty=~planes.met & self._seen_through(viewpoint, sweep.image))
 
     @cached_property
     def _planes(self) -> tuple[FloatArray, BoolArray]:
@@ -283,14 +286,10 @@ class Surface:
     def _ranges(self) -> FloatArray:
         return measure_ranges(self._rows[0], self.grid)
 
-    @cached_property
-    def _sweep(self) -> NextSweep:
-        return NextSweep.like(self.grid, self.half)
-
-    def _seen_through(self, viewpoint: Pose2) -> BoolArray:
-        """Return which rays from ``viewpoint`` the latest view saw to be free all along."""
+    def _seen_through(self, viewpoint: Pose2, image: RangeImage) -> BoolArray:
+        """Return which rays of ``image`` from ``viewpoint`` the latest view saw to be free."""
         # Choose rays with a stride
-        image, grid = self._sweep.image, self.grid
+        grid = self.grid
         at = np.s_[FREE_RAY_STRIDE // 2 :: FREE_RAY_STRIDE, FREE_RAY_STRIDE // 2 :: FREE_RAY_STRIDE]
         chosen = np.zeros(image.ranges.shape, dtype=bool)
         chosen[at] = True

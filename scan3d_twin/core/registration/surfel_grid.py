@@ -23,7 +23,6 @@ from scan3d_twin.core.registration.surfels import (
 )
 from scan3d_twin.core.types import (
     UNMEASURED,
-    VALID,
     BoolArray,
     FloatArray,
     RangeImage,
@@ -204,7 +203,8 @@ def extract_surfels(
 
 def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None) -> SurfelGrid:
     """Return the surfels and the noise of a sweep, by ``native/extract_surfels.h``."""
-    most = np.count_nonzero(image.codes == VALID if mask is None else mask)
+    # Room for all readings: to count the valid ones takes longer, and it is memory where written.
+    most = image.codes.size if mask is None else np.count_nonzero(mask)
     rows, yaws = np.empty((most, 8)), np.empty(most)
     index, valid = np.empty(image.ranges.shape, np.int32), np.empty(image.ranges.shape, np.bool_)
 

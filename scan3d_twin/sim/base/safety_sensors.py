@@ -70,8 +70,8 @@ class SafetySensors:
         """Return the present hazards; ``driven`` is the wheels' commanded speed [rad/s]."""
         (left, right), sites, qpos = self._forces.tolist(), self._sites.tolist(), self._qpos
         flags = (
-            self._bumped(0, left),
-            self._bumped(1, right),
+            self._is_bumped(0, left),
+            self._is_bumped(1, right),
             *[self._over_cliff(*sites[site]) for site in self._cliffs],
             *[qpos.item(drop) < WHEEL_DROP for drop in self._drops],
             self._stalls(0, driven[0]),
@@ -95,7 +95,7 @@ class SafetySensors:
         beam = np.array(self._wall.xmat.reshape(3, 3)[:, 2])
         return 0 <= self._distance(self._wall.xpos, beam) <= WALL_DISTANCE
 
-    def _bumped(self, side: int, force: float) -> bool:
+    def _is_bumped(self, side: int, force: float) -> bool:
         if force > BUMP_FORCE:
             self._pressed_at[side] = np.array(self._place)
         pressed_at = self._pressed_at[side]

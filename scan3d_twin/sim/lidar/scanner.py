@@ -212,7 +212,7 @@ class Scanner:
             evidence: Keep what lay behind the readings, for evaluation.
         """
         fan = self._usual if fan is None else fan
-        rays = self._directions(rotations[:, fan.free], self._steered(fan, draws))
+        rays = self._directions(rotations[:, fan.free], self._steer(fan, draws))
         light, hits, readings = self._read(fan, qpos, positions[:, fan.free], rays, draws, drift)
         if not evidence:
             return readings
@@ -232,7 +232,7 @@ class Scanner:
         """
         fan = self._usual
         c, s = (part[:, fan.free] for part in heading)
-        x, y, z = self._steered(fan, draws)
+        x, y, z = self._steer(fan, draws)
         rays = np.empty((len(x), *c.shape, 3))
         rays[..., 0], rays[..., 1], rays[..., 2] = x * c - y * s, x * s + y * c, z
         return self._read(fan, qpos, positions[:, fan.free], rays, draws, drift)[2]
@@ -284,7 +284,7 @@ class Scanner:
         ranges, codes = read(light, broken, draws, drift, self.config, self.sensor)
         return light, Hits(none, np.empty((0, 3)), whole), Readings(ranges, codes, ())
 
-    def _steered(self, fan: Fan, draws: Draws) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _steer(self, fan: Fan, draws: Draws) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sub-rays of lines in the lidar's frame, by component (K, m or 1, n_free) each.
 
         All of a beam's light is moved by its pointing error; errors are small, so vectors keep

@@ -8,7 +8,7 @@ import numpy as np
 
 from scan3d_twin.core.types import BoolArray, FloatArray
 
-LEVEL = 2.0**-20
+LEVEL_TOLERANCE = 2.0**-20
 """Difference of heights below which corners are level, in units of the extent: above the rounding
 of single precision (2^-24)."""
 
@@ -25,7 +25,7 @@ def start_lowest(triangles: FloatArray) -> FloatArray:
     """
     heights = triangles[:, :, 2]
     extent = float(np.ptp(heights)) if len(triangles) else 0.0
-    lowest = heights <= heights.min(axis=1, keepdims=True) + extent * LEVEL
+    lowest = heights <= heights.min(axis=1, keepdims=True) + extent * LEVEL_TOLERANCE
     followed = lowest & np.roll(lowest, -1, axis=1)
     first = np.where(lowest.sum(axis=1) == 1, lowest.argmax(axis=1), followed.argmax(axis=1))
     first[lowest.all(axis=1)] = 0

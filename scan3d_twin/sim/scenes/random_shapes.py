@@ -57,7 +57,7 @@ Builder = Callable[[np.random.Generator, SceneRanges, float], list[Solid]]
 
 def build_shape(name: Shape, rng: np.random.Generator, ranges: SceneRanges) -> list[Solid]:
     """Return a random target of the shape ``name``, the middle of its footprint at the origin."""
-    return _centred(_BUILDERS[name](rng, ranges, draw_uniform(rng, ranges.width)))
+    return _centre(_BUILDERS[name](rng, ranges, draw_uniform(rng, ranges.width)))
 
 
 def draw_uniform(rng: np.random.Generator, interval: tuple[float, float]) -> float:
@@ -65,7 +65,7 @@ def draw_uniform(rng: np.random.Generator, interval: tuple[float, float]) -> flo
     return float(rng.uniform(*interval))
 
 
-def _centred(solids: list[Solid]) -> list[Solid]:
+def _centre(solids: list[Solid]) -> list[Solid]:
     corners = np.concatenate([solid.corners() for solid in solids])
     x, y = (corners.min(axis=0) + corners.max(axis=0)) / 2
     return [solid.moved(Pose2(-x, -y)) for solid in solids]
@@ -189,7 +189,7 @@ def _combination(rng: np.random.Generator, ranges: SceneRanges, width: float) ->
 
     # Add parts from left to right
     for name in rng.choice(("box", "cylinder", "sine", "l_shape"), 2):
-        parts = _centred(_BUILDERS[name](rng, ranges, (width - gap) / 2))
+        parts = _centre(_BUILDERS[name](rng, ranges, (width - gap) / 2))
         extent = np.concatenate([part.corners() for part in parts])
         low, high = extent.min(axis=0), extent.max(axis=0)
         x = draw_uniform(rng, ranges.setback) - float(low[0])

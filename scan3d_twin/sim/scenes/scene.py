@@ -110,35 +110,43 @@ def scene_from_spec(
     if spawn is None:
         spawn = choose_spawn(model, spec, _each_once(targets), around, label)
 
-    # Read tour and front
-    texts = {text.name: text.data for text in spec.texts}
-    tour = texts.get("scan3d.tour", "full")
-    if tour not in ("front", "full"):
-        raise SceneError(f"{label}: scan3d.tour must be front or full, got {tour!r}")
-    front = _site_pose(model, "front") if tour == "front" else None
-    if tour == "front" and front is None:
-        raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
-
     # Turn the faces of meshes outwards
     facings = find_facings(model, targets, spawn)
     notes = [facing.describe(name) for name, facing in facings.items()]
     notes += [_describe_cover(model, targets[target], target, spawn)] if target in targets else []
 
-    # Return it with its options
+    # Read its options
+    tour, front = _read_tour(spec, model, label)
     return Scene(
         name=name,
         spec=spec,
         model=model,
         spawn=spawn,
-        tour=cast(Tour, tour),
+        tour=tour,
         standoff=_positive(spec, "scan3d.standoff", "m", label),
         friction=_positive(spec, "scan3d.friction", "", label),
         targets=targets,
         front=front,
-        description=texts.get("scan3d.description", ""),
+        description=_texts(spec).get("scan3d.description", ""),
         facings=facings,
         notes=tuple(note for note in notes if note),
     )
+
+
+def _read_tour(spec: Any, model: Any, label: str) -> tuple[Tour, Pose2 | None]:
+    """Return the tour of a scene, and the middle of its front where it is scanned from there."""
+    tour = _texts(spec).get("scan3d.tour", "full")
+    if tour not in ("front", "full"):
+        raise SceneError(f"{label}: scan3d.tour must be front or full, got {tour!r}")
+    front = _site_pose(model, "front") if tour == "front" else None
+    if tour == "front" and front is None:
+        raise SceneError(f"{label} has tour front but no site 'front'; add one, +x outwards")
+    return cast(Tour, tour), front
+
+
+def _texts(spec: Any) -> dict[str, str]:
+    """Return the custom texts of a scene by name."""
+    return {text.name: text.data for text in spec.texts}
 
 
 def _each_once(targets: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ def sample_geom(model: Any, geom: int, spacing: float, facing: Facing | None = N
         model: The compiled scene.
         geom: Id of the geom.
         spacing: Distance of neighbouring samples [m].
-        facing: Which sides of a mesh's faces count; None for those that their winding tells.
+        facing: Which sides of a mesh's faces count; None for the sides of their winding.
     """
     size = np.array(model.geom_size[geom])
     match mujoco.mjtGeom(int(model.geom_type[geom])):

@@ -38,7 +38,7 @@ TOUCHING = 0.01
 
 STANDS_IN = 0.25
 """Least share of a geom's bounding box inside that of what it stands in for; assumption."""
-EVEN = 1e-6
+MIN_EXTENT = 1e-6
 """Least extent of a bounding box [m]."""
 
 
@@ -137,8 +137,8 @@ def _shares_inside(boxes: tuple[FloatArray, FloatArray], which: BoolArray) -> Fl
     low, high = boxes
     first, last = low[which].min(axis=0) - TOUCHING, high[which].max(axis=0) + TOUCHING
     inside = np.minimum(high, last) - np.maximum(low, first)
-    extent = np.maximum(high - low, EVEN)
-    shares: FloatArray = np.clip((inside + EVEN) / extent, 0.0, 1.0).prod(axis=1)
+    extent = np.maximum(high - low, MIN_EXTENT)
+    shares: FloatArray = np.clip((inside + MIN_EXTENT) / extent, 0.0, 1.0).prod(axis=1)
     return shares
 
 

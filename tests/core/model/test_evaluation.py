@@ -146,6 +146,17 @@ def test_the_truth_is_about_its_own_target_only() -> None:
     assert not is_of_target(other, BoxTruth((FIRST,)))
 
 
+@pytest.mark.parametrize(("share", "scanned"), [(0.05, False), (0.2, True)])
+def test_a_target_that_was_asked_for_may_be_a_part_of_what_was_scanned(share, scanned) -> None:
+    """A hand is a part of its arm: where the robot takes them for one thing, it scans both."""
+    session, count = session_of(FIRST), 100
+    inside = np.arange(count) < share * count
+    hint = np.where(inside[:, None], session.hint[0], session.hint[0] + (0.0, 3.0))
+    mixed = replace(session, hint=hint)
+    assert is_of_target(mixed, BoxTruth((FIRST,)), "target") == scanned
+    assert not is_of_target(mixed, BoxTruth((FIRST,)))
+
+
 def test_the_error_of_a_pair_is_that_of_its_relative_pose() -> None:
     session = session_of(FIRST, SECOND)
     first, second = session.views

@@ -9,7 +9,7 @@ import pytest
 from sessions import BOX, session_at
 from synthetic import Box
 
-from scan3d_twin.core.planning.profiles import Edge, Profile
+from scan3d_twin.core.planning.profiles import Edge, Profile, _find_ranked
 from scan3d_twin.core.types import FloatArray, Pose2
 
 GAP = (Box((1.0, 0.05, 0.0), (1.4, 0.6, 0.6)), Box((1.0, -0.6, 0.0), (1.4, -0.05, 0.6)))
@@ -25,7 +25,7 @@ def seen(boxes: tuple[Box, ...], pose: Pose2, sigma: float = 0.004, seed: int = 
 
 def in_world(profile: Profile, pose: Pose2) -> list[Edge]:
     """Return the edges from the left to the right of the front."""
-    edges = [edge.seen_from(pose) for edge in profile.edges()]
+    edges = [edge.seen_from(pose) for edge in profile.edges]
     return sorted(edges, key=lambda edge: -float(edge.place[1]))
 
 
@@ -74,7 +74,7 @@ def test_a_line_half_on_the_surface_hides_no_edge() -> None:
     for share in (0.2, 0.5, 0.8):
         line = last + 1
         between = with_line(profile, line, away[last] + share * (away[line] - away[last]))
-        assert len(list(between.edges())) == len(list(profile.edges()))
+        assert len(list(between.edges)) == len(list(profile.edges))
 
 
 def test_lines_at_an_end_are_no_surface() -> None:
@@ -92,7 +92,7 @@ def test_what_goes_on_steeply_does_not_end() -> None:
 
 def test_no_edge_is_told_where_lines_are_far_apart() -> None:
     far = Pose2(0.3, 2.2, math.radians(-65.0))
-    assert all(edge.spacing <= 0.03 for edge in seen(GAP, far).edges())
+    assert all(edge.spacing <= 0.03 for edge in seen(GAP, far).edges)
     assert not any(edge.place[1] < 0.0 for edge in in_world(seen(GAP, far), far))
 
 
@@ -103,11 +103,21 @@ def test_the_outline_of_a_curved_body_is_no_edge(radius: float) -> None:
     below = radius**2 - (middle * np.sin(yaws)) ** 2
     away = middle * np.cos(yaws) - np.sqrt(np.where(below > 0, below, np.nan))
     places = away[:, None] * np.column_stack([np.cos(yaws), np.sin(yaws)])
-    assert list(Profile(places, np.isfinite(away)).edges()) == []
+    assert list(Profile(places, np.isfinite(away)).edges) == []
 
 
 def test_a_slice_without_readings_has_no_places() -> None:
     view = session_at(BOX).views[-1]
     profile = Profile.through(view, [3.0], 0.15)[0]
     assert not profile.on_target.any()
-    assert list(profile.edges()) == []
+    assert list(profile.edges) == []
+
+
+def test_the_reading_of_a_rank_is_found_without_sorting_empty_beams() -> None:
+    values = np.random.default_rng(0).random((30, 40))
+    values[:, 5:20] = np.inf
+    values[7] = np.inf
+    ranks = np.arange(30) % 20
+    found = _find_ranked(values, ranks)
+    assert np.array_equal(np.delete(found, 7), np.delete(np.argsort(values)[range(30), ranks], 7))
+    assert np.array_equal(_find_ranked(np.full((2, 3), np.inf), np.zeros(2, int)), [0, 0])

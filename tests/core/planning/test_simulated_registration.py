@@ -18,7 +18,9 @@ from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
-from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Surface
+from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
+from scan3d_twin.core.planning.visibility import NextSweep
+from scan3d_twin.core.registration import surfel_grid
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels import N
 from scan3d_twin.core.session import Session
@@ -38,7 +40,11 @@ O2 = Pose2(0.0, -0.25, 0.05)
 def surface_of(session: Session) -> Surface:
     view = session.views[-1]
     grid = surfels_of(view, session.config)
-    return Surface(grid, mask_readings(view.target, view.image), math.radians(30.0), 4.0)
+    return Surface(grid, mask_readings(view.target, view.image), 4.0)
+
+
+def seen_from(surface: Surface, viewpoint: Pose2) -> Planes:
+    return surface.seen_from(viewpoint, NextSweep.like(surface.grid, math.radians(30.0)))
 
 
 def silent(surface: Surface) -> DrawnNoise:
@@ -59,7 +65,7 @@ def pilasters() -> Session:
 @pytest.mark.parametrize("viewpoint", [Pose2(), O2, Pose2(0.2, 0.3, -0.2)])
 def test_a_virtual_scan_reads_what_a_real_one_would(wall: Session, viewpoint: Pose2) -> None:
     surface = surface_of(wall)
-    planes = surface.seen_from(viewpoint)
+    planes = seen_from(surface, viewpoint)
     true = observe(viewpoint, WALL, room=False).image
     read = planes.ranges(planes.image)
     both = planes.keep & np.isfinite(true.ranges[: len(read)])
@@ -71,7 +77,7 @@ def test_a_virtual_scan_reads_what_a_real_one_would(wall: Session, viewpoint: Po
 
 def test_unseen_surface_stays_unknown(wall: Session) -> None:
     """From O2 the wall goes on to the right, where the latest view saw nothing."""
-    planes = surface_of(wall).seen_from(Pose2(0.0, -0.8, 0.0))
+    planes = seen_from(surface_of(wall), Pose2(0.0, -0.8, 0.0))
     right = planes.image.yaws[:, 0] < -math.radians(5.0)
     assert not planes.met[right].any()
     assert not planes.empty[right].any()
@@ -82,7 +88,7 @@ def test_what_hides_behind_a_thing_is_not_seen() -> None:
     post = Box((0.5, -0.25, 0.0), (0.6, -0.15, 1.5))
     session = session_at((*WALL, post), CONFIG)
     surface = surface_of(session)
-    planes = surface.seen_from(Pose2(0.0, -0.2, 0.0))
+    planes = seen_from(surface, Pose2(0.0, -0.2, 0.0))
     middle = np.abs(planes.image.yaws[:, 0]) < math.radians(4.0)
     level = np.abs(planes.image.spec.elevations) < 0.1
     ranges = planes.ranges(planes.image)[np.ix_(middle, level)]
@@ -91,7 +97,7 @@ def test_what_hides_behind_a_thing_is_not_seen() -> None:
 
 def test_rays_the_latest_view_saw_through_are_empty() -> None:
     surface = surface_of(session_at(BOX, CONFIG, half=0.3))
-    planes = surface.seen_from(Pose2(0.0, -0.1, 0.0))
+    planes = seen_from(surface, Pose2(0.0, -0.1, 0.0))
     ahead = np.abs(planes.image.yaws[:, 0]) < math.radians(10.0)
     over, at = (
         np.abs(planes.image.spec.elevations - math.radians(angle)) < 0.05 for angle in (40.0, 10.0)
@@ -181,6 +187,21 @@ def test_out_of_sight_is_infinite(wall: Session) -> None:
     assert simulation.error(Pose2(0.0, 0.0, math.pi), 3) == math.inf
 
 
+def test_a_simulated_scan_that_shows_too_little_keeps_the_odometry(
+    wall: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a view with few surfels its own simulation may show fewer than a registration needs."""
+    simulation = SimulatedRegistration.of(PlanningContext(wall), 0)
+    monkeypatch.setattr(surfel_grid, "MIN_SURFELS", simulation.grid.count + 1)
+
+    errors = list(simulation.errors(O2, 5))
+
+    moves = MotionModel.of((), CONFIG).spread(O2)
+    typical = math.hypot(*np.sqrt(np.diagonal(moves.covariance)[[0, 1]]))
+    assert len(set(errors)) == 5
+    assert 0.1 * typical < min(errors) <= max(errors) < 5 * typical
+
+
 def test_the_visible_planner_takes_the_smallest_overlap_that_stands_its_draws(
     pilasters: Session,
 ) -> None:
@@ -197,7 +218,9 @@ def test_checks_send_the_closed_form_on_to_a_larger_overlap(
     session = replace(pilasters, config=config)
     asked: list[Pose2] = []
 
-    def contradict(self: SimulatedRegistration, viewpoint: Pose2, draws: int) -> float:
+    def contradict(
+        self: SimulatedRegistration, viewpoint: Pose2, draws: int, half: float | None = None
+    ) -> float:
         asked.append(viewpoint)
         return 0.05 if len(asked) == 1 else 0.001
 
@@ -260,3 +283,14 @@ def test_sparing_memory_changes_no_error(wall: Session) -> None:
         errors = [list(each.errors(viewpoint, 2)) for each in (frugal, usual)]
         assert errors[0] == errors[1]
     assert (len(frugal._scans), len(usual._scans)) == (0, 2)
+
+
+def test_scans_from_here_serve_sweeps_of_any_sector(pilasters: Session) -> None:
+    """A narrower sweep changes what is read from O2 only: the draws and scans from here stay."""
+    simulation = SimulatedRegistration.of(PlanningContext(pilasters), seed=3)
+    whole = list(simulation.errors(O2, 3))
+    narrow = list(simulation.errors(O2, 3, math.radians(15.0)))
+    fresh = SimulatedRegistration.of(PlanningContext(pilasters), seed=3)
+    assert narrow == list(fresh.errors(O2, 3, math.radians(15.0)))
+    assert narrow != whole
+    assert whole == list(simulation.errors(O2, 3))

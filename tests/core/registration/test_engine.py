@@ -662,6 +662,39 @@ def test_a_sweep_without_lines_shows_no_floor() -> None:
     assert not cells.any()
 
 
+def test_rays_that_meet_planes() -> None:
+    rng, sweep = np.random.default_rng(0), image(1)
+    for seen in (sweep, shift_lines(sweep)):
+        met = rng.random(seen.ranges.shape) < 0.3
+        n = np.count_nonzero(met)
+        normals, offsets = rng.standard_normal((n, 3)), rng.uniform(0.5, 2.0, n)
+        ranges, beams, yaws = np.full(met.shape, np.nan), Beams.of(seen), seen.yaws[met]
+        engine.meet_planes(
+            np.flatnonzero(met), n, met.shape[1], np.cos(yaws), np.sin(yaws), beams.directions,
+            beams.directions.ndim == 3, beams.lever, normals, offsets, ranges,
+        )  # fmt: skip
+        plain = reference.readings.meet_planes(seen, met, normals, offsets)
+        assert n > 1000
+        assert np.array_equal(ranges, plain, equal_nan=True)
+
+
+def test_hidden_faces() -> None:
+    rng = np.random.default_rng(0)
+    surface, origin, side = rng.random((3, 60, 50)) < 0.01, np.array([-0.3, 0.2]), 0.015
+    points, normals = rng.uniform(-0.4, 0.8, (200, 2)), rng.standard_normal((200, 2))
+    slices, place, steps = rng.integers(0, 3, 200), np.array([1.0, 0.1]), np.arange(side, 2, side)
+    hidden = np.empty(200, dtype=bool)
+    engine.find_hidden(
+        surface, 60, 50, origin, origin + side * np.array([60, 50]), side, points, normals, slices,
+        200, place, steps, len(steps), hidden,
+    )  # fmt: skip
+    plain = reference.floor.find_hidden(
+        surface, origin, side, points, normals, slices, place, steps
+    )
+    assert 10 < np.count_nonzero(hidden) < 190
+    assert np.array_equal(hidden, plain)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.4, 1.0])
 def test_grids(share: float) -> None:
     grid = np.random.default_rng(0).random((40, 30)) < share

@@ -121,6 +121,21 @@ def test_a_wall_that_is_the_target_stays() -> None:
     assert np.ptp(target.points[:, 1]) > 1.2
 
 
+def test_a_wall_that_is_the_target_stays_where_odometry_errs() -> None:
+    """After the first move, odometry puts the wall beside itself; only its end may be off it."""
+    wall = Box((1.3, -3.0, 0.0), (1.4, 1.0, 2.5))
+    there = Pose2(-0.1, 2.3, -math.radians(45.0))
+    seen = observe(there, (wall,), room=False, sigma=0.008, rng=np.random.default_rng(1))
+    erring = there @ Pose2(0.02, -0.05, math.radians(4.0))
+    front = np.column_stack([np.full(80, 1.3), np.linspace(-3.0, 1.0, 80)])
+    known = erring.inverse().apply(front)
+    sweep = extract_points(seen.image, CONFIG)
+    (plane,) = find_walls(sweep.points, 4.0)
+    assert not plane.contains(known, 0.06).any()
+    target = extract_target(seen.image, sweep, known, CONFIG.target)
+    assert np.mean(plane.contains(target.points[:, :2])) > 0.8
+
+
 def test_the_next_side_of_a_high_cupboard_stays() -> None:
     """Of the side, only its edge is known yet; what is known lies behind its plane."""
     cupboard = Box((0.0, -0.9, 0.0), (1.5, 0.9, 2.1))

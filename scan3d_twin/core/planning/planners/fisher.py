@@ -8,7 +8,6 @@ the overlap that it chooses; where they fail, the next larger overlap is tried.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -47,8 +46,7 @@ class FisherPlanner:
             predicted = prediction.error(viewpoint, half)
             if config.checks == 0 or predicted > config.epsilon:
                 return predicted
-            sweep = simulation if half is None else replace(simulation, half=half)
-            simulated = sweep.error(viewpoint, config.checks)
+            simulated = simulation.error(viewpoint, config.checks, half)
             return max(predicted, simulated) if simulated > config.epsilon else predicted
 
         # Choose the overlap, then the sector

@@ -16,7 +16,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from ctypes import c_double, c_int64
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -105,7 +105,7 @@ class Value(ctypes.Structure):
 
     def __init_subclass__(cls) -> None:
         cls.converters = {
-            name: kind.from_param if issubclass(kind, Array) else partial(_fill_field, kind)
+            name: kind.from_param if issubclass(kind, Array) else _filler_of(kind)
             for name, kind, *_ in cls._fields_
             if issubclass(kind, (Array, ctypes.Array))
         }
@@ -120,15 +120,20 @@ class Value(ctypes.Structure):
 
     def numbers(self, name: str, *shape: int) -> npt.NDArray[np.float64]:
         """Return a copy of the first numbers of an array field, in ``shape``."""
-        first = int(getattr(type(self), name).offset)
-        return np.frombuffer(bytes(self), np.float64, math.prod(shape), first).reshape(shape).copy()
+        field = getattr(self, name)
+        return np.frombuffer(field, np.float64, math.prod(shape)).reshape(shape).copy()
 
 
-def _fill_field(kind: Any, numbers: Any) -> Any:
-    """Return a fixed-size array field; numbers that are not given are 0."""
-    if isinstance(numbers, np.ndarray):
-        return kind.from_buffer_copy(np.ascontiguousarray(numbers, kind._type_))
-    return kind(*numbers)
+def _filler_of(kind: Any) -> Callable[[Any], Any]:
+    """Return the function that makes a fixed-size array field; numbers not given are 0."""
+    dtype = np.dtype(kind._type_)
+
+    def fill(numbers: Any) -> Any:
+        if isinstance(numbers, np.ndarray):
+            return kind.from_buffer_copy(np.ascontiguousarray(numbers, dtype))
+        return kind(*numbers)
+
+    return fill
 
 
 class Sweep(Value):
@@ -304,6 +309,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
         None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, Doubles, c_int64, Doubles,
         Doubles, Longs, Longs, Doubles,
     ),
+    "meet_planes": (
+        None, Longs, c_int64, c_int64, Doubles, Doubles, Doubles, c_int64, Doubles, Doubles,
+        Doubles, Doubles,
+    ),
     "measure_free_reach": (
         c_int64, Longs, Doubles, Bytes, c_int64, c_int64, c_double, c_double, c_double, Doubles,
     ),
@@ -319,6 +328,10 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "mark_floor": (
         c_int64, Longs, c_int64, c_int64, Doubles, c_double, Doubles, Doubles, Doubles, c_int64,
         Doubles, c_int64,
+    ),
+    "find_hidden": (
+        None, Flags, c_int64, c_int64, Doubles, Doubles, c_double, Doubles, Doubles, Longs, c_int64,
+        Doubles, Doubles, c_int64, Flags,
     ),
     "write_struct_sizes": (None, Longs),
 }  # fmt: skip

@@ -3,7 +3,7 @@
  * Everything is compiled once for each processor level (hatch_build.py), which is the suffix of the
  * exported names. The levels differ in speed alone: without fused multiply-add, and with sums whose order
  * does not depend on the register width, the results are the same to the last bit. */
-#include "floor.h"
+#include "hidden.h"
 
 #define JOIN(name, level) name##_##level
 #define AT_LEVEL(name, level) JOIN(name, level)
@@ -219,7 +219,7 @@ int64_t EXPORT(find_near)(const double *points, int64_t n, const double *places,
     return find_near(points, n, places, m, within, near);
 }
 
-/* mixed_pixels.py, gap_filling.py, readings.py, costmap.py and fused_cloud.py */
+/* mixed_pixels.py, gap_filling.py, readings.py, costmap.py, fused_cloud.py and virtual_scan.py */
 
 void EXPORT(mark_mixed_pixels)(const double *ranges, const double *elevations, int64_t own,
                                const double *yaws, int64_t n_lines, int64_t n_beams, double noise,
@@ -237,6 +237,12 @@ void EXPORT(place_readings)(const int64_t *index, int64_t n, int64_t n_beams, co
                     const double *lever, double *points, int64_t *lines, int64_t *beams,
                     double *distance) {
     place_readings(index, n, n_beams, ranges, c, s, rays, own, lever, points, lines, beams, distance);
+}
+
+void EXPORT(meet_planes)(const int64_t *index, int64_t n, int64_t n_beams, const double *c, const double *s,
+                         const double *rays, int64_t own, const double *lever, const double *normals,
+                         const double *offsets, double *ranges) {
+    meet_planes(index, n, n_beams, c, s, rays, own, lever, normals, offsets, ranges);
 }
 
 int64_t EXPORT(measure_free_reach)(const int64_t *lines, const double *distance, const uint8_t *kinds,
@@ -281,6 +287,15 @@ int64_t EXPORT(mark_floor)(int64_t *cells, int64_t nx, int64_t ny, const double 
                            const double *points, int64_t m) {
     Floor floor = {cells, nx, ny, origin, side};
     return mark_floor(&floor, pose, yaws, reach, n, points, m);
+}
+
+/* hidden_surface.py */
+
+void EXPORT(find_hidden)(const uint8_t *surface, int64_t nx, int64_t ny, const double *origin, const double *end,
+                         double side, const double *points, const double *normals, const int64_t *slices,
+                         int64_t n, const double *place, const double *steps, int64_t m, uint8_t *hidden) {
+    SliceGrids grids = {surface, nx, ny, origin, end, side};
+    find_hidden(&grids, points, normals, slices, n, place, steps, m, hidden);
 }
 
 /* Write the sizes of the structures in the order of engine.h, for a test that Python's agree. */

@@ -1,5 +1,5 @@
-/* Filters of the readings of a sweep: see mixed_pixels.py, gap_filling.py, readings.py, costmap.py and
- * fused_cloud.py. Arrays are dense, lines by beams; NaN is no reading. All lines share one row of elevations
+/* Filters of the readings of a sweep: see mixed_pixels.py, gap_filling.py, readings.py, costmap.py,
+ * fused_cloud.py and virtual_scan.py. Arrays are dense, lines by beams; NaN is no reading. All lines share one row of elevations
  * or rays, or each has its `own`. */
 #pragma once
 
@@ -78,6 +78,23 @@ static void place_readings(const int64_t *index, int64_t n, int64_t n_beams, con
         point[2] = lever[2] + range * ray[2];
         lines[k] = line, beams[k] = beam;
         distance[k] = hypot(point[0], point[1]);
+    }
+}
+
+/* Write the ranges at which the rays of n readings, given by ascending index, meet planes of unit normals
+ * (n, 3) at `offsets` from the origin; the base is turned by angles of cosine `c` and sine `s`. */
+static void meet_planes(const int64_t *index, int64_t n, int64_t n_beams, const double *c, const double *s,
+                        const double *rays, int64_t own, const double *lever, const double *normals,
+                        const double *offsets, double *ranges) {
+    for (int64_t k = 0, line = 0; k < n; k++) {
+        while (index[k] >= (line + 1) * n_beams) line++;
+        const double *ray = rays + 3 * (own ? index[k] : index[k] - line * n_beams);
+        const double *normal = normals + 3 * k;
+        double eye = normal[0] * (c[k] * lever[0] - s[k] * lever[1])
+                   + normal[1] * (s[k] * lever[0] + c[k] * lever[1]) + normal[2] * lever[2];
+        double along = normal[0] * (c[k] * ray[0] - s[k] * ray[1])
+                     + normal[1] * (s[k] * ray[0] + c[k] * ray[1]) + normal[2] * ray[2];
+        ranges[index[k]] = (offsets[k] - eye) / along;
     }
 }
 

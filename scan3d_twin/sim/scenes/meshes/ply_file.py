@@ -80,7 +80,7 @@ def _reason(error: Exception) -> str:
     return f"it has no {error}" if isinstance(error, KeyError) else "it ends early or is no text"
 
 
-def _checked(count: int) -> int:
+def _check_count(count: int) -> int:
     """Return ``count``, which must not be negative."""
     if count < 0:
         raise ValueError("a count is negative")
@@ -104,7 +104,7 @@ def _read_header(data: bytes, path: Path) -> tuple[str, list[Element], int]:
                 case ["format", kind, *_]:
                     order = ORDERS[kind]
                 case ["element", name, count]:
-                    elements.append(Element(name, _checked(int(count))))
+                    elements.append(Element(name, _check_count(int(count))))
                 case ["property", "list", size, kind, name]:
                     elements[-1].properties.append((name, TYPES[kind], TYPES[size]))
                 case ["property", kind, name]:
@@ -130,7 +130,7 @@ def _read_text(data: bytes, elements: list[Element]) -> dict[str, dict[str, Colu
         rows: dict[str, list[Any]] = {name: [] for name, *_ in element.properties}
         for _ in range(element.count):
             for name, _, size in element.properties:
-                count = _checked(int(numbers[at])) if size else 1
+                count = _check_count(int(numbers[at])) if size else 1
                 at += 1 if size else 0
                 value = numbers[at : at + count]
                 if len(value) != count:
@@ -170,7 +170,7 @@ def _read_rows(
         for name, kind_name, size in element.properties:
             count = 1
             if size:
-                count = _checked(int(np.frombuffer(data, order + size, 1, at)[0]))
+                count = _check_count(int(np.frombuffer(data, order + size, 1, at)[0]))
                 at += np.dtype(size).itemsize
             value = np.frombuffer(data, order + kind_name, count, at) if count else np.empty(0, int)
             at += value.nbytes if count else 0

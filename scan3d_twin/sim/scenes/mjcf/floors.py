@@ -24,9 +24,9 @@ from scan3d_twin.sim.scenes.visibility import is_visible
 
 ROBOT_HEIGHT = 0.35
 """Height above which nothing can touch the robot [m]."""
-PLUMB = 10.0
+MAX_FLOOR_DEPTH = 10.0
 """Largest depth at which a floor is looked for [m]; assumption."""
-LEVEL = np.cos(np.radians(0.5))
+MIN_LEVEL_COSINE = np.cos(np.radians(0.5))
 """Least z of a level surface's normal; the robot's suspension evens out half a degree."""
 HALF_THICKNESS = 0.01
 """Half the thickness of a plane that is no floor [m]; assumption."""
@@ -34,9 +34,9 @@ HIDDEN_GROUP = 3
 """Group of geoms that only contacts know."""
 MAX_PASSED = 20
 """Largest number of surfaces that a plumb line passes on its way to the floor; assumption."""
-EVEN = 1e-6
+HEIGHT_TOLERANCE = 1e-6
 """Height below which a floor counts as at z = 0 [m]."""
-DRIVEN = 1.5
+DRIVING_RANGE = 1.5
 """Distance around start and target within which the robot drives [m]: the standoff of 1 m and its
 own diameter."""
 
@@ -78,7 +78,7 @@ def bound_planes(spec: Any, model: Any) -> bool:
     """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    below = level_planes(model, data) & (np.array(data.geom_xpos)[:, 2] <= EVEN)
+    below = level_planes(model, data) & (np.array(data.geom_xpos)[:, 2] <= HEIGHT_TOLERANCE)
     solid = np.array(model.geom_contype | model.geom_conaffinity) > 0
     finite = np.array(model.geom_size)[:, :2].min(axis=1) > 0
     planes = np.flatnonzero((np.array(model.geom_type) == _PLANE) & ~below & solid & finite)
@@ -102,7 +102,7 @@ def bound_planes(spec: Any, model: Any) -> bool:
 
 def level_planes(model: Any, data: Any) -> BoolArray:
     """Return which geoms of ``model`` (ngeom,) are planes that face up."""
-    up = np.array(data.geom_xmat)[:, 8] >= LEVEL
+    up = np.array(data.geom_xmat)[:, 8] >= MIN_LEVEL_COSINE
     result: BoolArray = (np.array(model.geom_type) == _PLANE) & up
     return result
 
@@ -111,7 +111,7 @@ def find_floor_planes(model: Any) -> tuple[str, ...]:
     """Return the names of the level planes at z = 0 of a compiled scene."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    even = np.abs(np.array(data.geom_xpos)[:, 2]) <= EVEN
+    even = np.abs(np.array(data.geom_xpos)[:, 2]) <= HEIGHT_TOLERANCE
     return tuple(model.geom(k).name for k in np.flatnonzero(level_planes(model, data) & even))
 
 
@@ -148,7 +148,7 @@ def lay_floor(
         changed = _carry(spec, copy, model, geom)
 
     # Move it to z = 0
-    if abs(height) > EVEN:
+    if abs(height) > HEIGHT_TOLERANCE:
         _lower(spec, height)
         changed = True
     return changed
@@ -189,7 +189,7 @@ def _find_floors(model: Any, starts: FloatArray, targets: set[str]) -> list[tupl
     for start in starts:
         # Drop a plumb line; continue planes beyond their pictures
         top = float(start[2]) + ROBOT_HEIGHT
-        floors = [each for each in planes if top - PLUMB <= each[0] <= top]
+        floors = [each for each in planes if top - MAX_FLOOR_DEPTH <= each[0] <= top]
         floors += _drop_plumb_line(model, data, np.array([start[0], start[1], top]), targets)
 
         # Take the highest
@@ -209,13 +209,13 @@ def _drop_plumb_line(
     for _ in range(MAX_PASSED):
         place = np.array([origin[0], origin[1], z])
         depth = mujoco.mj_ray(model, data, place, _DOWN, None, 1, -1, geom, normal)
-        if not 0 <= depth <= PLUMB - (origin[2] - z):
+        if not 0 <= depth <= MAX_FLOOR_DEPTH - (origin[2] - z):
             break
         k, z = int(geom[0]), z - depth
-        flat = mujoco.mjtGeom(int(model.geom_type[k])) in _FLAT and normal[2] >= LEVEL
+        flat = mujoco.mjtGeom(int(model.geom_type[k])) in _FLAT and normal[2] >= MIN_LEVEL_COSINE
         if flat and model.geom(k).name not in targets:
             return [(z, k)]
-        z -= EVEN
+        z -= HEIGHT_TOLERANCE
     return []
 
 
@@ -282,9 +282,9 @@ def widen_floors(spec: Any, model: Any, places: FloatArray) -> bool:
     for k in np.flatnonzero(level_planes(model, data)):
         # Compare reach and extent
         local = (places - data.geom_xpos[k]) @ data.geom_xmat[k].reshape(3, 3)
-        needed = np.abs(local[:, :2]).max(axis=0) + DRIVEN
+        needed = np.abs(local[:, :2]).max(axis=0) + DRIVING_RANGE
         size = np.array(model.geom_size[k, :2])
-        if abs(data.geom_xpos[k, 2]) > EVEN or not np.any((size > 0) & (size < needed)):
+        if abs(data.geom_xpos[k, 2]) > HEIGHT_TOLERANCE or not np.any((size > 0) & (size < needed)):
             continue
 
         # Make it endless

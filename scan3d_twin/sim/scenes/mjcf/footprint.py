@@ -16,7 +16,7 @@ from scan3d_twin.sim.scenes.mjcf.settings import reset_contact
 
 RADIUS = 0.165 + 0.10
 """Free radius around the start [m]: the robot's and a turn's clearance."""
-FLAT = 0.005
+MAX_STEP = 0.005
 """Height of what the robot drives over [m]; assumption."""
 HEIGHTS = (0.05, 0.15, LIDAR_HEIGHT)
 """Heights of level rays [m]."""
@@ -34,7 +34,7 @@ class Footprint:
     def __init__(self, spec: Any, caster: RayCaster, qpos: FloatArray) -> None:
         """Add the cylinder to a copy of ``spec``; ``caster`` looks at its scene at ``qpos``."""
         # Add the cylinder on a free joint
-        half = (ROBOT_HEIGHT - FLAT) / 2
+        half = (ROBOT_HEIGHT - MAX_STEP) / 2
         copy = spec.copy()
         body = copy.worldbody.add_body()
         body.add_freejoint()
@@ -47,7 +47,7 @@ class Footprint:
         self._model = copy.compile()
         self._data = mujoco.MjData(self._model)
         self._geom = self._model.ngeom - 1  # the last body of the world
-        self._height = FLAT + half
+        self._height = MAX_STEP + half
         self._caster, self._qpos = caster, qpos
 
     def is_free(self, place: FloatArray) -> bool:

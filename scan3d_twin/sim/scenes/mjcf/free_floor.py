@@ -21,24 +21,24 @@ from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 from scan3d_twin.sim.ray_casting import Hits, RayCaster, choose_caster
 from scan3d_twin.sim.scenes.mjcf.floors import ROBOT_HEIGHT, level_planes
-from scan3d_twin.sim.scenes.mjcf.footprint import FLAT, RADIUS, Footprint
+from scan3d_twin.sim.scenes.mjcf.footprint import MAX_STEP, RADIUS, Footprint
 from scan3d_twin.sim.scenes.mjcf.target_sight import TargetSight
 from scan3d_twin.sim.scenes.surface_samples import bounding_points
 
 CELL = 0.1
 """Side of a cell [m]."""
-REACH = 3.0
+MAX_DISTANCE = 3.0
 """Distance around the target within which a start is looked for [m]."""
-DISTANCE = 1.5
+WANTED_DISTANCE = 1.5
 """Wanted distance from the start to the target [m]; as in the built-in scenes."""
 MIN_ANGLE = np.radians(6.0)
 """Least angle at which the start sees a small target [rad]: three lines of a panorama, which are
 2 deg apart."""
-NEAREST = 0.8
+MIN_DISTANCE = 0.8
 """Least distance from the start to the target [m]; nearer, panoramas cut it off."""
 MAX_SAMPLED = 100
 """About how many places are looked from to learn how much of the target can be seen at once."""
-ENOUGH = 0.95
+MIN_SHARE_OF_BEST = 0.95
 """Part of the best sight that a start has to offer; assumption."""
 MIN_SHARE = 1e-6
 """Least share of the target that a start has to show: any."""
@@ -77,12 +77,12 @@ def choose_spawn(
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     cells, areas = _find_room(model, caster, low, high)
     gap = np.linalg.norm(np.maximum(0, np.maximum(low - cells, cells - high)), axis=-1)
-    near = (areas > 0) & (gap >= NEAREST) & (gap <= REACH)
+    near = (areas > 0) & (gap >= MIN_DISTANCE) & (gap <= MAX_DISTANCE)
     cells, areas, gap = cells[near], areas[near], gap[near]
 
     # Sort them by distance and direction
     middle = (low + high) / 2
-    wanted = np.clip(float((high - low).min()) / MIN_ANGLE, NEAREST, DISTANCE)
+    wanted = np.clip(float((high - low).min()) / MIN_ANGLE, MIN_DISTANCE, WANTED_DISTANCE)
     cost = np.abs(gap - wanted) + SIDE_WEIGHT * _turn_from_behind(cells - middle)
     order = np.argsort(cost, kind="stable")
     cells, areas = cells[order], areas[order]
@@ -105,8 +105,8 @@ def choose_spawn(
     if hidden and len(cells):
         reason += f" and sees it: {sight.find_cover(cells[0])}"
     raise SceneError(
-        f"{name}: no free floor within {REACH:g} m of the target {reason}; add a site 'spawn' "
-        "where the robot starts"
+        f"{name}: no free floor within {MAX_DISTANCE:g} m of the target {reason}; add a site "
+        "'spawn' where the robot starts"
     )
 
 
@@ -120,7 +120,7 @@ def _find_room(
     """
     from scipy.ndimage import distance_transform_edt, label  # slow to import
 
-    x, y = (np.arange(low[k] - REACH, high[k] + REACH + CELL, CELL) for k in range(2))
+    x, y = (np.arange(low[k] - MAX_DISTANCE, high[k] + MAX_DISTANCE + CELL, CELL) for k in range(2))
     cells = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     free = _probe(model, caster, cells)
     room = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * CELL > RADIUS + CELL / 2
@@ -139,7 +139,7 @@ def _choose_area(sight: TargetSight, cells: FloatArray, areas: IntArray) -> tupl
     shares = sight.shares(cells[at])
     if not shares.any():
         return 0, MIN_SHARE
-    least = ENOUGH * float(shares.max())
+    least = MIN_SHARE_OF_BEST * float(shares.max())
     return int(np.argmax(np.bincount(areas[at][shares >= least]))), least
 
 
@@ -161,11 +161,11 @@ def _probe(model: Any, caster: RayCaster, cells: FloatArray) -> BoolArray:
     # Drop plumb lines
     flat = cells.reshape(-1, 2)
     down = _cast(model, caster, flat, ROBOT_HEIGHT, (0.0, 0.0, -1.0)).distances
-    free = (np.abs(down - ROBOT_HEIGHT) < FLAT) & _in_front_of_planes(model, flat)
+    free = (np.abs(down - ROBOT_HEIGHT) < MAX_STEP) & _in_front_of_planes(model, flat)
 
     # Look up from the floor, and find what is solid there
     at = np.flatnonzero(free)
-    up = _cast(model, caster, flat[at], 2 * FLAT, (0.0, 0.0, 1.0))
+    up = _cast(model, caster, flat[at], 2 * MAX_STEP, (0.0, 0.0, 1.0))
     inside = np.isin(model.geom_type[up.geoms], _CLOSED) & (up.normals[:, 2] > 0)
     free[at] = (up.distances > ROBOT_HEIGHT) & ~inside
 
@@ -224,7 +224,7 @@ def rings(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     The foot of one that is sunk into the floor is below the floor.
     """
     low, high = points.min(axis=0), points.max(axis=0)
-    radius = float(np.linalg.norm((high - low)[:2])) / 2 + DISTANCE
+    radius = float(np.linalg.norm((high - low)[:2])) / 2 + WANTED_DISTANCE
     angles = math.tau * np.arange(16) / 16
     middle = (low + high) / 2
     around = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(16)], axis=1)

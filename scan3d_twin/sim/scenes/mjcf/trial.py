@@ -58,7 +58,7 @@ try:
     spec.compile()
 except (MemoryError, RuntimeError):
     sys.exit(12)
-except Exception as error:  # an error in the scene is told by the reading that follows
+except Exception as error:  # an error in the scene is reported by the reading that follows
     sys.exit(12 if "allocate memory" in str(error) else 0)
 """
 _OUT_OF_MEMORY = 12
@@ -119,7 +119,7 @@ def try_mjcf(path: Path) -> None:
     Raises:
         SceneError: It takes too much memory or time, or ends the parser.
     """
-    # Let pass what cannot expand
+    # Accept what cannot expand
     check_size(path)
     try:
         text = path.read_bytes()
@@ -148,7 +148,7 @@ def try_mjcf(path: Path) -> None:
     except OSError as error:
         raise SceneError(f"cannot try {path}: {error.strerror or error}") from None
 
-    # Tell what went wrong
+    # Name what went wrong
     if code in (-signal.SIGXCPU, -signal.SIGKILL):
         raise SceneError(f"{path} takes longer than {seconds:g} s to read; {how_to_raise()}")
     if code == _OUT_OF_MEMORY or code < 0:
