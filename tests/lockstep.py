@@ -18,8 +18,10 @@ from scan3d_twin.cli.commands.real import SMALL_COMPUTER
 from scan3d_twin.cli.memory import give_back_memory
 from scan3d_twin.cli.run import run
 from scan3d_twin.core.config import preset_options
+from scan3d_twin.devices import reconnecting
+from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.links.transport import Tapped
-from scan3d_twin.real.robot import open_over
+from scan3d_twin.real import robot
 from scan3d_twin.recording.recorder import SerialTaps
 from scan3d_twin.run.folder import claim_folder
 from scan3d_twin.run.settings import REAL_SCENE, build_settings
@@ -131,6 +133,8 @@ class FarLine:
 def main():
     """Digitise with the drivers here, as `twin real` does, and print its report."""
     give_back_memory()
+    # Each step of the time is two switches of process: make them as long as the base's period
+    robot.SLICE = reconnecting.POLL = oi.PERIOD
     clock, taps = FarClock(Connection(int(sys.argv[1]))), SerialTaps()
     given = tomllib.loads("\n".join(sys.argv[3:]))
     effective = build_settings(
@@ -150,8 +154,8 @@ def opening(clock, taps):
         """Return the lidar's serial line, tapped."""
         return Tapped(FarLine("lidar", clock), clock, taps.lidar)
 
-    with open_over(base, open_lidar, clock) as robot:
-        yield robot, None
+    with robot.open_over(base, open_lidar, clock) as opened:
+        yield opened, None
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ smoke() {
     "$uv" pip install --quiet --python "$place/bin/python" --no-deps "$work"/*.whl
     (
         cd "$place"
-        bin/twin sim --scene three_boxes --max-views 2 --out run >log 2>&1 &&
+        bin/twin sim --scene three_boxes --max-views 2 --sweep.yaw-rate 0.5 --out run >log 2>&1 &&
             bin/twin session info run >>log 2>&1 &&
             bin/twin replay run >>log 2>&1 &&
             bin/twin export run --to ply --out cloud.ply >>log 2>&1 &&
@@ -36,12 +36,18 @@ smoke() {
     echo "Python $python, $resolution packages: $("$place/bin/python" -c 'import numpy; print("NumPy", numpy.__version__)'): runs"
 }
 
-found=0 oldest=
+# All at once: a good part of it waits for files.
+found=0 oldest='' started='' failed=0
 for version in 3.11 3.12 3.13 3.14; do
     "$uv" python find --quiet "$version" >/dev/null 2>&1 || continue
     found=$((found + 1))
     oldest=${oldest:-$version}
-    smoke "$version" highest
+    smoke "$version" highest &
+    started="$started $!"
 done
-smoke "$oldest" lowest-direct
+smoke "$oldest" lowest-direct &
+for each in $started $!; do
+    wait "$each" || failed=1
+done
+[ "$failed" = 0 ] || exit 1
 echo "$found Pythons tried"

@@ -8,6 +8,7 @@ import pytest
 from full_disk import full_disk
 from PIL import Image
 from recorded import record
+from short_runs import COARSE_OPTIONS
 
 import scan3d_twin as s3d
 from scan3d_twin.core.errors import ConfigError, FileError
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.slow
 def film(tmp_path_factory):
     """What the film of a run of two views is made of."""
     folder = tmp_path_factory.mktemp("film") / "run"
-    s3d.run_sim("three_boxes", options={"max_views": 2}, out=folder)
+    s3d.run_sim("three_boxes", options={"max_views": 2, **COARSE_OPTIONS}, out=folder)
     return prepare_film(load_session(folder))
 
 
@@ -144,7 +145,7 @@ def test_a_run_without_odometry_stands_at_its_viewpoints(session, tmp_path):
 
 
 def test_a_real_run_is_shown_without_its_surroundings(tmp_path):
-    s3d.run_sim("three_boxes", options={"max_views": 1}, out=tmp_path / "run")
+    s3d.run_sim("three_boxes", options={"max_views": 1, **COARSE_OPTIONS}, out=tmp_path / "run")
     run = load_session(tmp_path / "run")
     settings = replace(run.settings, run=replace(run.settings.run, scene=REAL_SCENE))
     film = prepare_film(replace(run, settings=settings))

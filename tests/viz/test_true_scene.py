@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from short_runs import COARSE_OPTIONS
 
 import scan3d_twin as s3d
 from scan3d_twin.core.errors import TwinError
@@ -18,7 +19,7 @@ from scan3d_twin.viz.true_scene import true_triangles
 def run(tmp_path_factory):
     """A recorded run of one view."""
     folder = tmp_path_factory.mktemp("true_scene") / "run"
-    s3d.run_sim("three_boxes", seed=1000, options={"max_views": 1}, out=folder)
+    s3d.run_sim("three_boxes", seed=1000, options={"max_views": 1, **COARSE_OPTIONS}, out=folder)
     return load_session(folder)
 
 
