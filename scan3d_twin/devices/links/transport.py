@@ -22,8 +22,9 @@ from scan3d_twin.core.hal import Clock
 
 WRITE_TIMEOUT = 1.0
 """Time-out for sending a command, which has at most 100 bytes [s]."""
-RETRY = (0.1, 0.5)
-"""First and longest wait between two attempts to reopen a port [s]; it doubles each time."""
+RETRY = (0.1, 0.25)
+"""First and longest wait between two attempts to reopen a port [s]; it doubles each time. A base
+whose cable came off drives on: half a second after it is back it must have been stopped."""
 MEMORY_DEVICES = 1
 """Major number of /dev/null and its like; Linux, Documentation/admin-guide/devices.txt."""
 _CHUNK = 4096
@@ -289,6 +290,7 @@ class Reopening:
                 self._port.write(self._first)
                 self.away, self._wait = False, RETRY[0]
                 log.warning("the port is back")
+                return True
             self._wait = min(RETRY[1], 2 * self._wait)
             self._due = self._clock.now() + self._wait
         return not self.away

@@ -160,8 +160,16 @@ def test_a_bump_at_every_move_stops_each_and_loses_no_way(seed):
 
 
 @pytest.mark.parametrize("gone", [[0], [1], [0, 1]], ids=["base", "lidar", "both"])
-def test_a_port_that_is_gone_and_back_stops_the_wheels_and_loses_no_part(seed, gone):
+def test_a_port_that_is_gone_and_back_stops_the_wheels_and_loses_no_part(seed, gone, monkeypatch):
     bed = Bed(seed)
+    stops, set_velocity = [], bed.base.set_velocity
+
+    def record(linear, angular):
+        if linear == angular == 0:
+            stops.append(bed.clock.now())
+        return set_velocity(linear, angular)
+
+    monkeypatch.setattr(bed.base, "set_velocity", record)
     seconds = float(bed.rng.uniform(0.2, 2.0))
     with bed.open() as robot:
         image = bed.sweep(
@@ -171,10 +179,9 @@ def test_a_port_that_is_gone_and_back_stops_the_wheels_and_loses_no_part(seed, g
     for scan in bed.scans:
         turn = KnownLidar.turn_at(scan.stamp)
         assert np.array_equal(values_of(scan), KnownLidar.values(turn))
-    # A base that hears nothing drives on: it is stopped as soon as it is back
+    # A base that hears nothing drives on: it is stopped as soon as it is back, and sweeps on
     if 0 in gone:
-        moved = np.array(bed.moved_since(bed.clock.back + 0.1))
-        assert np.diff(moved, prepend=bed.clock.back).max() > 5 * bed.base.spec.sample_period
+        assert any(0 <= stop - bed.clock.back < 0.5 for stop in stops)
 
 
 def test_an_emulator_that_is_killed_ends_the_sweep_with_its_reason(seed):
