@@ -1,7 +1,7 @@
 """Sweeps that do not determine the pose: is exactly what is undetermined reported?
 
 ``python benchmarks/degenerate_sweeps.py --json`` prints one object {name: {value, unit, peer,
-runs}}, for each case of ``tests/degenerate_sweeps.py`` and with and without a prior:
+runs}}, for each case of ``tests/degenerate_pairs.py`` and with and without a prior:
 
 * ``directions_...``: share of the tries that report exactly the undetermined directions, to within
   10 deg (of ``disjoint``: that are refused, not converged or ambiguous);
@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import cloud_scenes
 import numpy as np
-from degenerate_sweeps import CASES, PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
+from degenerate_pairs import CASES, PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration import register

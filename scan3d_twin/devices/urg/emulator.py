@@ -22,6 +22,9 @@ UART_BUFFER = 0.005
 """Longest time a scan waits for the previous one to leave the UART [s]; assumption: 60 bytes."""
 MAX_QUEUE = 16
 """Number of requests that can wait for the tick; assumption."""
+MAX_ASCII = 0x7F
+"""Largest byte of a request that is kept; assumption: SCIP is text, and MRPT's search for the bit
+rate, which leaves such a byte at each wrong one, is known to work with devices."""
 
 
 class UrgEmulator:
@@ -63,6 +66,8 @@ class UrgEmulator:
         if now < self._booted_at or self.firmware.mute:
             return
         for byte in data:
+            if byte > MAX_ASCII:
+                continue
             if byte not in b"\r\n":
                 self._request += bytes([byte])[: MAX_REQUEST - len(self._request)]
             elif self._request:

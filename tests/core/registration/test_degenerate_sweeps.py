@@ -11,7 +11,7 @@ from functools import cache
 import cloud_scenes
 import numpy as np
 import pytest
-from degenerate_sweeps import PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
+from degenerate_pairs import PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
 
 from scan3d_twin.core.registration import register
 from scan3d_twin.core.registration.pose_prior import PosePrior
