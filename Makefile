@@ -31,7 +31,7 @@ quick: $(SETUP)  ## run the tests that take no simulator, in a minute
 # whose fixtures are then made once.
 WORKERS ?= 3
 test: $(SETUP)  ## run all tests
-	@echo "all tests: about 10 minutes on 2 cores; make quick takes one"
+	@echo "all tests: about 14 minutes on 2 cores; make quick takes one"
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 
 check: $(SETUP)  ## format, lint, types, import rules, spelling

@@ -48,6 +48,7 @@ from scan3d_twin.devices.create.reading_filter import ReadingFilter
 from scan3d_twin.devices.create.speed_watch import SpeedWatch
 from scan3d_twin.devices.links.guard import Guard, NoGuard
 from scan3d_twin.devices.links.transport import Transport, is_away
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 log = logging.getLogger(__name__)
 
@@ -141,7 +142,7 @@ class CreateBase:
         self._source = self._ask(packets_at_rest(contact))
         self.spec = base_spec(contact.model, streams=isinstance(self._source, Stream))
         self._patience = ASK_AGAIN if isinstance(self._source, Stream) else 3 * ASK_AGAIN
-        latency = oi.frame_size(self._packets) * 10 / contact.baud
+        latency = oi.frame_size(self._packets) * BITS_PER_BYTE / contact.baud
         self._times = SampleTimes(self.spec.sample_period, latency)
 
         # State of commands and readings
@@ -436,7 +437,7 @@ class CreateBase:
             return
         if remedy == "complete and repeat":
             self._transport.write(HALF_ANYTHING)
-            self._orders.excuse(len(HALF_ANYTHING) * 10 / self.contact.baud)
+            self._orders.excuse(len(HALF_ANYTHING) * BITS_PER_BYTE / self.contact.baud)
             self._source = self._ask_anew()
         self._drive(*self._sent)
 
@@ -576,7 +577,7 @@ class CreateBase:
         # Start and request the packets
         self._transport.write(pad + oi.command(Op.START))
         self._source = self._ask_anew()
-        self._asked_at = now + ASK_AGAIN + len(pad) * 10 / self.contact.baud
+        self._asked_at = now + ASK_AGAIN + len(pad) * BITS_PER_BYTE / self.contact.baud
 
     def _read_at_rest(self, now: float) -> None:
         """On a Create 1 at rest, read packets 19 and 20 once."""

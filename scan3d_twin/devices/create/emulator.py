@@ -19,6 +19,7 @@ from scan3d_twin.devices.create.emulated_body import Body, Quirks
 from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets, packets_of, size_of
 from scan3d_twin.devices.create.roomba import step_speed
 from scan3d_twin.devices.create.script_events import has_happened
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 MAX_BACKLOG = 0.1
 """Time that what is to be sent may still take when another stream frame is begun [s]; assumption:
@@ -138,7 +139,7 @@ class CreateEmulator:
         """Put ``data`` on the line at ``now`` [s]."""
         if data:
             self._out.append((self._baud, now, data))
-            self._sent_by = max(self._sent_by, now) + len(data) * 10 / self._baud
+            self._sent_by = max(self._sent_by, now) + len(data) * BITS_PER_BYTE / self._baud
 
     def wake(self) -> None:
         """Press the power button, or pulse the BRC line."""

@@ -35,6 +35,7 @@ from scan3d_twin.devices.create.link import (
 )
 from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 log = logging.getLogger(__name__)
 
@@ -167,7 +168,7 @@ def find_base(transport: Transport, clock: Clock, stated: Model | None = None) -
 
 def _start_time(pad: bytes, baud: int) -> float:
     """Return how long a base takes to start behind ``pad`` at ``baud`` [bit/s], in s."""
-    return len(pad) * 10 / baud + MODE_SETTLE
+    return len(pad) * BITS_PER_BYTE / baud + MODE_SETTLE
 
 
 def _decide(evidence: Evidence, stated: Model | None) -> Model:

@@ -12,6 +12,7 @@ from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Model, Op, StreamParser
 from scan3d_twin.devices.create.packets import Mode, Packet, decode_packets, size_of
 from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 BAUDS = (115200, 57600, 19200)
 """Baud rates to try: Create 2, Create 1, and the slow one both can be switched to [bit/s]."""
@@ -69,7 +70,7 @@ def call_back(transport: Transport, baud: int) -> float:
     order = oi.command(Op.BAUD, oi.BAUD_CODES.index(baud))
     transport.set_baud(lowest)
     transport.write(order)
-    return len(order) * 10 / lowest + BAUD_SETTLE
+    return len(order) * BITS_PER_BYTE / lowest + BAUD_SETTLE
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from scan3d_twin.core.hal import Clock
 from scan3d_twin.devices.dynamixel.codec import ALERT, BROADCAST, ErrorNumber, Instruction
 from scan3d_twin.devices.dynamixel.registers import STATUS_RETURN_LEVEL, Register
 from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 T = TypeVar("T")
 Steps = Generator[None, None, T]
@@ -119,7 +120,7 @@ class SdkPort:
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
         """Send ``packet``; return its length."""
-        self.sent = self._clock.now() + len(packet) * 10 / self._baud
+        self.sent = self._clock.now() + len(packet) * BITS_PER_BYTE / self._baud
         self._transport.write(bytes(packet))
         return len(packet)
 
@@ -127,7 +128,7 @@ class SdkPort:
         """Wait for an answer of ``packet_length`` bytes, by the SDK's own rule."""
         from dynamixel_sdk.port_handler import LATENCY_TIMER
 
-        transfer = packet_length * 10 / self._baud
+        transfer = packet_length * BITS_PER_BYTE / self._baud
         self.deadline = self._clock.now() + transfer + (2 * LATENCY_TIMER + 2) / 1000
 
     def isPacketTimeout(self) -> bool:  # noqa: N802

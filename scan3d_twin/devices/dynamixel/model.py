@@ -15,6 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
+
 COUNTS = 4096
 """Counts of the angle sensor in a turn [manual]."""
 COUNT = math.tau / COUNTS
@@ -89,5 +91,5 @@ the slowest reading."""
 
 def sample_period(baud: int) -> float:
     """Return the time between two samples at a bit rate, with an order between them [s]."""
-    transfer = POLLED_BYTES * 10 / baud
+    transfer = POLLED_BYTES * BITS_PER_BYTE / baud
     return SERVICE_INTERVAL * (1 + math.ceil(transfer / SERVICE_INTERVAL))

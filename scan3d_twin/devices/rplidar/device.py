@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from scan3d_twin.core.hal import Clock, Lidar
 from scan3d_twin.devices.device import LidarDevice, LidarSensor, Wiring
 from scan3d_twin.devices.links.transport import Transport
+from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 from scan3d_twin.devices.rplidar import model as rplidar
 from scan3d_twin.devices.rplidar.capsules import CAPSULE_LENGTH
 from scan3d_twin.devices.rplidar.driver import RplidarLidar, line_spec
@@ -93,7 +94,7 @@ def _line_latency(model: RplidarModel) -> float:
     """
     mode = next(iter(model.modes.values()))
     frame = SAMPLES[mode.reply] * mode.sample_us * 1e-6
-    return 1.0 / model.turns + 2 * frame + CAPSULE_LENGTH * 10 / model.baud
+    return 1.0 / model.turns + 2 * frame + CAPSULE_LENGTH * BITS_PER_BYTE / model.baud
 
 
 def _describe(model: RplidarModel, summary: str) -> LidarDevice:
