@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from scan3d_twin.devices.create.packets import decode_packets, encode_packets, size_of
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 
 BAUD_CODES = (300, 600, 1200, 2400, 4800, 9600, 14400, 19200, 28800, 38400, 57600, 115200)
 """Baud rates, indexed by the code of command 129 [bit/s]; page 8."""
@@ -289,8 +290,8 @@ def fits_frame(packets: Sequence[int]) -> bool:
 
 
 def fits_stream(packets: Sequence[int], baud: int) -> bool:
-    """Return whether a frame (10 bits per byte) is sent before the next one is due; page 14."""
-    return frame_size(packets) <= baud / 10 * PERIOD
+    """Return whether a frame is sent before the next one is due; page 14."""
+    return frame_size(packets) <= baud / BITS_PER_BYTE * PERIOD
 
 
 class StreamParser:

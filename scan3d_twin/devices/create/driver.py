@@ -47,8 +47,8 @@ from scan3d_twin.devices.create.packets import Mode, Packet
 from scan3d_twin.devices.create.reading_filter import ReadingFilter
 from scan3d_twin.devices.create.speed_watch import SpeedWatch
 from scan3d_twin.devices.links.guard import Guard, NoGuard
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.links.transport import Transport, is_away
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 log = logging.getLogger(__name__)
 

@@ -19,7 +19,7 @@ from scan3d_twin.devices.create.emulated_body import Body, Quirks
 from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets, packets_of, size_of
 from scan3d_twin.devices.create.roomba import step_speed
 from scan3d_twin.devices.create.script_events import has_happened
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 
 MAX_BACKLOG = 0.1
 """Time that what is to be sent may still take when another stream frame is begun [s]; assumption:

@@ -34,8 +34,8 @@ from scan3d_twin.devices.create.link import (
     call_back,
 )
 from scan3d_twin.devices.create.packets import Mode, Packet
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.links.transport import Transport
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 log = logging.getLogger(__name__)
 

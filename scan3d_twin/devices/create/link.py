@@ -11,8 +11,8 @@ from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Model, Op, StreamParser
 from scan3d_twin.devices.create.packets import Mode, Packet, decode_packets, size_of
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.links.transport import Transport
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 BAUDS = (115200, 57600, 19200)
 """Baud rates to try: Create 2, Create 1, and the slow one both can be switched to [bit/s]."""

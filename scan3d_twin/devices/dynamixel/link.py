@@ -20,8 +20,8 @@ from scan3d_twin.core.errors import LinkTimeoutError, ProtocolError
 from scan3d_twin.core.hal import Clock
 from scan3d_twin.devices.dynamixel.codec import ALERT, BROADCAST, ErrorNumber, Instruction
 from scan3d_twin.devices.dynamixel.registers import STATUS_RETURN_LEVEL, Register
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.links.transport import Transport
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 
 T = TypeVar("T")
 Steps = Generator[None, None, T]

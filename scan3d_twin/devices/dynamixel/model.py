@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 
 COUNTS = 4096
 """Counts of the angle sensor in a turn [manual]."""

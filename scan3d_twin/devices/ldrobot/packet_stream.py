@@ -14,7 +14,7 @@ import numpy as np
 from scan3d_twin.core.types import VALID, Beams, FloatArray
 from scan3d_twin.devices.ldrobot.codec import FULL_TURN, READINGS, SIZE, TIME_PERIOD, Packet
 from scan3d_twin.devices.ldrobot.model import MAX_TURN_RATE_ERROR, TURN_RATE, LdModel
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.rotating import to_elevation
 
 NO_RETURN = 0

@@ -12,7 +12,8 @@ import numpy as np
 
 from scan3d_twin.core.errors import HazardError, LinkError
 from scan3d_twin.core.hal import Clock
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE, Uart
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
+from scan3d_twin.devices.links.uart import Uart
 
 BUFFER = 65536
 """Size of the client's input buffer [bytes]; what does not fit is lost. Assumption: Linux keeps up

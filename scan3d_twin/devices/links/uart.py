@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-BITS_PER_BYTE = 10
-"""8N1: start bit, eight data bits, stop bit."""
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
+
 OVERSAMPLING = 16
 """Ticks per bit in which a receiver looks for the edge of a start bit; ATmega and STM32 manuals."""
 CLOCK_ERROR = 0.01

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 
 from scan3d_twin.core.hal import Clock, Lidar
 from scan3d_twin.devices.device import LidarDevice, LidarSensor, Wiring
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.links.transport import Transport
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
 from scan3d_twin.devices.rplidar import model as rplidar
 from scan3d_twin.devices.rplidar.capsules import CAPSULE_LENGTH
 from scan3d_twin.devices.rplidar.driver import RplidarLidar, line_spec

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from scan3d_twin.devices.device import LidarProbe
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.rplidar.codec import (
     INFO_LENGTH,
     MAX_REQUEST,

@@ -14,7 +14,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import ProtocolError
 from scan3d_twin.core.types import VALID, Beams, FloatArray
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.rotating import to_elevation
 from scan3d_twin.devices.rplidar.capsules import (
     ANGLE_UNITS,

@@ -11,7 +11,7 @@ from collections import deque
 from scan3d_twin.core.errors import LinkTimeoutError
 from scan3d_twin.core.hal import Lidar
 from scan3d_twin.core.types import ScanLine
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.urg.emulated_firmware import Firmware
 from scan3d_twin.devices.urg.emulated_quirks import UrgProfile
 from scan3d_twin.devices.urg.model import REPLY_LATENCY

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from scan3d_twin.core.errors import ConfigError, LinkError
-from scan3d_twin.devices.links.uart import BITS_PER_BYTE
+from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 from scan3d_twin.devices.urg import codec as scip
 from scan3d_twin.devices.urg import model as urg04lx
 from scan3d_twin.devices.urg.codec import ScanCommand, ScanRequest
