@@ -13,16 +13,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_surface import HiddenSurface
 from scan3d_twin.core.planning.overlap_or_default import expect_accuracy, list_overlaps
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap
 from scan3d_twin.core.viewpoints import sum_turns
@@ -104,7 +103,7 @@ def shows_nothing_new(session: Session) -> bool:
     for k in range(first, len(seen)):
         if len(seen[k]) == 0:
             continue
-        distance, _ = find_nearest(cKDTree(np.concatenate(seen[:k])), seen[k], NEW_DISTANCE)
+        distance, _ = Tree.of(np.concatenate(seen[:k])).closest(seen[k], NEW_DISTANCE)
         if np.mean(~np.isfinite(distance)) > MIN_NEW_SHARE:
             return False
     return True

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import (
     MIN_TARGET_LINES,
     PlanningContext,
@@ -30,6 +28,7 @@ from scan3d_twin.core.planning.surface_patches import (
     merge_patches,
 )
 from scan3d_twin.core.planning.voxels import OCCUPIED, VOXEL_SIZE, Rays, VoxelMap, build_voxel_map
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2, wrap
 from scan3d_twin.core.viewpoints import MAX_FRONT_ANGLE, measure_angle
@@ -210,7 +209,7 @@ def _find_ring(target: FloatArray, session: Session) -> tuple[FloatArray, FloatA
     places = step * np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
     # Keep a ring of it
-    distance, index = find_nearest(cKDTree(target), places)
+    distance, index = Tree.of(target).closest(places)
     ring = (distance >= MIN_STANDOFFS * standoff) & (distance <= MAX_STANDOFFS * standoff)
     to = target[index[ring]] - places[ring]
     return places[ring], np.arctan2(to[:, 1], to[:, 0])

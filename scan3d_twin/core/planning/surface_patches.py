@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
 
@@ -61,7 +61,7 @@ def extract_patches(points: FloatArray, eye: FloatArray) -> Patches:
         return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
     # Fit planes to their neighbours
-    _, index = cKDTree(thinned).query(thinned, k=NORMAL_NEIGHBOURS)
+    _, index = Tree.of(thinned).nearest(thinned, NORMAL_NEIGHBOURS)
     around = thinned[index] - thinned[index].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
     normals = vectors[..., 0]

@@ -15,8 +15,8 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
+from scan3d_twin.core.moving_windows import open_by_box
 from scan3d_twin.core.planning.surface_patches import Eye
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import (
@@ -66,6 +66,8 @@ class VoxelMap:
     @cached_property
     def may_hold_more(self) -> BoolArray:
         """Unknown voxels at the target's border, which may hold more of it (nx, ny, nz)."""
+        from scipy import ndimage  # slow to import
+
         near = ndimage.maximum_filter(self.target, 1 + 2 * BORDER_VOXELS, mode="constant")
         return np.asarray(near & (self.labels == UNKNOWN))
 
@@ -184,11 +186,8 @@ def _measure_reach(image: RangeImage, spacing: float) -> FloatArray:
     """Return the free length of each beam (n_lines, n_beams) [m]; NaN for a single dropout."""
     beams = float(np.median(np.diff(image.spec.elevations)))
     hole = np.isnan(image.ranges)
-    # An opening by a box; along one axis after the other takes a quarter of the time.
     wide = [max(1, round(MIN_VOID_ANGLE / step)) for step in (spacing, beams)]
-    mirrored = [n % 2 - 1 for n in wide]
-    eroded = ndimage.minimum_filter(hole, wide, mode="constant", cval=1)
-    void = ndimage.maximum_filter(eroded, wide, mode="constant", cval=0, origin=mirrored)
+    void = open_by_box(hole, wide)
     return np.where(hole & void, image.spec.max_range, image.ranges)
 
 

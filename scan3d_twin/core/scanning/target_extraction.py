@@ -12,13 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.hal import LIDAR_HEIGHT
-from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.walls import (
@@ -133,7 +132,7 @@ def _share_shown(places: FloatArray, scan: Scan3D, gap: float) -> float:
     """Return the share of ``places`` (n, 2) that have a point of ``scan`` within ``gap`` [m]."""
     if len(scan) == 0:
         return 0.0
-    distance, _ = find_nearest(cKDTree(scan.points[:, :2]), places)
+    distance, _ = Tree.of(scan.points[:, :2]).closest(places)
     return float(np.mean(distance <= gap))
 
 
@@ -414,7 +413,7 @@ def _find_touching(
     touching = np.bincount(groups[near], minlength=int(groups.max()) + 1) > 0
     possible = dilate(grid, gap + 1.01 * diagonal, GROUPING_CELL).take(cell) & ~touching[groups]
     if possible.any():
-        distance, _ = find_nearest(cKDTree(known), points[possible])
+        distance, _ = Tree.of(known).closest(points[possible])
         touching[groups[possible][distance <= gap]] = True
     return touching
 
