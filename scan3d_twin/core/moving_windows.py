@@ -53,9 +53,12 @@ def are_all(mask: BoolArray, size: int, axis: int, beyond: bool) -> BoolArray:
     before, columns = size // 2, np.moveaxis(mask, axis, 0)
     width = [(before, size - 1 - before), (0, 0)]
     padded = np.pad(columns, width, constant_values=beyond)
-    counts = np.zeros((len(padded) + 1, padded.shape[1]), dtype=np.int64)
-    np.add.accumulate(padded, axis=0, out=counts[1:])
-    return np.asarray(np.moveaxis(counts[size:] - counts[:-size] == size, 0, axis))
+    whole, covered = padded, 1
+    while covered < size:
+        more = min(covered, size - covered)
+        whole = whole[: len(whole) - more] & whole[more:]
+        covered += more
+    return np.asarray(np.moveaxis(whole, 0, axis))
 
 
 def open_by_box(mask: BoolArray, sizes: Sequence[int]) -> BoolArray:

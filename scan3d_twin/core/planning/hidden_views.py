@@ -171,9 +171,10 @@ def _plan_hidden_view(context: PlanningContext, ranked: _Ranked | None) -> Plan 
     here, accuracy = context.view.T_world_scan, expect_accuracy(context.session)
     for i in ranked.wanted:
         pose = ranked.candidates.poses[i]
-        if ranked.prediction.error(here.inverse() @ pose) <= accuracy:
+        error = ranked.prediction.error(here.inverse() @ pose)
+        if error <= accuracy:
             reason = f"contour done: {1e4 * ranked.areas[i]:.0f} cm2 more may show"
-            return _go(ranked.candidates, pose, reason)
+            return _go(ranked.candidates, pose, reason, error)
     return None
 
 
@@ -190,9 +191,9 @@ def _plan_halfway(context: PlanningContext, ranked: _Ranked | None) -> Plan | No
         for pose in _iterate_halfway(here, ranked.candidates.poses[i]):
             step = here.inverse() @ pose
             is_possible = ranked.candidates.is_allowed(pose) and context.is_feasible(step)
-            if is_possible and ranked.prediction.error(step) <= accuracy:
+            if is_possible and (error := ranked.prediction.error(step)) <= accuracy:
                 reason = f"contour done: on the way to {1e4 * ranked.areas[i]:.0f} cm2 more"
-                return _go(ranked.candidates, pose, reason)
+                return _go(ranked.candidates, pose, reason, error)
     return None
 
 
@@ -220,8 +221,9 @@ def _plan_approach(context: PlanningContext) -> Plan | None:
     order = np.argsort(distances, kind="stable")
     for i in order[distances[order] < here.distance(goal) - MIN_PROGRESS]:
         pose = candidates.poses[i]
-        if prediction.error(here.inverse() @ pose) <= expect_accuracy(session):
-            return candidates.go(pose, "contour blocked: on the way to its other end")
+        error = prediction.error(here.inverse() @ pose)
+        if error <= expect_accuracy(session):
+            return candidates.go(pose, "contour blocked: on the way to its other end", error=error)
     return None
 
 
@@ -236,8 +238,8 @@ def _iterate_halfway(here: Pose2, there: Pose2) -> Iterator[Pose2]:
         )
 
 
-def _go(candidates: PoseCandidates, pose: Pose2, reason: str) -> Plan:
-    """Return the plan to go to ``pose``, which falls back if its error exceeds epsilon."""
-    plan = candidates.go(pose, reason)
+def _go(candidates: PoseCandidates, pose: Pose2, reason: str, error: float) -> Plan:
+    """Return the plan to go to ``pose``, which falls back if its ``error`` [m] exceeds epsilon."""
+    plan = candidates.go(pose, reason, error=error)
     fell_back = plan.predicted_rmse > candidates.session.config.planning.epsilon
     return replace(plan, fell_back=fell_back)

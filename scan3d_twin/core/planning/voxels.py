@@ -118,18 +118,10 @@ class Rays:
 
 def build_voxel_map(session: Session, margin: float) -> VoxelMap:
     """Return the map of the space within ``margin`` [m] of the known target."""
-    # Bound the map
-    known = np.concatenate([v.T_world_scan.apply(v.target.points) for v in session.views])
-    hint = session.hint if len(known) == 0 else known[:, :2]
-    low = np.append(hint.min(axis=0) - margin, FLOOR_TOP)
-    top = float(known[:, 2].max()) if len(known) else 1.0
-    high = np.append(hint.max(axis=0) + margin, top + HEADROOM)
-    nx, ny, nz = (int(n) for n in np.ceil((high - low) / VOXEL_SIZE))
+    blank = _lay_out(session, margin)
+    low, shape = blank.origin, blank.labels.shape
 
     # Mark voxels that beams passed
-    shape = (nx, ny, nz)
-    empty = np.zeros(shape, dtype=np.int8)
-    blank = VoxelMap(low, empty, empty.astype(bool))
     free = np.zeros(shape, dtype=bool)
     centres = low + (np.moveaxis(np.indices(shape), 0, -1) + 0.5) * VOXEL_SIZE
     for T_world_scan, image in _iterate_images(session):
@@ -140,6 +132,25 @@ def build_voxel_map(session: Session, margin: float) -> VoxelMap:
     target = _find_occupied(blank, [(v.T_world_scan, v.target.points) for v in session.views])
     labels = np.where(solid, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
     return VoxelMap(low, labels, target & solid)
+
+
+def find_occupied_voxels(session: Session, margin: float) -> FloatArray:
+    """Return the middles (n, 3) [m] of the occupied voxels of ``build_voxel_map``, without it."""
+    blank = _lay_out(session, margin)
+    solid = _find_occupied(blank, [(v.T_world_scan, v.sweep.points) for v in session.views])
+    return np.asarray(blank.origin + (np.argwhere(solid) + 0.5) * VOXEL_SIZE)
+
+
+def _lay_out(session: Session, margin: float) -> VoxelMap:
+    """Return a map of the space within ``margin`` [m] of the known target, all unknown."""
+    known = np.concatenate([v.T_world_scan.apply(v.target.points) for v in session.views])
+    hint = session.hint if len(known) == 0 else known[:, :2]
+    low = np.append(hint.min(axis=0) - margin, FLOOR_TOP)
+    top = float(known[:, 2].max()) if len(known) else 1.0
+    high = np.append(hint.max(axis=0) + margin, top + HEADROOM)
+    nx, ny, nz = (int(n) for n in np.ceil((high - low) / VOXEL_SIZE))
+
+    return VoxelMap(low, np.zeros((nx, ny, nz), np.int8), np.zeros((nx, ny, nz), dtype=bool))
 
 
 def _iterate_images(session: Session) -> Iterator[tuple[Pose2, RangeImage]]:
