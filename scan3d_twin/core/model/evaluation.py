@@ -275,7 +275,7 @@ def find_judged_targets(session: Session, truth: Truth, asked: str = "") -> tupl
     while reach:
         tree = trees[reach.pop()]
         for name in names:
-            if name not in chosen and np.any(tree.closest(trees[name].points)[0] <= gap):
+            if name not in chosen and np.any(tree.is_near(trees[name].points, gap)):
                 chosen.append(name)
                 reach.append(name)
     return tuple(name for name in names if name in chosen)

@@ -81,7 +81,7 @@ def measure_height(panorama: Observation, hint: FloatArray, config: TargetConfig
     points = points[points[:, 2] > config.floor_height]
     if len(points) == 0 or len(hint) == 0:
         return math.nan
-    near = Tree.of(hint).closest(panorama.T_odom_scan.apply(points[:, :2]))[0] <= NEAR_TARGET
+    near = Tree.of(hint).is_near(panorama.T_odom_scan.apply(points[:, :2]), NEAR_TARGET)
 
     # Follow them upwards to the first gap
     heights = np.sort(points[near, 2])

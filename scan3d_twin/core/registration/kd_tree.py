@@ -66,6 +66,13 @@ class Tree:
         )  # fmt: skip
         return distances, indices
 
+    def is_near(self, points: FloatArray, within: float) -> BoolArray:
+        """Return which ``points`` (m, 2 or 3) have a point of the tree ``within`` a distance [m].
+
+        The search does not go farther, which is much quicker for points far away.
+        """
+        return np.asarray(self.closest(points, within * (1 + 1e-9))[0] <= within)
+
     def fit_planes(self, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Fit a plane to the k nearest neighbours of each point of the tree, itself included.
 

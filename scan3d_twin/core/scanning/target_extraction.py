@@ -132,8 +132,7 @@ def _share_shown(places: FloatArray, scan: Scan3D, gap: float) -> float:
     """Return the share of ``places`` (n, 2) that have a point of ``scan`` within ``gap`` [m]."""
     if len(scan) == 0:
         return 0.0
-    distance, _ = Tree.of(scan.points[:, :2]).closest(places)
-    return float(np.mean(distance <= gap))
+    return float(np.mean(Tree.of(scan.points[:, :2]).is_near(places, gap)))
 
 
 def _find_background_walls(
@@ -413,8 +412,8 @@ def _find_touching(
     touching = np.bincount(groups[near], minlength=int(groups.max()) + 1) > 0
     possible = dilate(grid, gap + 1.01 * diagonal, GROUPING_CELL).take(cell) & ~touching[groups]
     if possible.any():
-        distance, _ = Tree.of(known).closest(points[possible])
-        touching[groups[possible][distance <= gap]] = True
+        near_known = Tree.of(known).is_near(points[possible], gap)
+        touching[groups[possible][near_known]] = True
     return touching
 
 

@@ -61,8 +61,8 @@ def reconstruct_poisson(model: Model) -> Mesh:
         cloud, depth=OCTREE_DEPTH, n_threads=1
     )
     vertices, faces = np.asarray(closed.vertices), np.asarray(closed.triangles, dtype=np.int64)
-    distance, _ = Tree.of(known.points).closest(vertices)
-    faces = faces[(distance[faces] <= MAX_POISSON_DISTANCE).all(axis=1)]
+    near = Tree.of(known.points).is_near(vertices, MAX_POISSON_DISTANCE)
+    faces = faces[near[faces].all(axis=1)]
     used, corners = np.unique(faces, return_inverse=True)
     return Mesh(vertices[used], corners.reshape(-1, 3), np.full(len(used), -1))
 

@@ -454,6 +454,7 @@ def test_the_closest_point_of_a_tree_is_that_of_all_points(
     assert np.where(near, least, np.inf) == pytest.approx(distances, abs=1e-15)
     assert np.all(indices[~near] == len(points))
     assert every[near, indices[near]] == pytest.approx(least[near], abs=1e-15)
+    assert np.array_equal(Tree.of(points).is_near(wanted, 0.3), least <= 0.3)
 
 
 @pytest.mark.parametrize("k", [0, 65])
