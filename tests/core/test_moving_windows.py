@@ -11,7 +11,7 @@ from scan3d_twin.core.convex_hull import find_convex_hull
 from scan3d_twin.core.moving_windows import are_all, moving_maximum, moving_mean, open_by_box
 
 
-@pytest.mark.parametrize("size", [1, 2, 5, 8])
+@pytest.mark.parametrize("size", [1, 2, 5, 8, 70])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_means_are_the_same_bits(size: int, axis: int) -> None:
     values = np.random.default_rng(0).normal(size=(30, 41))

@@ -336,6 +336,7 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "measure_components": (
         c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs,
     ),
+    "average_windows": (c_int64, Doubles, c_int64, c_int64, c_int64, c_int64, Doubles),
     "mark_floor": (
         c_int64, Longs, c_int64, c_int64, Doubles, c_double, Doubles, Doubles, Doubles, c_int64,
         Doubles, c_int64,

@@ -3,7 +3,7 @@
  * Everything is compiled once for each processor level (hatch_build.py), which is the suffix of the
  * exported names. The levels differ in speed alone: without fused multiply-add, and with sums whose order
  * does not depend on the register width, the results are the same to the last bit. */
-#include "paths.h"
+#include "windows.h"
 
 #define JOIN(name, level) name##_##level
 #define AT_LEVEL(name, level) JOIN(name, level)
@@ -296,6 +296,13 @@ int64_t EXPORT(measure_components)(const double *ranges, int64_t n_lines, int64_
                                    const int64_t *lines, const int64_t *beams, int64_t n, double most,
                                    int64_t *sizes) {
     return measure_components(ranges, n_lines, n_beams, lines, beams, n, most, sizes);
+}
+
+/* moving_windows.py */
+
+int64_t EXPORT(average_windows)(const double *values, int64_t outer, int64_t n, int64_t inner,
+                                int64_t size, double *out) {
+    return average_windows(values, outer, n, inner, size, out);
 }
 
 /* costmap.py */
