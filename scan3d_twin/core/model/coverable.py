@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import ConvexHull
 
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.convex_hull import find_convex_hull
 from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.types import BoolArray, FloatArray
@@ -46,7 +45,7 @@ def _find_faced(surface: FloatArray, normals: FloatArray, eyes: FloatArray) -> B
     """Return which samples (n,) face at least one of ``eyes`` (m, 3), even if hidden from it."""
     if len(eyes) == 0:
         return np.zeros(len(surface), dtype=bool)
-    corners = eyes[ConvexHull(eyes[:, :2]).vertices] if len(eyes) > 3 else eyes
+    corners = eyes[find_convex_hull(eyes[:, :2])]
     farthest = np.max(normals @ corners.T, axis=1)
     return np.asarray(farthest > np.einsum("ij,ij->i", normals, surface))
 
@@ -85,11 +84,23 @@ def find_feasible_places(surface: FloatArray, truth: Truth, config: Config) -> F
 
     # Keep what is connected with the spawn
     free = _is_free(places.reshape(-1, 2), truth, config).reshape(i.shape)
-    labels, _ = ndimage.label(free)
-    reachable = labels == labels[-first[0], -first[1]]
+    reachable = _flood(free, (-int(first[0]), -int(first[1])))
     if config.tour == "front" and truth.front is not None:
         reachable &= truth.front.inverse().apply(places)[..., 0] > 0
-    return np.asarray(places[reachable & free])
+    return np.asarray(places[reachable])
+
+
+def _flood(free: BoolArray, start: tuple[int, int]) -> BoolArray:
+    """Return the cells (m, n) of ``free`` that are connected with ``start`` by their sides."""
+    reached = np.zeros(np.add(free.shape, 2), dtype=bool)
+    inside = reached[1:-1, 1:-1]
+    inside[start] = free[start]
+    count = 0
+    while (found := int(np.count_nonzero(inside))) > count:
+        count = found
+        inside |= reached[:-2, 1:-1] | reached[2:, 1:-1] | reached[1:-1, :-2] | reached[1:-1, 2:]
+        inside &= free
+    return inside
 
 
 def _is_free(places: FloatArray, truth: Truth, config: Config) -> BoolArray:
