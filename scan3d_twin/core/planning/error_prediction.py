@@ -249,6 +249,23 @@ class ErrorPrediction:
         )
 
 
+def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:
+    """Return the error [m] of the next view's target by odometry alone, times the calibration.
+
+    It is what is left where the latest view shows too little surface for a prediction. The next
+    view is assumed to show as much of the target as this one, at the same distance.
+
+    Args:
+        context: After the latest view, which shows the target.
+        viewpoint: O2 in frame ``scan`` of the latest view.
+    """
+    session = context.session
+    motion = MotionModel.of(session.views, session.config)
+    target = Moments.of(context.view.target.points).turned(viewpoint.yaw)
+    expected = predict_rmse_of_moments(target, motion.spread(viewpoint).covariance)
+    return session.config.planning.calibration * expected
+
+
 def _compare_cosines(n: FloatArray, a: FloatArray, here: FloatArray, height: float) -> FloatArray:
     """Return the squared ratio (k,) of the incidence cosines from O2 and from the latest view.
 
