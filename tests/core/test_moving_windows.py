@@ -1,13 +1,11 @@
-"""Moving windows and convex hulls against those of SciPy, which the program does without."""
+"""Moving windows against those of SciPy, which a run does without."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scipy import ndimage
-from scipy.spatial import ConvexHull
 
-from scan3d_twin.core.convex_hull import find_convex_hull
 from scan3d_twin.core.moving_windows import are_all, moving_maximum, moving_mean, open_by_box
 
 
@@ -41,23 +39,3 @@ def test_an_opening_keeps_what_boxes_cover(sizes: tuple[int, int]) -> None:
     eroded = ndimage.binary_erosion(mask, np.ones(sizes), border_value=1)
     wanted = ndimage.binary_dilation(eroded, np.ones(sizes))
     assert np.array_equal(open_by_box(mask, sizes), wanted)
-
-
-def test_corners_of_a_cloud_and_of_a_grid() -> None:
-    points = np.random.default_rng(0).normal(size=(300, 2))
-    corners = find_convex_hull(points)
-    assert (
-        corners.tolist()
-        == np.roll(
-            ConvexHull(points).vertices, -ConvexHull(points).vertices.tolist().index(corners[0])
-        ).tolist()
-    )
-    grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2)
-    assert sorted(find_convex_hull(grid).tolist()) == [0, 3, 8, 11]
-
-
-def test_points_on_one_line_have_two_corners_and_one_point_one() -> None:
-    line = np.stack([np.arange(5.0), 2 * np.arange(5.0)], axis=1)
-    assert sorted(find_convex_hull(line).tolist()) == [0, 4]
-    assert find_convex_hull(line[:1]).tolist() == [0]
-    assert find_convex_hull(line[:0]).tolist() == []

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.convex_hull import find_convex_hull
 from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.model.truth import Truth
-from scan3d_twin.core.types import BoolArray, FloatArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 
 MIN_COSINE = 0.15
 """Cosine of the incidence below which (81 deg) a surface is not visible."""
@@ -45,9 +44,19 @@ def _find_faced(surface: FloatArray, normals: FloatArray, eyes: FloatArray) -> B
     """Return which samples (n,) face at least one of ``eyes`` (m, 3), even if hidden from it."""
     if len(eyes) == 0:
         return np.zeros(len(surface), dtype=bool)
-    corners = eyes[find_convex_hull(eyes[:, :2])]
-    farthest = np.max(normals @ corners.T, axis=1)
+    farthest = np.max(normals @ eyes[_find_row_ends(eyes)].T, axis=1)
     return np.asarray(farthest > np.einsum("ij,ij->i", normals, surface))
+
+
+def _find_row_ends(eyes: FloatArray) -> IntArray:
+    """Return the indices of the first and last of ``eyes`` (n, 3) of the same x, by their y.
+
+    All corners of their convex hull are among them.
+    """
+    order = np.lexsort((eyes[:, 1], eyes[:, 0]))
+    first = np.flatnonzero(np.diff(eyes[order, 0], prepend=-np.inf))
+    last = np.append(first[1:], len(eyes)) - 1
+    return np.unique(order[np.concatenate([first, last])])
 
 
 def find_visible(

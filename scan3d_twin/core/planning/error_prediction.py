@@ -51,6 +51,9 @@ MAX_NORMAL_VARIANCE = 0.003
 window over a corner, which looks different from another viewpoint."""
 MIN_SHARED_SURFELS = 10
 """Number of shared surfels of the target below which there is no overlap."""
+MIN_SHARED_SHARE = 0.2
+"""The same as a share of the target's surfels, where these are few: the smallest overlap. A thin
+thing may have none: then its surroundings alone are registered."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ class ErrorPrediction:
         rows, t = self._rows, self.grid.image.T_base_lidar
         sweep = self._sweep if half is None else NextSweep.like(self.grid, half)
         seen = find_visible(rows, self._ranges, viewpoint, sweep, config.target.max_range)
-        if np.count_nonzero(self._sampled_target[seen.index]) < MIN_SHARED_SURFELS:
+        if np.count_nonzero(self._sampled_target[seen.index]) < self._needed:
             return math.inf
 
         # Weigh them by noise and density
@@ -120,7 +123,14 @@ class ErrorPrediction:
     @cached_property
     def _target(self) -> Moments:
         """Moments of the target's points in the frame of the latest view."""
-        return Moments.of(self._rows[self._sampled_target, X])
+        if np.any(self._sampled_target):
+            return Moments.of(self._rows[self._sampled_target, X])
+        return Moments.of(self.grid.image.points[self.on_target])
+
+    @cached_property
+    def _needed(self) -> float:
+        """Number of shared surfels of the target that make an overlap."""
+        return min(MIN_SHARED_SURFELS, MIN_SHARED_SHARE * np.count_nonzero(self._sampled_target))
 
     @cached_property
     def _sample(self) -> Sample:
@@ -247,6 +257,23 @@ class ErrorPrediction:
         return np.asarray(
             sideways * (-edges.sides * np.sign(np.sum(sideways * edges.across, axis=1)))[:, None]
         )
+
+
+def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:
+    """Return the error [m] of the next view's target by odometry alone, times the calibration.
+
+    It is what is left where the latest view shows too little surface for a prediction. The next
+    view is assumed to show as much of the target as this one, at the same distance.
+
+    Args:
+        context: After the latest view, which shows the target.
+        viewpoint: O2 in frame ``scan`` of the latest view.
+    """
+    session = context.session
+    motion = MotionModel.of(session.views, session.config)
+    target = Moments.of(context.view.target.points).turned(viewpoint.yaw)
+    expected = predict_rmse_of_moments(target, motion.spread(viewpoint).covariance)
+    return session.config.planning.calibration * expected
 
 
 def _compare_cosines(n: FloatArray, a: FloatArray, here: FloatArray, height: float) -> FloatArray:

@@ -153,6 +153,9 @@ def find_patches(faces: IntArray, skipped: BoolArray) -> tuple[IntArray, BoolArr
         The patch of each face (m,), whether the face is wound against the first one of its
         patch (m,), and whether a patch is closed: oriented and without a border (n_patches,).
     """
+    from scipy.sparse import coo_array  # slow to import
+    from scipy.sparse.csgraph import connected_components
+
     # Sort the edges of all faces
     m = len(faces)
     owner = np.tile(np.arange(m), 3)
@@ -170,7 +173,8 @@ def find_patches(faces: IntArray, skipped: BoolArray) -> tuple[IntArray, BoolArr
     f, g, against = owner[pair], owner[pair + 1], a[pair] == a[pair + 1]
     rows = np.concatenate([f, f + m])
     columns = np.concatenate([g + m * against, g + m * ~against])
-    labels = find_components(2 * m, rows, columns)
+    graph = coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(2 * m, 2 * m))
+    labels = connected_components(graph, directed=False)[1]
     either = np.minimum(labels[:m], labels[m:])
     _, head, patches = np.unique(either, return_index=True, return_inverse=True)
 
@@ -179,23 +183,6 @@ def find_patches(faces: IntArray, skipped: BoolArray) -> tuple[IntArray, BoolArr
     borders = owner[np.repeat(count != 2, count)]
     closed[patches[borders]] = False
     return patches, labels[:m] != labels[:m][head][patches], closed
-
-
-def find_components(count: int, a: IntArray, b: IntArray) -> IntArray:
-    """Return the smallest node (count,) that each node is connected with by edges a, b (k,).
-
-    By hooking and pointer jumping (Shiloach and Vishkin, J. Algorithms 3, 1982).
-    """
-    roots = np.arange(count)
-    while True:
-        low, high = np.minimum(roots[a], roots[b]), np.maximum(roots[a], roots[b])
-        apart = low != high
-        if not apart.any():
-            return roots
-        a, b = a[apart], b[apart]
-        np.minimum.at(roots, high[apart], low[apart])
-        while np.any((above := roots[roots]) != roots):
-            roots = above
 
 
 def is_closed(triangles: FloatArray) -> bool:

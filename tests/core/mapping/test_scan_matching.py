@@ -12,7 +12,9 @@ from synthetic import ROOM, Box, observe
 
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
 from scan3d_twin.core.digitize import integrate
-from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.mapping import scan_matching, surfel_store
+from scan3d_twin.core.mapping.loop_closure import align
 from scan3d_twin.core.mapping.motion_model import motion_prior
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
@@ -221,3 +223,27 @@ def test_surfels_keep_clear_of_the_floor_and_the_model_does_not() -> None:
     view, limit = session.views[0], session.config.target.floor_height
     assert view.target.points[:, 2].min() < 0.7 * limit
     assert surfels_of(view, session.config).rows[:, X][:, 2].min() > 0.9 * limit
+
+
+def test_views_with_too_little_surface_for_surfels_are_registered_by_their_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*arguments: object) -> SurfelGrid:
+        raise RegistrationError("the scan shows too little surface")
+
+    for module in (scan_matching, surfel_store):
+        monkeypatch.setattr(module, "surfels_of", refuse)
+    true = Pose2(0.0, -0.4, 0.1)
+    session = second_view(session_at(PILASTERS, config()), PILASTERS, true)
+    result = session.views[-1].registration
+    assert result is not None
+    assert result.converged
+    assert error(session, true) < 0.005
+    assert result.predicted_rmse < 0.010
+    assert error(align(session), true) < 0.005
+
+    # Odometry is kept where the points contradict each other
+    monkeypatch.setattr(scan_matching, "register", lambda *a, **b: replace(result, converged=False))
+    kept = second_view(session_at(PILASTERS, config()), PILASTERS, true).views[-1].registration
+    assert kept is not None
+    assert not kept.converged

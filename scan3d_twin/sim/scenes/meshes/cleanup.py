@@ -8,7 +8,7 @@ import numpy as np
 
 from scan3d_twin.core.types import FloatArray, IntArray
 from scan3d_twin.sim.mesh_up import MeshUp
-from scan3d_twin.sim.scenes.orientation import find_components, weld
+from scan3d_twin.sim.scenes.orientation import weld
 
 SPECK_AREA = 1e-3
 """Share of the surface below which a loose part is a speck (assumption)."""
@@ -123,10 +123,16 @@ def _find_parts(triangles: FloatArray) -> tuple[list[Part], IntArray]:
 
     No parts where there are too many.
     """
+    from scipy.sparse import coo_array  # slow to import
+    from scipy.sparse.csgraph import connected_components
+
     corners = weld(triangles)
     m, n = len(corners), int(corners.max()) + 1
-    roots = find_components(m + n, np.repeat(np.arange(m), 3), m + corners.ravel())
-    _, labels = np.unique(roots[:m], return_inverse=True)
+    graph = coo_array(
+        (np.ones(3 * m, bool), (np.repeat(np.arange(m), 3), m + corners.ravel())),
+        shape=(m + n, m + n),
+    )
+    _, labels = np.unique(connected_components(graph, directed=False)[1][:m], return_inverse=True)
     areas = np.bincount(labels, _areas(triangles))
     if len(areas) > MAX_PARTS:
         return [], labels
