@@ -13,16 +13,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.hidden_surface import SETTLED_DISTANCE, HiddenSurface
 from scan3d_twin.core.planning.overlap_or_default import expect_accuracy, list_overlaps
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap
 from scan3d_twin.core.viewpoints import sum_turns
@@ -117,7 +116,7 @@ def shows_nothing_new(session: Session) -> bool:
     for k in range(first, len(seen)):
         if len(seen[k]) == 0:
             continue
-        distance, _ = find_nearest(cKDTree(np.concatenate(seen[:k])), seen[k], NEW_DISTANCE)
+        distance, _ = Tree.of(np.concatenate(seen[:k])).closest(seen[k], NEW_DISTANCE)
         if np.mean(~np.isfinite(distance)) > MIN_NEW_SHARE:
             return False
     return True
@@ -141,8 +140,7 @@ def closing_shows_nothing(session: Session) -> bool:
         for view in session.views
     ]
     for k in range(first, len(seen)):
-        known = cKDTree(np.concatenate(seen[:k]))
-        distance, _ = find_nearest(known, seen[k], SETTLED_DISTANCE)
+        distance, _ = Tree.of(np.concatenate(seen[:k])).closest(seen[k], SETTLED_DISTANCE)
         area = np.count_nonzero(~np.isfinite(distance)) * SETTLED_DISTANCE**2
         if area >= session.config.planning.least_hidden:
             return False
@@ -211,9 +209,10 @@ def _plan_hidden_view(context: PlanningContext, ranked: _Ranked | None) -> Plan 
     here, accuracy = context.view.T_world_scan, expect_accuracy(context.session)
     for i in ranked.wanted:
         pose = ranked.candidates.poses[i]
-        if ranked.error(here.inverse() @ pose) <= accuracy:
+        error = ranked.error(here.inverse() @ pose)
+        if error <= accuracy:
             reason = f"contour done: {1e4 * ranked.areas[i]:.0f} cm2 more may show"
-            return _go(ranked.candidates, pose, reason)
+            return _go(ranked.candidates, pose, reason, error)
     return None
 
 
@@ -230,9 +229,9 @@ def _plan_halfway(context: PlanningContext, ranked: _Ranked | None) -> Plan | No
         for pose in _iterate_halfway(here, ranked.candidates.poses[i]):
             step = here.inverse() @ pose
             is_possible = ranked.candidates.is_allowed(pose) and context.is_feasible(step)
-            if is_possible and ranked.error(step) <= accuracy:
+            if is_possible and (error := ranked.error(step)) <= accuracy:
                 reason = f"contour done: on the way to {1e4 * ranked.areas[i]:.0f} cm2 more"
-                return _go(ranked.candidates, pose, reason)
+                return _go(ranked.candidates, pose, reason, error)
     return None
 
 
@@ -260,8 +259,9 @@ def _plan_approach(context: PlanningContext) -> Plan | None:
     order = np.argsort(distances, kind="stable")
     for i in order[distances[order] < here.distance(goal) - MIN_PROGRESS]:
         pose = candidates.poses[i]
-        if prediction.error(here.inverse() @ pose) <= expect_accuracy(session):
-            return candidates.go(pose, "contour blocked: on the way to its other end")
+        error = prediction.error(here.inverse() @ pose)
+        if error <= expect_accuracy(session):
+            return candidates.go(pose, "contour blocked: on the way to its other end", error=error)
     return None
 
 
@@ -276,8 +276,8 @@ def _iterate_halfway(here: Pose2, there: Pose2) -> Iterator[Pose2]:
         )
 
 
-def _go(candidates: PoseCandidates, pose: Pose2, reason: str) -> Plan:
-    """Return the plan to go to ``pose``, which falls back if its error exceeds epsilon."""
-    plan = candidates.go(pose, reason)
+def _go(candidates: PoseCandidates, pose: Pose2, reason: str, error: float) -> Plan:
+    """Return the plan to go to ``pose``, which falls back if its ``error`` [m] exceeds epsilon."""
+    plan = candidates.go(pose, reason, error=error)
     fell_back = plan.predicted_rmse > candidates.session.config.planning.epsilon
     return replace(plan, fell_back=fell_back)
