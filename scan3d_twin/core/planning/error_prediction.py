@@ -9,8 +9,9 @@ information of one point-to-plane pair, times the density of the readings from O
 The common bias and the yaw scale, the test for spurious information, edges, and the motion prior L0
 about O2 enter as in the real registration. A range error that all readings share has the gradient
 g = sum w J (b_there - b_here), with b the cosines between normals and rays, and displaces the pose
-by d = (H + H_edges + L0)^-1 g; its variance times d d^T is added to C. E times the calibration is
-compared with epsilon. There is no sampling and no ICP, so that wrong basins are not predicted.
+by d = (H + H_edges + L0)^-1 g. Its variance, as far as the pairs do not determine it, times d d^T
+is added to C. E times the calibration is compared with epsilon. There is no sampling and no ICP,
+so that wrong basins are not predicted.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,6 +58,12 @@ MIN_SHARED_SURFELS = 10
 MIN_SHARED_SHARE = 0.2
 """The same as a share of the target's surfels, where these are few: the smallest overlap. A thin
 thing may have none: then its surroundings alone are registered."""
+
+
+SHARED_FACTOR = 1.2
+"""Factor on the standard deviation of a range error that all readings share. The calibration is for
+one step in ten that exceeds it; this error is that of a sensor, for all steps of its run at once,
+of which 95 % are to keep epsilon: 1.96 / 1.64, by the quantiles of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +220,7 @@ class ErrorPrediction:
         return np.asarray((sums[:7] / (self._stride + sums[7])) @ sums[:7].T)
 
     def _covariance(
-        self, equations: Equations, viewpoint: Pose2, sweep: NextSweep, pull: FloatArray
+        self, equations: Equations, viewpoint: Pose2, sweep: NextSweep, pull: _Pull
     ) -> FloatArray:
         """Return the covariance (6, 6) about O2 of a planar registration.
 
@@ -220,7 +228,7 @@ class ErrorPrediction:
             equations: The normal equations.
             viewpoint: O2.
             sweep: The sweep there.
-            pull: Gradient (6,) by a range error that all readings share [1/m].
+            pull: What a range error does that all readings share.
         """
         # Marginalise the yaw scale
         noise = self.grid.noise
@@ -239,8 +247,11 @@ class ErrorPrediction:
         C = np.linalg.inv(honest @ H[block] @ honest.T + rest)
 
         # Add what a range error that both sweeps share displaces
-        off = np.linalg.solve(honest @ raw @ honest.T + rest, honest @ pull[list(PLANAR)])
-        C += (noise.offset_sigma**2 + noise.linearity_sigma**2) * np.outer(off, off)
+        g = honest @ pull.gradient[list(PLANAR)]
+        off = np.linalg.solve(honest @ raw @ honest.T + rest, g)
+        variance = SHARED_FACTOR**2 * (noise.offset_sigma**2 + noise.linearity_sigma**2)
+        known = max(pull.information - float(g @ off), 0.0)
+        C += variance / (1.0 + known * variance) * np.outer(off, off)
         covariance = np.zeros((6, 6))
         covariance[block] = C
         return covariance
@@ -276,8 +287,20 @@ class ErrorPrediction:
         )
 
 
-def _pull_of_offset(again: FloatArray, a: FloatArray, w: FloatArray, height: float) -> FloatArray:
-    """Return the gradient (6,) by a range error that all readings of both sweeps share [1/m].
+class _Pull(NamedTuple):
+    """What a range error that all readings of both sweeps share does to their pairs.
+
+    Attributes:
+        gradient: Its information shared with the pose (6,) [1/m2, 1/m].
+        information: Its own [1/m2].
+    """
+
+    gradient: FloatArray
+    information: float
+
+
+def _pull_of_offset(again: FloatArray, a: FloatArray, w: FloatArray, height: float) -> _Pull:
+    """Return the equations of a range error that all readings of both sweeps share.
 
     It displaces every surface along the rays. As far as these differ between the two sweeps, as
     round a curved thing, it looks like a motion.
@@ -292,7 +315,8 @@ def _pull_of_offset(again: FloatArray, a: FloatArray, w: FloatArray, height: flo
     here, there = again[:3] - up, a - up
     shift = np.sum(n * there, axis=0) / np.linalg.norm(there, axis=0)
     shift -= np.sum(n * here, axis=0) / np.linalg.norm(here, axis=0)
-    return np.asarray(compute_jacobian(a, n) @ (w * shift))
+    weighted = w * shift
+    return _Pull(np.asarray(compute_jacobian(a, n) @ weighted), float(weighted @ shift))
 
 
 def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:
