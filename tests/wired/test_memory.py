@@ -10,7 +10,7 @@ from scan3d_twin.devices.urg.emulator import UrgEmulator
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.wired import HazardFreeClock
 
-HEAVY = ("mujoco", "trimesh", "open3d", "matplotlib", "viser")
+HEAVY = ("scipy", "mujoco", "trimesh", "open3d", "matplotlib", "viser")
 ON_THE_WAY = """
 sweep.look_rate = 1.2
 motion.turn_rate = 1.5
