@@ -92,7 +92,7 @@ class SimulatedRegistration:
         index = self.grid.index[self.on_target]
         own = index[index >= 0]
         least = min(MIN_SHARED_READINGS, MIN_SHARED_SHARE * len(own))
-        if np.count_nonzero(planes.on_target) < least:
+        if np.count_nonzero(planes.on_target) < least or not np.any(self.on_target):
             yield from repeat(math.inf, draws)
             return
         prior = (self.motion or MotionModel.of((), self.config)).spread(viewpoint)

@@ -63,3 +63,8 @@ def test_where_the_room_fixes_the_next_view_a_pole_needs_no_surfels_of_its_own()
         prediction.grid, prediction.on_target, prediction.config, seed=1
     )
     assert math.isfinite(simulated.error(step, 2))
+
+
+def test_no_error_is_predicted_of_a_target_out_of_sight() -> None:
+    prediction = ErrorPrediction.of(view_of_it(math.radians(90.0), THINNER, scope="sweep"))
+    assert prediction.error(Pose2(0.05, -0.4, 0.4)) == math.inf
