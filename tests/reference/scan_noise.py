@@ -40,6 +40,8 @@ LAGS, FAR_LAG = 6, 10
 MOST_CORRELATION = 8.0
 MIN_SLOPE = 0.1
 """Of the range over the yaw, for the jitter [m/rad]."""
+MOST_INCIDENCE = 1.73
+"""Tangent of the incidence (60 deg) up to which readings take part."""
 MIN_LINES = 10
 """Least number of lines for an estimate of the jitter."""
 LIKELY_JITTER = np.radians(0.1)
@@ -68,7 +70,7 @@ def estimate_noise(
     at_zero, growth = range_noise(ranges, valid, D)
     sigma = at_zero + growth * ranges
     c = correlation(D, sigma)
-    return np.array([at_zero, growth, yaw_jitter(D, slope, sigma, c), c])
+    return np.array([at_zero, growth, yaw_jitter(D, slope, sigma, c, ranges), c])
 
 
 def differences(
@@ -174,18 +176,23 @@ def correlation(D: FloatArray, sigma: FloatArray) -> float:
     return float(min(max(factor, 1.0), MOST_CORRELATION))
 
 
-def yaw_jitter(D: FloatArray, slope: FloatArray, sigma: FloatArray, c: float) -> float:
+def yaw_jitter(
+    D: FloatArray, slope: FloatArray, sigma: FloatArray, c: float, ranges: FloatArray
+) -> float:
     """Return the standard deviation [rad] of the lines' yaws.
 
     The regression of a line's D on its slope is the sum of the yaw errors of seven lines, weighted
-    by ``SIXTH`` and by how alike their slopes are, and noise of variance 924 c / sum w slope^2.
+    by ``SIXTH`` and by how alike their slopes are, and noise of variance 924 c k / sum w slope^2.
+    The factor k, at least 1, is what the squares of w slope (D - its regression) exceed
+    924 w slope^2 by.
     """
-    square, expected = [], []
+    square, expected, found, assumed = [], [], 0.0, 0.0
     for at in range(2 * REACH, len(D) - 2 * REACH):
         near = slope[at - REACH : at + REACH + 1]
         limit = math.sqrt(SQUARES) * (BOUND * sigma[at] + 3 * LIKELY_JITTER * np.abs(slope[at]))
         with np.errstate(invalid="ignore"):
             good = (np.abs(D[at]) < limit) & (np.abs(slope[at]) > MIN_SLOPE)
+            good &= np.abs(slope[at]) <= MOST_INCIDENCE * ranges[at]
         good &= np.isfinite(near).all(axis=0)
         w = 1.0 / sigma[at, good] ** 2
         own = np.sum(w * slope[at, good] ** 2)
@@ -196,7 +203,10 @@ def yaw_jitter(D: FloatArray, slope: FloatArray, sigma: FloatArray, c: float) ->
         gain = np.sum((SIXTH * alike) ** 2)
         square.append(d * d / gain)
         expected.append(SQUARES * c / own / gain)
-    return jitter_of(np.array(square), np.array(expected))
+        found += np.sum((w * slope[at, good] * (D[at, good] - slope[at, good] * d)) ** 2)
+        assumed += SQUARES * own
+    larger = max(1.0, found / assumed) if assumed > 0 else 1.0
+    return jitter_of(np.array(square), larger * np.array(expected))
 
 
 def jitter_of(square: FloatArray, expected: FloatArray) -> float:

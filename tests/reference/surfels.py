@@ -1,7 +1,7 @@
 """Surfels of a range image: the plane behind the noise at every reading.
 
 A plane m . P = 1 seen along the beam P = o + r d, with o the lidar's place on its circle about the
-yaw axis, obeys, with the inverse range q = 1 / r,
+yaw axis and P taken from the height of the lidar, obeys, with the inverse range q = 1 / r,
 
     q = m . x,    x = P / r = d + q o,
 
@@ -10,12 +10,13 @@ squares m = A^-1 b, A = sum x x^T, b = sum x q, has no bias towards the rays, un
 the points (Badino et al., ICRA 2011, for o = 0). All sums over windows come from one summed-area
 table of 11 moments. Of several windows the largest counts over which the plane fits:
 
-    rss <= s^2 (n - 3) (1 + 1.5 sqrt(2 / (n - 3))),  s = q |m| sigma_n,   sigma_n = |n . d| sigma_r,
+    rss <= s^2 (n - 3) (1 + 0.7 sqrt(2 / (n - 3))),  s = q |m| sigma_n,   sigma_n = |n . d| sigma_r,
 
-with n = m / |m|. Where the yaw of each line errs by sigma_psi besides, its readings in the window
-of L lines move together along the normal, by l = n . (z x P) per radian, which adds up to
+with n = m / |m|, and near whose middle the reading lies, if it is seen flatter than 60 deg.
+Where the yaw of each line errs by sigma_psi besides, its readings in the window of L lines move
+together along the normal, by l = n . (z x P) per radian, which adds up to
 
-    n q^2 |m|^2 l^2 sigma_psi^2 (1 + 1.5 sqrt(2 / L)).
+    n q^2 |m|^2 l^2 sigma_psi^2 (1 + 0.7 sqrt(2 / L)).
 
 The noise of the normal is that of m: cov(n) = v / |m|^2 (I - n n^T) A^-1 (I - n n^T), of which the
 mean variance over the two tangents is kept. With c the factor on the variance of a mean of readings
@@ -32,10 +33,14 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArra
 
 FILLED = 0.6
 """A window counts when this share of its readings is there."""
-TOLERANCE = 1.5
+TOLERANCE = 0.7
 """Largest residual sum of squares of a fit, in sigma above that of noise alone."""
 MOST_TILT = 0.25
 """Standard deviation of a normal [rad] from which on it tells nothing."""
+LIMB_COSINE = 0.5
+"""Cosine of incidence (60 deg) up to which a reading may lie anywhere in its window."""
+MOST_OFF_CENTRE = 1.0
+"""Squared distance of a reading from its window's middle, in variances of the window along it."""
 MIN_COSINE = 0.05
 """Flatter than this (87 deg from the normal) no plane is believed."""
 X, N, VARIANCE, NORMAL_VARIANCE = np.s_[0:3], np.s_[3:6], 6, 7
@@ -106,7 +111,7 @@ def _fit_lines(
     windows: IntArray,
 ) -> FloatArray:
     """Return the table of surfels of some lines, from those lines alone."""
-    o, d = _turned(lever, yaws), _turned(beams, yaws)
+    o, d = _turned(lever * (1.0, 1.0, 0.0), yaws), _turned(beams, yaws)
     q = np.divide(1.0, ranges, out=np.zeros_like(ranges), where=valid)
     sums = _summed_area(d + q[..., None] * o, q, valid)
     table = np.zeros((*ranges.shape, 8))
@@ -115,6 +120,7 @@ def _fit_lines(
         total, lines, area = _box_sums(sums, line, beam, half)
         at = (o[line, beam], d[line, beam], q[line, beam])
         rows, fits = _planes(total, lines, area, *at, noise)
+        rows[:, 2] += lever[2]
         table[line[fits], beam[fits]] = rows[fits]
         line, beam = line[~fits], beam[~fits]
     return table
@@ -200,11 +206,26 @@ def _planes(
         fits = (n >= FILLED * area) & (n > 5) & (det > 1e-12 * _trace_cubed(xx, yy, zz))
         fits &= (along * along > MIN_COSINE**2 * square) & (r > 0)
         fits &= rss <= most
+        fits &= (along * along > LIMB_COSINE**2 * square) | _central(total, points)
         normals = -np.sign(along)[:, None] * m / np.sqrt(square)[:, None]
         of_normal = tangents * (scatter * noise[3] + by_yaw / lines) / (2 * square)
         fits &= of_normal < MOST_TILT**2
         rest = np.stack([by_range / square, of_normal], axis=1)
     return np.concatenate([points, normals, rest], axis=1), fits
+
+
+def _central(total: FloatArray, points: FloatArray) -> BoolArray:
+    """Return whether ``points`` (n, 3) lie near the middle of windows with moments (n, 11).
+
+    The window's points count by q^2; the limit is in variances along the way to their middle.
+    """
+    xx, xy, xz, yy, yz, zz, *b, qq, _ = total.T
+    middle = np.stack(b, axis=1) / qq[:, None]
+    A = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3) / qq[:, None, None]
+    way = middle - points
+    variance = np.einsum("ni,nij,nj->n", way, A, way) - np.sum(way * middle, axis=1) ** 2
+    central: BoolArray = np.sum(way * way, axis=1) ** 2 <= MOST_OFF_CENTRE * variance
+    return central
 
 
 def _trace_cubed(xx: FloatArray, yy: FloatArray, zz: FloatArray) -> FloatArray:

@@ -99,10 +99,12 @@ def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[Basi
     """Return the best basin and the gap in contradiction to the next, 0..1.
 
     The gap is 1 if all starts ended in one basin, and NaN for a single start, which knows no other.
+    Where the overlap is too narrow for the thinned surfels of the rough steps, ``init`` is the only
+    start.
 
     Raises:
         ConfigError: Several starts are wanted, but there is no prior to spread them over.
-        RegistrationError: The scans overlap at none of the starts.
+        RegistrationError: The scans do not overlap.
     """
     if starts < 1:
         raise ConfigError(f"starts must be >= 1, got {starts}")
@@ -115,7 +117,7 @@ def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[Basi
         criteria = problem.criteria._replace(max_iterations=iterations)
         poses = follow_starts(problem, source, criteria, poses)[0]
         if len(poses) == 0:
-            raise RegistrationError(NO_OVERLAP.format(starts))
+            return Basin(align(problem, init), 0.0), math.nan
 
     # Align the least contradictory.
     ranked = sorted(poses, key=lambda pose: _measure_contradiction(problem, pose))[:MAX_BASINS]

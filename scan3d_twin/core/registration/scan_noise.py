@@ -14,10 +14,12 @@ precise than of independent readings by 1 + 2 sum rho_k. The rho_k are those of 
 less what beams ten apart have in common: the yaw error of their lines.
 
 **Yaw jitter.** The yaw error d of a line moves its readings by d times the slope of the range over
-the yaw. The regression of a line's D on its slope has the variance g sigma^2 + 924 c s^2 / sum
+the yaw. The regression of a line's D on its slope has the variance g sigma^2 + 924 c k s^2 / sum
 slope^2, with g what the yaw errors of the seven lines add up to. The excess over the second term,
-weighted over all lines, is sigma^2. Where it is not significant, the mean of what is positive of
-its normal distribution stands for it, not zero.
+weighted over all lines, is sigma^2. The factor k is by how much the noise exceeds s^2 where slopes
+are large, from what the regressions leave (White, Econometrica 48, 1980). Incidences beyond 60 deg
+take no part: most are limbs of round bodies, where noise is 3 to 10 times s. Where the excess is
+not significant, the mean of what is positive of its normal distribution stands for it, not zero.
 
 ``native/noise.h`` computes this.
 """

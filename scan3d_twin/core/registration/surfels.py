@@ -8,14 +8,19 @@ the yaw axis, obeys, with the inverse range q = 1 / r,
 which is linear in m, with noise of q that is constant over a small window. The least-squares
 solution m = A^-1 b, A = sum x x^T, b = sum x q, is therefore not biased towards the rays, unlike a
 plane through the points (Badino et al., ICRA 2011, for o = 0). All sums over windows come from one
-summed-area table of 11 moments. Each reading takes its largest window over which the plane fits:
+summed-area table of 11 moments. P is taken from the height of the lidar on the yaw axis: no surface
+in view passes there, while the floor passes through the origin of ``base``, where no m describes
+it. Each reading takes its largest window over which the plane fits:
 
-    rss <= s^2 (n - 3) (1 + 1.5 sqrt(2 / (n - 3))),  s = q |m| sigma_n,   sigma_n = |n . d| sigma_r,
+    rss <= s^2 (n - 3) (1 + 0.7 sqrt(2 / (n - 3))),  s = q |m| sigma_n,   sigma_n = |n . d| sigma_r,
 
-with n = m / |m|. If each line also has a yaw error of sigma_psi, its readings in a window of L
-lines move together along the normal, by l = n . (z x P) per radian, which adds up to
+with n = m / |m|. Beyond 60 deg of incidence the reading must also lie near the middle of its
+window: at the limb of a round body windows reach to one side only, and the normal of a plane that
+still fits leans by more than noise explains. If each line also has a yaw error of sigma_psi, its
+readings in a window of L lines move together along the normal, by l = n . (z x P) per radian, which
+adds up to
 
-    n q^2 |m|^2 l^2 sigma_psi^2 (1 + 1.5 sqrt(2 / L)).
+    n q^2 |m|^2 l^2 sigma_psi^2 (1 + 0.7 sqrt(2 / L)).
 
 The noise of the normal follows from that of m: cov(n) = v / |m|^2 (I - n n^T) A^-1 (I - n n^T); its
 mean variance over the two tangents is kept. As noise is correlated along a line, with the factor c

@@ -19,6 +19,8 @@ from scan3d_twin.core.registration.surfel_grid import extract_surfels
 
 UNDETERMINED = {
     "two planes": 0,
+    "floor and wall": 1,  # along the wall
+    "corridor with floor": 1,  # along it
     "corridor": 1,  # along it; the walls are as long as the range of the lidar
     "sphere": 1,  # the turn about its centre
     "cylinder": 1,  # the turn about its axis

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.algebra import find_determined
-from scan3d_twin.core.registration.gauss_newton import Problem, align
+from scan3d_twin.core.registration.gauss_newton import MIN_PAIRS, Problem, align
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import (
@@ -194,6 +194,22 @@ def test_no_overlap_is_an_error_whichever_scan_is_the_target(swap: bool) -> None
         register_grids(target, source, init_T_target_source=Pose2(0, 9, 2.0).matrix())
     with pytest.raises(RegistrationError, match="no overlap"):
         register_grids(target, source, prior=prior_at(Pose2(0, 9, 2.0)), starts=4)
+
+
+def test_an_overlap_too_narrow_for_thinned_surfels_is_registered_from_the_prior() -> None:
+    """The rough steps of several starts take every 8th line and beam: 9 of the patch's readings."""
+    target, source = featureful()
+    line, beam = (int(np.median(at)) for at in np.nonzero(source.index >= 0))
+    patch = np.full_like(source.index, -1)
+    around = np.s_[line - 12 : line + 12, beam - 12 : beam + 12]
+    patch[around] = source.index[around]
+    thin = Problem(target, replace(source, index=patch)).make_source(2)
+    assert 0 < thin.coarse.count < MIN_PAIRS
+    small = replace(source, index=patch)
+    alone = register_grids(target, small, prior=prior_at(MOVE))
+    several = register_grids(target, small, prior=prior_at(MOVE), starts=4)
+    assert np.array_equal(several.T_target_source, alone.T_target_source)
+    assert math.isnan(several.ambiguity_gap)
 
 
 def test_bad_options_are_refused() -> None:

@@ -13,6 +13,7 @@
 #define MAX_CORRELATION 8.0     /* of the correlation's factor */
 #define TRUNCATED 2.5465        /* 8 / pi: the mean of a normal distribution cut off at 0, nearly */
 #define MIN_SLOPE 0.1           /* of the range over the yaw, for the jitter [m/rad] */
+#define MAX_INCIDENCE 1.73      /* tangent of incidence (60 deg): flatter ones are mostly limbs of round things */
 #define EXPECTED_JITTER (0.1 * TAU / 360)   /* yaw jitter at which the estimate starts [rad] */
 #define MAX_SQUARE_RATIO 4.0    /* cap of a squared difference, in expected ones: beyond is a corner */
 #define CAPPED_SHARE 0.92       /* share of the mean square of normal errors that this cap leaves */
@@ -273,6 +274,7 @@ static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, cons
                                   InverseRanges inverse, Across *lines, double *square) {
     enum { N = 2 * REACH + 1 };
     double *expected = square + sweep->n_lines;
+    double found = 0, assumed = 0;  /* variance of the sums that follow, by what is left and by the noise */
     int64_t n = 0;
     for (int64_t i = REACH; i < sweep->n_lines - REACH; i++) {
         difference_line(sweep, valid, i, &inverse, lines[i % N]);
@@ -280,13 +282,15 @@ static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, cons
         if (at < 2 * REACH) continue;
 
         /* regression of the line's differences on the slope, and what each line's error adds to it */
-        double onto = 0, own = 0, shared[N] = {0};
+        double onto = 0, own = 0, shared[N] = {0}, by_noise = 0, by_both = 0, by_yaw = 0;
         const double *difference = lines[at % N].difference, *slope = lines[at % N].slope;
         for (int64_t j = 0; j < sweep->n_beams; j++) {
             double sigma = noise[0] + noise[1] * sweep->ranges[at * sweep->stride + j];
             double limit = sqrt(SQUARES) * (MAX_DEVIATION * sigma
                          + 3 * EXPECTED_JITTER * fabs(slope[j]));
+            double steepest = MAX_INCIDENCE * sweep->ranges[at * sweep->stride + j];
             if (!(fabs(difference[j]) < limit) || !(fabs(slope[j]) > MIN_SLOPE)) continue;
+            if (fabs(slope[j]) > steepest) continue;
             double w = 1 / (sigma * sigma), products[N];
             int whole = 1;
             for (int k = 0; k < N; k++) {
@@ -294,16 +298,24 @@ static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, cons
                 whole &= !isnan(products[k]);
             }
             if (!whole) continue;
-            onto += w * slope[j] * difference[j], own += w * slope[j] * slope[j];
+            double score = w * slope[j] * difference[j], weight = w * slope[j] * slope[j];
+            onto += score, own += weight;
+            by_noise += score * score, by_both += score * weight, by_yaw += weight * weight;
             for (int k = 0; k < N; k++) shared[k] += products[k];
         }
         if (!(own > 0)) continue;
         double gain = 0;
         for (int k = 0; k < N; k++)
             gain += SIXTH[k] * SIXTH[k] * (shared[k] / own) * (shared[k] / own);
-        square[n] = onto / own * (onto / own) / gain;
+        double turn = onto / own;
+        found += by_noise - 2 * turn * by_both + turn * turn * by_yaw, assumed += SQUARES * own;
+        square[n] = turn * turn / gain;
         expected[n++] = SQUARES * noise[2] / own / gain;
     }
+
+    /* noise where slopes are large: incidence makes it larger than elsewhere */
+    double larger = assumed > 0 && found > assumed ? found / assumed : 1;
+    for (int64_t k = 0; k < n; k++) expected[k] *= larger;
 
     /* excess over range noise, reweighted */
     double jitter = EXPECTED_JITTER * EXPECTED_JITTER, excess = 0, error = 0;

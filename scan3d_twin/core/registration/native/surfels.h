@@ -11,7 +11,10 @@
 
 #define MIN_FILLED_SHARE 0.6    /* share of a window's readings that a fit needs */
 #define MAX_TILT 0.25           /* standard deviation of a normal [rad]: with more it tells nothing */
-#define MAX_RSS_SIGMAS 1.5      /* residual sum of squares of a fit, in sigma above that of noise alone */
+#define MAX_RSS_SIGMAS 0.7      /* residual sum of squares of a fit, in sigma above that of noise alone */
+#define LIMB_COSINE 0.5         /* of incidence (60 deg): a surface seen flatter may be the limb of a round body */
+#define MAX_OFF_CENTRE 1.0     /* squared distance of a reading from its window's middle, in variances of the
+                                 * window along it: up to half the way to the window's end */
 #define MIN_COSINE 0.05         /* of incidence: a plane seen flatter (87 deg) is not trusted */
 
 enum { MOMENTS = 11, BLOCK = 2 * LANES };
@@ -68,7 +71,7 @@ static void add_line(const Sweep *sweep, int64_t line, const uint8_t *valid, con
             double ahead = rays[3 * j] + q * sweep->lever[0];
             double left = rays[3 * j + 1] + q * sweep->lever[1];
             double x = c * ahead - s * left, y = s * ahead + c * left;
-            double z = rays[3 * j + 2] + q * sweep->lever[2];
+            double z = rays[3 * j + 2];
             const double moments[MOMENTS] = {x * x, x * y, x * z, y * y, y * z, z * z,
                                              x * q, y * q, z * q, q * q, 1};
             for (int m = 0; m < MOMENTS; m++) sum[m] += moments[m];
@@ -166,9 +169,9 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
         double my = (c_xy * bx + c_yy * by + c_yz * bz) * inverse;
         double mz = (c_xz * bx + c_yz * by + c_zz * bz) * inverse;
 
-        /* point on the ray, and noise along the normal */
+        /* point on the ray, and noise along the normal; the plane is relative to the lidar's height */
         double along = mx * dx + my * dy + mz * dz, square = mx * mx + my * my + mz * mz;
-        double r = (1 - (mx * ox + my * oy + mz * height)) / along;
+        double r = (1 - (mx * ox + my * oy)) / along;
         double x = ox + r * dx, y = oy + r * dy, z = height + r * dz;
         double by_range = along * along * sigma * sigma, scatter = q * q * by_range;
 
@@ -184,9 +187,17 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
         double tangents = (c_xx + c_yy + c_zz - onto / square) * inverse;
         double tilt = tangents * (scatter * correlation + by_yaw / lines) / (2 * square);
 
+        /* where it may be a limb, is the reading near the middle of its window, whose points count by q^2? */
+        double gx = bx / qq, gy = by / qq, gz = bz / qq, ux = gx - x, uy = gy - y, uz = gz - r * dz;
+        double off = ux * ux + uy * uy + uz * uz, at_middle = ux * gx + uy * gy + uz * gz;
+        double second = ux * (xx * ux + 2 * (xy * uy + xz * uz)) + uy * (yy * uy + 2 * yz * uz)
+                      + zz * uz * uz;
+        int central = (along * along > LIMB_COSINE * LIMB_COSINE * square)
+                    | (off * off <= MAX_OFF_CENTRE * (second / qq - at_middle * at_middle));
+
         /* take it? */
         int fits = (w->open[k] > 0) & (readings >= MIN_FILLED_SHARE * area[k]) & (readings > 5)
-                 & (r > 0) & (rss <= most) & (det > 1e-12 * trace * trace * trace)
+                 & (r > 0) & central & (rss <= most) & (det > 1e-12 * trace * trace * trace)
                  & (along * along > MIN_COSINE * MIN_COSINE * square) & (tilt < MAX_TILT * MAX_TILT);
         double towards = (along > 0 ? -1 : 1) / sqrt(square);
         made[X][k] = x, made[Y][k] = y, made[Z][k] = z;
