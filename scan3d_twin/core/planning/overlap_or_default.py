@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from statistics import median
 
 from scan3d_twin.core.config import PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
@@ -96,13 +97,14 @@ def predict_error(context: PlanningContext, viewpoint: Pose2) -> float:
 
 
 def expect_accuracy(session: Session) -> float:
-    """Return the accuracy [m] that the run keeps: epsilon, or the largest error it has accepted.
+    """Return the accuracy [m] that the run keeps: epsilon, or the median error it has accepted.
 
-    A plan that fell back was carried out although its predicted error exceeds epsilon.
+    A plan that fell back was carried out although its predicted error exceeds epsilon. The first
+    ones may exceed it by far, before the errors of the robot are learned.
     """
     accepted = (plan.predicted_rmse for plan in session.plans if plan.fell_back)
-    known = (error for error in accepted if math.isfinite(error))
-    return max(session.config.planning.epsilon, *known, 0.0)
+    known = [error for error in accepted if math.isfinite(error)]
+    return max(session.config.planning.epsilon, median(known) if known else 0.0)
 
 
 def describe_shortfall(plan: Plan, epsilon: float) -> str | None:

@@ -113,6 +113,15 @@ def test_a_plan_within_epsilon_is_silent(wall: PlanningContext) -> None:
     assert expect_accuracy(wall.session.with_plan(within)) == 0.01
 
 
+def test_a_first_step_with_a_large_error_does_not_decide_what_is_accepted_later(
+    wall: PlanningContext,
+) -> None:
+    session = wall.session
+    for error in (0.083, 0.014, 0.004, math.inf, 0.012):
+        session = session.with_plan(Plan(Pose2(), 0.8, error, error > 0.01, (), "for a test"))
+    assert expect_accuracy(session) == 0.014
+
+
 class Listener(Unobserved):
     """Keeps what is said."""
 
