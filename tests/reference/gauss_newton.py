@@ -68,8 +68,10 @@ FIRST_ROBUST = 4.0
 """The kernel of the first step [sigma]."""
 SAME_BASIN = 0.010
 """Poses that displace the source by less than this from each other are one basin [m]."""
-MOST_SPREAD = 1.1
-"""Of the patches' errors, in assumed ones, that is no larger than assumed."""
+USUAL_PATCH_SPREAD, USUAL_SPREAD = 0.60, 0.77
+"""Of the errors of patches and of those that all readings share, in assumed ones."""
+MOST_SPREAD = 1.4
+"""Of these errors, in usual ones, that is no larger than usual."""
 EDGE_ROBUST = 2.0
 """The kernel of edges, in kernels of surfels: their errors are uniform, not normal."""
 
@@ -285,8 +287,9 @@ def solve_step(
     """Return the step at ``state``; the ``last`` with the errors that readings share."""
     shared = last and max(scans.both.patch, scans.both.linearity, scans.both.offset) > 0
     solution = solve(scans, prior, beforehand, state, sample, gate, shared=shared)
-    j, k = max(solution.patch_spread, 1.0), max(solution.spread, 1.0)
-    if max(j, k) <= MOST_SPREAD:
+    j = excess(solution.patch_spread / USUAL_PATCH_SPREAD)
+    k = excess(solution.spread / USUAL_SPREAD)
+    if max(j, k) <= 1.0:
         return solution
     both = scans.both
     larger = both._replace(
@@ -294,6 +297,11 @@ def solve_step(
         height=k * both.height, lean=k * both.lean,
     )  # fmt: skip
     return solve(scans._replace(both=larger), prior, beforehand, state, sample, gate, shared=shared)
+
+
+def excess(ratio: float) -> float:
+    """Return the factor by which errors exceed the assumed ones, given their ``ratio`` to usual."""
+    return ratio * ratio if ratio > MOST_SPREAD else 1.0
 
 
 def solve(

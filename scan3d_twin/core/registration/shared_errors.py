@@ -43,8 +43,11 @@ the patches is the root of
 
 in which the assumption counts like four errors, and that of curve, floor and yaw scale is the same
 of their values y with the prior information P: y^T P y, and the share of each that the scans
-determine. If one exceeds 1.1, the step is solved once more with these standard deviations
-multiplied by it.
+determine. Usual are 0.60 and 0.77 (medians of 105 pairs of random scenes in the world ``typical``),
+less than 1, as the assumptions hold for worse floors, too; the world ``harsh``, with errors twice
+as large, has 0.82 and 1.08. If a spread exceeds 1.4 usual ones, the step is solved once more with
+these standard deviations multiplied by its squared ratio to the usual one: the four assumed errors
+hide half of what is in excess.
 
 ``native/shared_errors.h`` and ``native/descend.h`` compute this.
 """

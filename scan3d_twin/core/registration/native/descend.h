@@ -8,7 +8,9 @@
 #define FIRST_KERNEL 4.0        /* robust kernel c of the first step [sigma] */
 #define FINAL_KERNEL 1.5        /* least kernel [sigma] */
 #define SAME_BASIN 0.010        /* poses that displace the source by less are one basin [m] */
-#define MAX_SPREAD 1.1          /* of shared errors, in assumed ones, that is no larger than assumed */
+#define USUAL_PATCH_SPREAD 0.60 /* of the errors of patches, in assumed ones: median of 105 pairs of sweeps of */
+#define USUAL_SPREAD 0.77       /* random scenes, and of those that all readings share */
+#define MAX_SPREAD 1.4          /* of shared errors, in usual ones, that fewer than 10 % of such pairs exceed */
 #define EDGE_KERNEL_FACTOR 2.0  /* kernel of edges per kernel of surfels: their errors are uniform */
 
 enum {
@@ -170,6 +172,10 @@ static int solve(const Target *target, const Source *source, const PairNoise *no
     return 0;
 }
 
+/* Return the factor by which errors are larger than assumed, whose spread is `ratio` times the usual one; 1 if
+ * usual sweeps have such a spread. That the assumption counts, too, halves the excess. */
+static double find_excess(double ratio) { return ratio > MAX_SPREAD ? ratio * ratio : 1; }
+
 /* Solve as `solve` does; in the last step with the errors that readings share, once more where they turn
  * out larger than assumed. */
 static int solve_step(const Target *target, const Source *source, const PairNoise *noise,
@@ -178,8 +184,9 @@ static int solve_step(const Target *target, const Source *source, const PairNois
     int shared = last && (noise->patch > 0 || noise->linearity > 0 || noise->offset > 0);
     if (solve(target, source, noise, prior, L0, T, nuisances, sample, gate, shared, scratch, out) < 0)
         return -1;
-    double patch = out->patch_spread > 1 ? out->patch_spread : 1, spread = out->spread > 1 ? out->spread : 1;
-    if (patch <= MAX_SPREAD && spread <= MAX_SPREAD) return 0;
+    double patch = find_excess(out->patch_spread / USUAL_PATCH_SPREAD);
+    double spread = find_excess(out->spread / USUAL_SPREAD);
+    if (patch <= 1 && spread <= 1) return 0;
     PairNoise larger = *noise;
     larger.patch *= patch, larger.linearity *= spread, larger.offset *= spread;
     larger.height *= spread, larger.lean *= spread;
