@@ -7,8 +7,6 @@ as an entry point names a planner; it is loaded when a notebook first asks for i
 from __future__ import annotations
 
 from collections.abc import Callable
-from pkgutil import resolve_name
-from typing import Any
 
 _installed: list[str] = []
 
@@ -23,9 +21,11 @@ def install_renderer(place: str) -> None:
     _installed[:] = [place]
 
 
-def render_html(value: Any) -> str | None:
+def render_html(value: object) -> str | None:
     """Return ``value`` as HTML; None, for which a notebook shows its text, without a renderer."""
     if not _installed:
         return None
-    renderer: Callable[[Any], str] = resolve_name(_installed[-1])
+    from pkgutil import resolve_name  # not for every import of the package
+
+    renderer: Callable[[object], str] = resolve_name(_installed[-1])
     return renderer(value)

@@ -1,6 +1,6 @@
 """Boolean grids of square cells: dilation and erosion by a disc, connectivity, shortest paths.
 
-``native/grids.h`` has the loops.
+``native/grids.h`` and ``native/paths.h`` have the loops.
 """
 
 from __future__ import annotations
@@ -9,8 +9,6 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray, read_only
@@ -95,38 +93,13 @@ def find_shortest_paths(
 
     Returns:
         By flat index: the length of the path to each cell (n,), inf outside of ``grid``, and the
-        cell before it on the path (n,), negative for none.
+        cell before it on the path (n,), -1 for none.
     """
-    places = np.flatnonzero(grid)
-    length, before = np.full(grid.size, np.inf), np.full(grid.size, -1)
-    first = np.searchsorted(places, np.ravel_multi_index(start, grid.shape))
-    found, previous = csgraph.dijkstra(
-        _build_graph(grid, cell), indices=np.array([first]), return_predecessors=True
-    )
-    length[places] = found[0]
-    before[places] = np.where(previous[0] >= 0, places[np.maximum(previous[0], 0)], -1)
+    length, before = np.empty(grid.size), np.empty(grid.size, np.int64)
+    done = engine.find_shortest_paths(
+        np.ascontiguousarray(grid), *grid.shape, np.ravel_multi_index(start, grid.shape),
+        cell, cell * math.sqrt(2.0), length, before,
+    )  # fmt: skip
+    if done < 0:
+        raise MemoryError
     return length, before
-
-
-def _build_graph(grid: BoolArray, cell: float) -> sparse.csr_array:
-    """Return the 8-connected graph of the cells of ``grid``, weighted by distance."""
-    # Number the cells
-    n = np.count_nonzero(grid)
-    index = np.zeros(grid.shape, dtype=np.int64)
-    index[grid] = np.arange(n)
-
-    # Link neighbours in four directions
-    rows, columns, weights = [], [], []
-    for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        a = np.s_[: -dx or None, max(0, -dy) : (-dy if dy > 0 else None)]
-        b = np.s_[dx:, (dy if dy > 0 else 0) : (dy if dy < 0 else None)]
-        linked = grid[a] & grid[b]
-        rows.append(index[a][linked])
-        columns.append(index[b][linked])
-        weights.append(np.full(np.count_nonzero(linked), cell * np.hypot(dx, dy)))
-
-    # Make the links symmetric
-    i, j, w = (np.concatenate(part) for part in (rows, columns, weights))
-    return sparse.csr_array(
-        (np.tile(w, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)
-    )

@@ -125,6 +125,8 @@ class CoincidingFaces:
                 self._faces.append((face, later))
         self._faces.reverse()  # the first has the last word
         self._normals = _tabulate(found, model.ngeom)
+        self._concerned = np.zeros(model.ngeom + 1, bool)
+        self._concerned[list(found)] = True
 
     def settle(
         self,
@@ -141,10 +143,13 @@ class CoincidingFaces:
         """
         # Choose the few hits whose normal is that of such a face
         distances, normals, geoms = hits
-        chosen = np.zeros(len(geoms), bool)
+        if not self._normals:
+            return
+        near = np.flatnonzero(self._concerned.take(geoms))
+        own, facing, chosen = geoms[near], normals[near], np.zeros(len(near), bool)
         for table in self._normals:
-            chosen |= np.einsum("ni,ni->n", table.take(geoms, axis=0), normals) >= PARALLEL
-        rays = np.flatnonzero(chosen)
+            chosen |= np.einsum("ni,ni->n", table.take(own, axis=0), facing) >= PARALLEL
+        rays = near[chosen]
         if len(rays) == 0:
             return
         points = origins[rays] + distances[rays, None] * directions[rays]

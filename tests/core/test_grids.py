@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.sparse import csgraph
 
 from scan3d_twin.core.grids import dilate, erode, find_connected, find_shortest_paths
 
@@ -55,3 +56,15 @@ def test_ways_lead_back_to_the_start_by_the_length_they_state() -> None:
     assert cells[-1] == np.ravel_multi_index((5, 0), grid.shape)
     assert length == pytest.approx(way[end])
     assert np.isinf(way.reshape(grid.shape)[~grid]).all()
+
+
+def test_ways_are_as_long_as_those_of_another_program() -> None:
+    grid = np.random.default_rng(1).random((40, 60)) < 0.7
+    grid[0, 0] = True
+    grid = find_connected(grid, (0, 0))
+    way, before = find_shortest_paths(grid, (0, 0), 0.05)
+    cells = np.argwhere(grid)
+    apart = np.abs(cells[:, None] - cells)
+    steps = np.where(apart.max(axis=2) == 1, 0.05 * np.hypot(apart[..., 0], apart[..., 1]), 0.0)
+    assert np.array_equal(way[grid.ravel()], csgraph.dijkstra(steps, indices=0))
+    assert np.all((before >= 0) == (grid.ravel() & (way > 0)))

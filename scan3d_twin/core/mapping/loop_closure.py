@@ -21,13 +21,14 @@ from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.mapping.motion_model import MotionModel, describe_move
 from scan3d_twin.core.mapping.pose_graph import CHI2_GATE, PoseGraph, Solution
 from scan3d_twin.core.mapping.prior_removal import remove_prior
+from scan3d_twin.core.mapping.scan_matching import register_points
 from scan3d_twin.core.mapping.surfel_store import SurfelStore
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult
 from scan3d_twin.core.viewpoints import NEARLY_ROUND, sum_turns
 
 OVERLAP_GATE = 0.30
@@ -296,6 +297,8 @@ def align_grids(
 def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -> Edge | None:
     """Return the edge between the scans i and j; None where they do not overlap.
 
+    Views that show too little surface for surfels are registered by their points.
+
     Args:
         grids: The scans.
         i: Index of the scan registered on.
@@ -304,22 +307,27 @@ def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -
         starts: Number of starting poses.
     """
     target, source = grids[i], grids[j]
-    if target is None or source is None:
+    try:
+        if target is not None and source is not None:
+            result = _register_surfels(target, source, prior, starts)
+        elif isinstance(grids, SurfelStore):
+            result = register_points(grids.points(i), grids.points(j), prior)
+        else:
+            return None
+    except RegistrationError:
         return None
+    return Edge(i, j, *remove_prior(result, prior)) if result.converged else None
 
+
+def _register_surfels(
+    target: SurfelGrid, source: SurfelGrid, prior: PosePrior, starts: int
+) -> RegistrationResult:
+    """Return the registration of two scans; errors as for ``register``."""
     # Spend fewer starts on one basin
     points = source.sample(OVERLAP_STRIDE).rows[:, X] @ prior.T[:3, :3].T
     if predict_rmse(points, prior.covariance) < SINGLE_BASIN_SPREAD:
         starts = max(1, starts // 4)
-
-    # Register and remove the prior
-    try:
-        result = register(target, source, prior=prior, starts=starts)
-    except RegistrationError:
-        return None
-    if not result.converged:
-        return None
-    return Edge(i, j, *remove_prior(result, prior))
+    return register(target, source, prior=prior, starts=starts)
 
 
 def _optimize_graph(

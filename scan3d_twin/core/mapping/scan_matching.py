@@ -14,6 +14,7 @@ from scan3d_twin.core.registration import PosePrior, SurfelGrid, extract_surfels
 from scan3d_twin.core.registration.pose_prior import predict_rmse
 from scan3d_twin.core.session import View, Workspace
 from scan3d_twin.core.types import (
+    FloatArray,
     Observation,
     Pose2,
     RegistrationResult,
@@ -62,12 +63,7 @@ def _match_by_grid(
 
     # Register on the previous view
     try:
-        result = register(
-            surfels_of(previous, config, workspace),
-            keep_surfels(view, config, workspace),
-            prior=prior,
-            starts=config.registration.starts,
-        )
+        result = _register_sweeps(previous, view, config, prior, workspace)
     except RegistrationError:
         result = _fall_back_to_odometry(prior)
         result = replace(result, predicted_rmse=_predict_rmse(result, view))
@@ -79,6 +75,47 @@ def _match_by_grid(
     result = replace(result, predicted_rmse=_predict_rmse(result, view))
     T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
     return replace(view, T_world_scan=T_world_scan, registration=result)
+
+
+def _register_sweeps(
+    previous: View, view: View, config: Config, prior: PosePrior, workspace: Workspace
+) -> RegistrationResult:
+    """Return the registration of ``view`` on ``previous`` by surfels, else by their points.
+
+    Raises:
+        RegistrationError: The views do not overlap, or their points contradict each other.
+    """
+    try:
+        target = surfels_of(previous, config, workspace)
+        source = keep_surfels(view, config, workspace)
+    except RegistrationError:
+        return register_points(select_points(previous, config), select_points(view, config), prior)
+    return register(target, source, prior=prior, starts=config.registration.starts)
+
+
+def select_points(view: View, config: Config) -> FloatArray:
+    """Return the points (n, 3) [m] of a view's readings in ``registration.scope``."""
+    return _clear_of_floor(_select_scope(view, config.registration.scope), config).points
+
+
+def register_points(target: FloatArray, source: FloatArray, prior: PosePrior) -> RegistrationResult:
+    """Return the registration of views that show too little surface for surfels, by their points.
+
+    Legs and handles are narrower than the window of a surfel, so that a few hundred readings of
+    them give next to none.
+
+    Args:
+        target: Points (n, 3) of the view registered on [m].
+        source: Points (m, 3) of the view that is registered [m].
+        prior: Prior of its pose.
+
+    Raises:
+        RegistrationError: The points are too few, do not overlap, or contradict each other.
+    """
+    result = register(target, source, prior=prior)
+    if not result.converged:
+        raise RegistrationError("the points of the two views contradict each other")
+    return result
 
 
 def _predict_rmse(result: RegistrationResult, view: View) -> float:

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Sequence
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.mapping.scan_matching import surfels_of
+from scan3d_twin.core.mapping.scan_matching import select_points, surfels_of
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.session import View
+from scan3d_twin.core.types import FloatArray
 
 MAX_GRIDS_IN_MEMORY = 2
 """Surfel grids kept when optimising for memory, enough to compare two views; each takes 13 MB."""
@@ -37,6 +38,10 @@ class SurfelStore:
             self._kept[k] = self._extract(k)
         self._kept.move_to_end(k)
         return self._kept[k]
+
+    def points(self, k: int) -> FloatArray:
+        """Return the points (n, 3) [m] of view ``k`` by which it is registered without surfels."""
+        return select_points(self._views[k], self._config)
 
     def _extract(self, k: int) -> SurfelGrid | None:
         try:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import ConvexHull
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.model.truth import Truth
-from scan3d_twin.core.types import BoolArray, FloatArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 
 MIN_COSINE = 0.15
 """Cosine of the incidence below which (81 deg) a surface is not visible."""
@@ -46,9 +44,19 @@ def _find_faced(surface: FloatArray, normals: FloatArray, eyes: FloatArray) -> B
     """Return which samples (n,) face at least one of ``eyes`` (m, 3), even if hidden from it."""
     if len(eyes) == 0:
         return np.zeros(len(surface), dtype=bool)
-    corners = eyes[ConvexHull(eyes[:, :2]).vertices] if len(eyes) > 3 else eyes
-    farthest = np.max(normals @ corners.T, axis=1)
+    farthest = np.max(normals @ eyes[_find_row_ends(eyes)].T, axis=1)
     return np.asarray(farthest > np.einsum("ij,ij->i", normals, surface))
+
+
+def _find_row_ends(eyes: FloatArray) -> IntArray:
+    """Return the indices of the first and last of ``eyes`` (n, 3) of the same x, by their y.
+
+    All corners of their convex hull are among them.
+    """
+    order = np.lexsort((eyes[:, 1], eyes[:, 0]))
+    first = np.flatnonzero(np.diff(eyes[order, 0], prepend=-np.inf))
+    last = np.append(first[1:], len(eyes)) - 1
+    return np.unique(order[np.concatenate([first, last])])
 
 
 def find_visible(
@@ -85,11 +93,23 @@ def find_feasible_places(surface: FloatArray, truth: Truth, config: Config) -> F
 
     # Keep what is connected with the spawn
     free = _is_free(places.reshape(-1, 2), truth, config).reshape(i.shape)
-    labels, _ = ndimage.label(free)
-    reachable = labels == labels[-first[0], -first[1]]
+    reachable = _flood(free, (-int(first[0]), -int(first[1])))
     if config.tour == "front" and truth.front is not None:
         reachable &= truth.front.inverse().apply(places)[..., 0] > 0
-    return np.asarray(places[reachable & free])
+    return np.asarray(places[reachable])
+
+
+def _flood(free: BoolArray, start: tuple[int, int]) -> BoolArray:
+    """Return the cells (m, n) of ``free`` that are connected with ``start`` by their sides."""
+    reached = np.zeros(np.add(free.shape, 2), dtype=bool)
+    inside = reached[1:-1, 1:-1]
+    inside[start] = free[start]
+    count = 0
+    while (found := int(np.count_nonzero(inside))) > count:
+        count = found
+        inside |= reached[:-2, 1:-1] | reached[2:, 1:-1] | reached[1:-1, :-2] | reached[1:-1, 2:]
+        inside &= free
+    return inside
 
 
 def _is_free(places: FloatArray, truth: Truth, config: Config) -> BoolArray:

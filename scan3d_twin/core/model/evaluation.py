@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.model.coverable import find_coverable_surface
@@ -19,7 +18,7 @@ from scan3d_twin.core.model.fused_cloud import Model, build_model, thin_by_voxel
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.model.sampled_surface import Surface
 from scan3d_twin.core.model.truth import Truth
-from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, rms, wrap
 
@@ -207,7 +206,7 @@ class Comparison:
         T_world_map, surface = reference.T_map_world.inverse(), reference.surface
         points = reference.T_map_world.apply(model.points)
         wanted = surface.points[reference.coverable]
-        to_model, _ = find_nearest(cKDTree(points), wanted)
+        to_model, _ = Tree.of(points).closest(wanted)
         return Comparison(
             surface.distance(points),
             to_model,
@@ -267,7 +266,7 @@ def find_judged_targets(session: Session, truth: Truth, asked: str = "") -> tupl
         return names
 
     # Find the targets that were asked for or seen
-    trees = {name: cKDTree(truth.surface(TARGET_SPACING, [name])[0][:, :2]) for name in names}
+    trees = {name: Tree.of(truth.surface(TARGET_SPACING, [name])[0][:, :2]) for name in names}
     chosen = (
         [asked] if asked in names else _find_hinted(trees, lay_on_truth(session, truth), session)
     )
@@ -279,16 +278,16 @@ def find_judged_targets(session: Session, truth: Truth, asked: str = "") -> tupl
     while reach:
         tree = trees[reach.pop()]
         for name in names:
-            if name not in chosen and tree.count_neighbors(trees[name], gap):
+            if name not in chosen and np.any(tree.is_near(trees[name].points, gap)):
                 chosen.append(name)
                 reach.append(name)
     return tuple(name for name in names if name in chosen)
 
 
-def _find_hinted(trees: Mapping[str, cKDTree], T_map_world: Pose2, session: Session) -> list[str]:
+def _find_hinted(trees: Mapping[str, Tree], T_map_world: Pose2, session: Session) -> list[str]:
     """Return the names of the targets that the panorama's points of the target are on."""
     hint = T_map_world.apply(session.hint)
-    distances = np.stack([find_nearest(tree, hint)[0] for tree in trees.values()])
+    distances = np.stack([tree.closest(hint)[0] for tree in trees.values()])
     nearest = np.where(distances.min(axis=0) <= HINT_DISTANCE, distances.argmin(axis=0), -1)
     return [name for k, name in enumerate(trees) if np.mean(nearest == k) >= MIN_HINT_SHARE]
 
@@ -302,7 +301,7 @@ def is_of_target(session: Session, truth: Truth, asked: str = "") -> bool:
     named = asked in truth.targets
     surface, _ = truth.surface(HINT_DISTANCE, [asked] if named else None)
     hint = lay_on_truth(session, truth).apply(session.hint)
-    distances = find_nearest(cKDTree(surface[:, :2]), hint)[0]
+    distances = Tree.of(surface[:, :2]).closest(hint)[0]
     return bool(np.quantile(distances, MIN_HINT_SHARE if named else 0.5) <= HINT_DISTANCE)
 
 
@@ -334,7 +333,7 @@ def _measure_coverage_by_view(
     covered, shares = np.zeros(len(surface), dtype=bool), []
     for k in range(n_views):
         left = np.flatnonzero(~covered)
-        distance, _ = find_nearest(cKDTree(points[view == k]), surface[left], 2 * COVERAGE_DISTANCE)
+        distance, _ = Tree.of(points[view == k]).closest(surface[left], 2 * COVERAGE_DISTANCE)
         covered[left] = distance <= COVERAGE_DISTANCE
         shares.append(_share(covered))
     return tuple(shares)

@@ -7,10 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.display import render_html
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.scan_noise import estimate_noise
@@ -258,7 +256,7 @@ def measure_scanned_share(session: Session) -> float:
 
     # Front: compare with the first panorama
     if session.config.tour == "front":
-        distance, _ = find_nearest(cKDTree(model), session.hint, SCANNED_DISTANCE)
+        distance, _ = Tree.of(model).closest(session.hint, SCANNED_DISTANCE)
         return float(np.mean(np.isfinite(distance)))
 
     # All round: count sectors

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.model.fused_cloud import Model, ViewCloud
-from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import VALID, BoolArray, FloatArray, IntArray
 
@@ -65,7 +64,7 @@ def build_mesh(session: Session, seen: Sequence[ViewCloud]) -> Mesh:
         seen: The target points of each view, by ``build_view_clouds``.
     """
     models = [each.model for each in seen]
-    trees = [cKDTree(model.points) for model in models]
+    trees = [Tree.of(model.points) for model in models]
     kept = [
         _keep_best_seen(k, triangulate(view, each), models, trees)
         for k, (view, each) in enumerate(zip(session.views, seen, strict=True))
@@ -135,7 +134,7 @@ def _measure_edges(columns: FloatArray, starts: IntArray, ends: IntArray) -> Flo
     return np.sqrt(square)
 
 
-def _keep_best_seen(k: int, mesh: Mesh, models: Sequence[Model], trees: Sequence[cKDTree]) -> Mesh:
+def _keep_best_seen(k: int, mesh: Mesh, models: Sequence[Model], trees: Sequence[Tree]) -> Mesh:
     """Return ``mesh`` of view ``k`` without the triangles that another view saw better.
 
     Args:
@@ -154,7 +153,7 @@ def _keep_best_seen(k: int, mesh: Mesh, models: Sequence[Model], trees: Sequence
     for other, (model, tree) in enumerate(zip(models, trees, strict=True)):
         if other == k or len(model) == 0:
             continue
-        _, index = find_nearest(tree, centres, SAME_SURFACE_DISTANCE)
+        _, index = tree.closest(centres, SAME_SURFACE_DISTANCE)
         near = index < len(model)
         theirs = model.sigma[np.minimum(index, len(model) - 1)]
         keep &= ~(near & ((theirs < own) | ((theirs == own) & (other < k))))

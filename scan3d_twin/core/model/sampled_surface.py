@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 
 
@@ -25,19 +24,19 @@ class Surface:
     points: FloatArray
     normals: FloatArray
     spacing: float
-    tree: cKDTree
+    tree: Tree
 
     @staticmethod
     def of(points: FloatArray, normals: FloatArray, spacing: float) -> Surface:
         """Return the surface of these samples."""
-        return Surface(points, normals, spacing, cKDTree(points))
+        return Surface(points, normals, spacing, Tree.of(points))
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the distance (m,) [m] of ``points`` (m, 3) to the nearest samples' patches.
 
         The patches are flat, so that the sampling adds no distance of its own.
         """
-        _, index = find_nearest(self.tree, points)
+        _, index = self.tree.closest(points)
         return self._off(points, index)
 
     def within(self, points: FloatArray, distance: float) -> BoolArray:
@@ -46,7 +45,7 @@ class Surface:
         Samples whose patches cannot be within reach are not searched for, which is quicker.
         """
         reach = (distance + self.spacing / np.sqrt(2)) * (1 + 1e-9)
-        found, index = find_nearest(self.tree, points, reach)
+        found, index = self.tree.closest(points, reach)
         near = np.isfinite(found)
         near[near] = self._off(points[near], index[near]) <= distance
         return near

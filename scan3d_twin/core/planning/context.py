@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.surface_prediction import Prediction, predict_surface
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.scanning.smoothing import smooth
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2, RangeImage, Scan3D
@@ -277,7 +276,7 @@ class PlanningContext:
             return True
         first = views[0].T_world_scan.apply(extract_contour(views[0].target).points)
         end = self.view.T_world_scan.apply(self.contour.points[-1])
-        return bool(find_nearest(cKDTree(first), end)[0] <= CLOSING_DISTANCE)
+        return bool(Tree.of(first).closest(end[None])[0] <= CLOSING_DISTANCE)
 
 
 def explain_view_limit(session: Session) -> str | None:

@@ -7,8 +7,11 @@ information of one point-to-plane pair, times the density of the readings from O
     E^2 = mean over the points of tr(G C G^T),  G = (I, -[a]x).
 
 The common bias and the yaw scale, the test for spurious information, edges, and the motion prior L0
-about O2 enter as in the real registration. E times the calibration is compared with epsilon. There
-is no sampling and no ICP, so that wrong basins are not predicted.
+about O2 enter as in the real registration. A range error that all readings share has the gradient
+g = sum w J (b_there - b_here), with b the cosines between normals and rays, and displaces the pose
+by d = (H + H_edges + L0)^-1 g. Its variance, as far as the pairs do not determine it, times d d^T
+is added to C. E times the calibration is compared with epsilon. There is no sampling and no ICP,
+so that wrong basins are not predicted.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,6 +55,15 @@ MAX_NORMAL_VARIANCE = 0.003
 window over a corner, which looks different from another viewpoint."""
 MIN_SHARED_SURFELS = 10
 """Number of shared surfels of the target below which there is no overlap."""
+MIN_SHARED_SHARE = 0.2
+"""The same as a share of the target's surfels, where these are few: the smallest overlap. A thin
+thing may have none: then its surroundings alone are registered."""
+
+
+SHARED_FACTOR = 1.2
+"""Factor on the standard deviation of a range error that all readings share. The calibration is for
+one step in ten that exceeds it; this error is that of a sensor, for all steps of its run at once,
+of which 95 % are to keep epsilon: 1.96 / 1.64, by the quantiles of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +112,8 @@ class ErrorPrediction:
         rows, t = self._rows, self.grid.image.T_base_lidar
         sweep = self._sweep if half is None else NextSweep.like(self.grid, half)
         seen = find_visible(rows, self._ranges, viewpoint, sweep, config.target.max_range)
-        if np.count_nonzero(self._sampled_target[seen.index]) < MIN_SHARED_SURFELS:
+        again_seen = np.count_nonzero(self._sampled_target[seen.index])
+        if again_seen < self._needed or not np.any(self.on_target):
             return math.inf
 
         # Weigh them by noise and density
@@ -112,7 +126,8 @@ class ErrorPrediction:
 
         # Predict covariance and displacement
         equations = self._equations(seen, again, a, w)
-        covariance = self._covariance(equations, viewpoint, sweep)
+        pull = _pull_of_offset(again, a, w, t[2, 3])
+        covariance = self._covariance(equations, viewpoint, sweep, pull)
         return config.planning.calibration * predict_rmse_of_moments(
             self._target.turned(viewpoint.yaw), covariance
         )
@@ -120,7 +135,14 @@ class ErrorPrediction:
     @cached_property
     def _target(self) -> Moments:
         """Moments of the target's points in the frame of the latest view."""
-        return Moments.of(self._rows[self._sampled_target, X])
+        if np.any(self._sampled_target):
+            return Moments.of(self._rows[self._sampled_target, X])
+        return Moments.of(self.grid.image.points[self.on_target])
+
+    @cached_property
+    def _needed(self) -> float:
+        """Number of shared surfels of the target that make an overlap."""
+        return min(MIN_SHARED_SURFELS, MIN_SHARED_SHARE * np.count_nonzero(self._sampled_target))
 
     @cached_property
     def _sample(self) -> Sample:
@@ -197,8 +219,17 @@ class ErrorPrediction:
         sums = np.stack([np.bincount(line, column) for column in columns])
         return np.asarray((sums[:7] / (self._stride + sums[7])) @ sums[:7].T)
 
-    def _covariance(self, equations: Equations, viewpoint: Pose2, sweep: NextSweep) -> FloatArray:
-        """Return the covariance (6, 6) about O2 of a planar registration."""
+    def _covariance(
+        self, equations: Equations, viewpoint: Pose2, sweep: NextSweep, pull: _Pull
+    ) -> FloatArray:
+        """Return the covariance (6, 6) about O2 of a planar registration.
+
+        Args:
+            equations: The normal equations.
+            viewpoint: O2.
+            sweep: The sweep there.
+            pull: What a range error does that all readings share.
+        """
         # Marginalise the yaw scale
         noise = self.grid.noise
         prior = 1.0 / noise.yaw_scale_sigma**2 if noise.yaw_scale_sigma > 0 else math.inf
@@ -211,11 +242,18 @@ class ErrorPrediction:
         honest = find_determined(raw, INFORMATION_MARGIN * spurious, reach)[1]
 
         # Add edges and the prior
-        total = honest @ H[block] @ honest.T + self._edges(viewpoint, sweep)[block]
         motion = self.motion or MotionModel.of((), self.config)
-        total += motion.spread(viewpoint).information(PLANAR)
+        rest = self._edges(viewpoint, sweep)[block] + motion.spread(viewpoint).information(PLANAR)
+        C = np.linalg.inv(honest @ H[block] @ honest.T + rest)
+
+        # Add what a range error that both sweeps share displaces
+        g = honest @ pull.gradient[list(PLANAR)]
+        off = np.linalg.solve(honest @ raw @ honest.T + rest, g)
+        variance = SHARED_FACTOR**2 * (noise.offset_sigma**2 + noise.linearity_sigma**2)
+        known = max(pull.information - float(g @ off), 0.0)
+        C += variance / (1.0 + known * variance) * np.outer(off, off)
         covariance = np.zeros((6, 6))
-        covariance[block] = np.linalg.inv(total)
+        covariance[block] = C
         return covariance
 
     def _edges(self, viewpoint: Pose2, sweep: NextSweep) -> FloatArray:
@@ -247,6 +285,55 @@ class ErrorPrediction:
         return np.asarray(
             sideways * (-edges.sides * np.sign(np.sum(sideways * edges.across, axis=1)))[:, None]
         )
+
+
+class _Pull(NamedTuple):
+    """What a range error that all readings of both sweeps share does to their pairs.
+
+    Attributes:
+        gradient: Its information shared with the pose (6,) [1/m2, 1/m].
+        information: Its own [1/m2].
+    """
+
+    gradient: FloatArray
+    information: float
+
+
+def _pull_of_offset(again: FloatArray, a: FloatArray, w: FloatArray, height: float) -> _Pull:
+    """Return the equations of a range error that all readings of both sweeps share.
+
+    It displaces every surface along the rays. As far as these differ between the two sweeps, as
+    round a curved thing, it looks like a motion.
+
+    Args:
+        again: Columns (8, k) of the surfels that O2 sees again.
+        a: Their lever arms (3, k) [m].
+        w: Their weights (k,).
+        height: Height of the lidar [m].
+    """
+    n, up = again[3:6], np.array([[0.0], [0.0], [height]])
+    here, there = again[:3] - up, a - up
+    shift = np.sum(n * there, axis=0) / np.linalg.norm(there, axis=0)
+    shift -= np.sum(n * here, axis=0) / np.linalg.norm(here, axis=0)
+    weighted = w * shift
+    return _Pull(np.asarray(compute_jacobian(a, n) @ weighted), float(weighted @ shift))
+
+
+def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:
+    """Return the error [m] of the next view's target by odometry alone, times the calibration.
+
+    It is what is left where the latest view shows too little surface for a prediction. The next
+    view is assumed to show as much of the target as this one, at the same distance.
+
+    Args:
+        context: After the latest view, which shows the target.
+        viewpoint: O2 in frame ``scan`` of the latest view.
+    """
+    session = context.session
+    motion = MotionModel.of(session.views, session.config)
+    target = Moments.of(context.view.target.points).turned(viewpoint.yaw)
+    expected = predict_rmse_of_moments(target, motion.spread(viewpoint).covariance)
+    return session.config.planning.calibration * expected
 
 
 def _compare_cosines(n: FloatArray, a: FloatArray, here: FloatArray, height: float) -> FloatArray:

@@ -18,8 +18,8 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
-from scipy import ndimage
 
+from scan3d_twin.core.grids import dilate, erode
 from scan3d_twin.core.planning.profiles import Edge, Profile
 from scan3d_twin.core.planning.voxels import is_passed
 from scan3d_twin.core.registration.native import engine
@@ -40,6 +40,8 @@ noise."""
 SAME_EDGE_DISTANCE, SAME_EDGE_ANGLE = 0.10, math.radians(45.0)
 """Distance [m] and difference of direction [rad] within which edges of two views are the same: the
 errors of registration and of a few lines, and less than the smallest jump."""
+SQUARE_RADIUS = math.sqrt(2.0)
+"""Radius of the disc of 3 x 3 cells, corners included [cells]."""
 MAX_INCIDENCE = math.radians(75.0)
 """Incidence above which a face is not shown [rad]; as ``target_extraction.MAX_WALL_INCIDENCE``."""
 
@@ -121,14 +123,12 @@ class Slices:
                 places = view.T_world_scan.apply(each.places[each.on_target])
                 cells = np.floor((places - low) / SLICE_CELL).astype(np.int64)
                 surface[index, cells[:, 0], cells[:, 1]] = True
-        surface = ndimage.binary_closing(surface, np.ones((1, 3, 3), dtype=bool))
-        return Slices(low, surface)
+        return Slices(low, np.stack([_close_holes(grid) for grid in surface]))
 
     @cached_property
-    def distance(self) -> FloatArray:
-        """Distance of each cell from surface in its slice (n_slices, nx, ny) [m]."""
-        sampling = (1e3, SLICE_CELL, SLICE_CELL)
-        return np.asarray(ndimage.distance_transform_edt(~self.surface, sampling=sampling))
+    def settled(self) -> BoolArray:
+        """Cells within ``SETTLED_DISTANCE`` of surface in their slice (n_slices, nx, ny)."""
+        return np.stack([dilate(grid, SETTLED_DISTANCE, SLICE_CELL) for grid in self.surface])
 
     def at(
         self, values: BoolArray | FloatArray, points: FloatArray, slices: IntArray
@@ -187,9 +187,7 @@ class HiddenSurface:
         faces = Faces.joined([each for k in indices for each in expect_faces(self._edges(k), k)])
 
         # Drop those that are settled
-        faces = faces.select(
-            slices.at(slices.distance, faces.points, faces.slices) > SETTLED_DISTANCE
-        )
+        faces = faces.select(slices.at(slices.settled, faces.points, faces.slices) == 0.0)
         for view in views:
             faces = faces.select(~faces.are_passed_in(view))
         for view in views:
@@ -242,6 +240,14 @@ def _recall_profiles(view: View, workspace: Workspace) -> list[Profile]:
         results[Profile] = Profile.through(view, SLICE_HEIGHTS, SLICE_THICKNESS)
     profiles: list[Profile] = results[Profile]
     return profiles
+
+
+def _close_holes(grid: BoolArray) -> BoolArray:
+    """Return the cells (nx, ny) of ``grid`` with small holes closed, but for the border.
+
+    A morphological closing by a square of 3 x 3 cells.
+    """
+    return erode(dilate(grid, SQUARE_RADIUS), SQUARE_RADIUS)
 
 
 def expect_faces(edges: Iterable[Edge], index: int) -> Iterator[Faces]:

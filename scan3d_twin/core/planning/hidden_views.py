@@ -8,21 +8,20 @@ sites, J. Field Robotics 26, 2009).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
-from scan3d_twin.core.planning.hidden_surface import HiddenSurface
+from scan3d_twin.core.planning.hidden_surface import SETTLED_DISTANCE, HiddenSurface
 from scan3d_twin.core.planning.overlap_or_default import expect_accuracy, list_overlaps
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap
 from scan3d_twin.core.viewpoints import sum_turns
@@ -42,21 +41,31 @@ with an overlap of 80 % round a thin thing are 54 deg."""
 NEW_DISTANCE = 0.05
 """Distance from known surface beyond which surface is new [m]: the errors of registration, several
 times."""
+FRUITLESS_VIEWS = 2
+"""Number of views of hidden surface that show none, after which the rest is not looked for: one may
+be on the way (assumption)."""
 MIN_PROGRESS = 0.2
 """Least distance by which a view on the way is nearer to the wanted one [m]: grid_step."""
 MAX_TRIED = 20
 """Largest number of viewpoints whose error is predicted; the others show less surface."""
 HALFWAY_SHARES = (0.75, 0.5, 0.25)
 """Shares of the way to a viewpoint at which a view in between is tried."""
+ViewError = Callable[[Pose2], float]
+"""Returns the predicted error [m] of a viewpoint in frame ``scan`` of the latest view."""
 
 
-def termination_plan(context: PlanningContext) -> Plan | None:
+def termination_plan(context: PlanningContext, error: ViewError | None = None) -> Plan | None:
     """Return the plan after the last step along the contour; None while there is a next step.
 
     It ends the run, unless ``planning.closing`` asks for views of hidden surface: then it goes
     where the most of it is expected to show with a predicted error that meets epsilon. So it does
     where the contour goes on, but the robot cannot, as at a wall: the other end is hidden too. A
-    contour along which nothing new shows is as good as done.
+    contour along which nothing new shows is as good as done, and so are views of hidden surface of
+    which the latest ones showed none.
+
+    Args:
+        context: After the latest view.
+        error: The error of a view of hidden surface; the closed form by default.
     """
     # Look for an end of the contour
     reason = context.termination_reason()
@@ -65,24 +74,27 @@ def termination_plan(context: PlanningContext) -> Plan | None:
         if not wanted:
             return None
         if was_blocked(context):
-            ranked = _rank_hidden(context)
+            ranked = _rank_hidden(context, error)
             return (
                 _plan_hidden_view(context, ranked)
                 or _plan_approach(context)
                 or _plan_halfway(context, ranked)
                 or stop_plan(BLOCKED_REASON)
             )
-        return _plan_more(context, STALE_REASON) if shows_nothing_new(context.session) else None
+        stale = shows_nothing_new(context.session)
+        return _plan_more(context, STALE_REASON, error) if stale else None
 
     # Add views of hidden surface
     if not (wanted and context.is_ongoing and context.is_contour_done):
         return stop_plan(reason)
-    return _plan_more(context, reason)
+    return _plan_more(context, reason, error)
 
 
-def _plan_more(context: PlanningContext, reason: str) -> Plan:
+def _plan_more(context: PlanningContext, reason: str, error: ViewError | None) -> Plan:
     """Return the plan for more of hidden surface, or else to stop for ``reason``."""
-    ranked = _rank_hidden(context)
+    if closing_shows_nothing(context.session):
+        return stop_plan(reason)
+    ranked = _rank_hidden(context, error)
     return _plan_hidden_view(context, ranked) or _plan_halfway(context, ranked) or stop_plan(reason)
 
 
@@ -104,8 +116,33 @@ def shows_nothing_new(session: Session) -> bool:
     for k in range(first, len(seen)):
         if len(seen[k]) == 0:
             continue
-        distance, _ = find_nearest(cKDTree(np.concatenate(seen[:k])), seen[k], NEW_DISTANCE)
+        distance, _ = Tree.of(np.concatenate(seen[:k])).closest(seen[k], NEW_DISTANCE)
         if np.mean(~np.isfinite(distance)) > MIN_NEW_SHARE:
+            return False
+    return True
+
+
+def closing_shows_nothing(session: Session) -> bool:
+    """Return whether the latest ``FRUITLESS_VIEWS`` views were of hidden surface, and showed none.
+
+    What a view shows that is farther than ``SETTLED_DISTANCE`` from the target in all earlier views
+    must be as large as the smallest area for which a view is added. Behind the silhouette of a
+    round thing a face is expected that is none.
+    """
+    # Require that the contour was done before them
+    first = len(session.views) - FRUITLESS_VIEWS
+    if first < 1 or not PlanningContext(_first_views(session, first)).is_contour_done:
+        return False
+
+    # Measure what each shows
+    seen = [
+        thin_by_voxel(view.T_world_scan.apply(view.target.points), SETTLED_DISTANCE)
+        for view in session.views
+    ]
+    for k in range(first, len(seen)):
+        distance, _ = Tree.of(np.concatenate(seen[:k])).closest(seen[k], SETTLED_DISTANCE)
+        area = np.count_nonzero(~np.isfinite(distance)) * SETTLED_DISTANCE**2
+        if area >= session.config.planning.least_hidden:
             return False
     return True
 
@@ -139,27 +176,27 @@ class _Ranked(NamedTuple):
         candidates: All viewpoints.
         areas: Hidden surface that each shows (n,) [m2].
         wanted: Indices of those worth a view.
-        prediction: Of their errors.
+        error: Returns their errors [m].
     """
 
     candidates: PoseCandidates
     areas: FloatArray
     wanted: list[int]
-    prediction: ErrorPrediction
+    error: ViewError
 
 
-def _rank_hidden(context: PlanningContext) -> _Ranked | None:
+def _rank_hidden(context: PlanningContext, error: ViewError | None) -> _Ranked | None:
     """Return the ranked viewpoints; None where no error can be predicted."""
     session, config = context.session, context.session.config.planning
     candidates = PoseCandidates(context)
     areas = HiddenSurface(session).measure_areas(candidates.poses)
     try:
-        prediction = ErrorPrediction.of(context)
+        error = error or ErrorPrediction.of(context).error
     except RegistrationError:
         return None
     order = np.argsort(-areas, kind="stable")
     wanted = [int(i) for i in order[areas[order] >= config.least_hidden][:MAX_TRIED]]
-    return _Ranked(candidates, areas, wanted, prediction)
+    return _Ranked(candidates, areas, wanted, error)
 
 
 def _plan_hidden_view(context: PlanningContext, ranked: _Ranked | None) -> Plan | None:
@@ -172,9 +209,10 @@ def _plan_hidden_view(context: PlanningContext, ranked: _Ranked | None) -> Plan 
     here, accuracy = context.view.T_world_scan, expect_accuracy(context.session)
     for i in ranked.wanted:
         pose = ranked.candidates.poses[i]
-        if ranked.prediction.error(here.inverse() @ pose) <= accuracy:
+        error = ranked.error(here.inverse() @ pose)
+        if error <= accuracy:
             reason = f"contour done: {1e4 * ranked.areas[i]:.0f} cm2 more may show"
-            return _go(ranked.candidates, pose, reason)
+            return _go(ranked.candidates, pose, reason, error)
     return None
 
 
@@ -191,9 +229,9 @@ def _plan_halfway(context: PlanningContext, ranked: _Ranked | None) -> Plan | No
         for pose in _iterate_halfway(here, ranked.candidates.poses[i]):
             step = here.inverse() @ pose
             is_possible = ranked.candidates.is_allowed(pose) and context.is_feasible(step)
-            if is_possible and ranked.prediction.error(step) <= accuracy:
+            if is_possible and (error := ranked.error(step)) <= accuracy:
                 reason = f"contour done: on the way to {1e4 * ranked.areas[i]:.0f} cm2 more"
-                return _go(ranked.candidates, pose, reason)
+                return _go(ranked.candidates, pose, reason, error)
     return None
 
 
@@ -221,8 +259,9 @@ def _plan_approach(context: PlanningContext) -> Plan | None:
     order = np.argsort(distances, kind="stable")
     for i in order[distances[order] < here.distance(goal) - MIN_PROGRESS]:
         pose = candidates.poses[i]
-        if prediction.error(here.inverse() @ pose) <= expect_accuracy(session):
-            return candidates.go(pose, "contour blocked: on the way to its other end")
+        error = prediction.error(here.inverse() @ pose)
+        if error <= expect_accuracy(session):
+            return candidates.go(pose, "contour blocked: on the way to its other end", error=error)
     return None
 
 
@@ -237,8 +276,8 @@ def _iterate_halfway(here: Pose2, there: Pose2) -> Iterator[Pose2]:
         )
 
 
-def _go(candidates: PoseCandidates, pose: Pose2, reason: str) -> Plan:
-    """Return the plan to go to ``pose``, which falls back if its error exceeds epsilon."""
-    plan = candidates.go(pose, reason)
+def _go(candidates: PoseCandidates, pose: Pose2, reason: str, error: float) -> Plan:
+    """Return the plan to go to ``pose``, which falls back if its ``error`` [m] exceeds epsilon."""
+    plan = candidates.go(pose, reason, error=error)
     fell_back = plan.predicted_rmse > candidates.session.config.planning.epsilon
     return replace(plan, fell_back=fell_back)

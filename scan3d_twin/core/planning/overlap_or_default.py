@@ -10,7 +10,7 @@ error is taken.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 from scan3d_twin.core.config import PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
@@ -18,7 +18,10 @@ from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, to_
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, Plan, Pose2
+from scan3d_twin.core.viewpoints import sum_turns
 
+STEP_SHARES = (0.75, 0.5)
+"""Shares of the step with the largest overlap that are tried where it does not meet epsilon."""
 ErrorOf = Callable[[float, Pose2], float]
 """Returns the error [m] of an overlap and its viewpoint in frame ``scan``."""
 
@@ -115,9 +118,10 @@ def describe_shortfall(plan: Plan, epsilon: float) -> str | None:
 def _plan_best(context: PlanningContext, straight: list[Candidate], error: ErrorOf) -> Plan:
     """Return the plan for the smallest overlap with an oblique viewpoint within epsilon.
 
-    If there is none, the candidate with the least error is taken; the more of the ``max_views`` are
-    used up, the more above it is accepted for a longer step, so that a wish that cannot be met does
-    not cost the model. Where no error can be predicted, it is the default overlap.
+    If there is none, a shorter step within epsilon is taken, and else the candidate with the least
+    error; the more of the ``max_views`` are used up for less of the way, the more above it is
+    accepted for a longer step, so that a wish that cannot be met does not cost the model. Where no
+    error can be predicted, it is the default overlap.
 
     Args:
         context: A tour that is not finished.
@@ -137,17 +141,68 @@ def _plan_best(context: PlanningContext, straight: list[Candidate], error: Error
                 if candidates[-1].predicted_rmse <= config.epsilon:
                     return _plan_for(candidates[-1], candidates, fell_back=False)
 
+    # Try shorter steps
+    if math.isfinite(_find_least_error(candidates)):
+        for candidate in _iterate_shorter_steps(context, tuple(candidates), error):
+            candidates.append(candidate)
+            if candidate.predicted_rmse <= config.epsilon:
+                return _plan_for(candidate, candidates, fell_back=False)
+
     # Take the least error, or a longer step if few views are left
-    least = min((candidate.predicted_rmse for candidate in candidates), default=math.inf)
+    least = _find_least_error(candidates)
     if not math.isfinite(least):
         return _plan_default_overlap(context, candidates, config)
-    accepted = least * (1.0 + len(context.session.views) / context.session.config.max_views)
+    accepted = least * (1.0 + _measure_lag(context.session))
     best = min(
         (candidate for candidate in candidates if candidate.predicted_rmse <= accepted),
         key=lambda candidate: (candidate.overlap, candidate.predicted_rmse),
     )
     reason = f"no viewpoint meets epsilon: {best.overlap:.0%} comes near the least expected error"
     return _plan_for(best, candidates, fell_back=True, reason=reason)
+
+
+def _find_least_error(candidates: Iterable[Candidate]) -> float:
+    """Return the least predicted error [m]; infinite where there is none."""
+    return min((candidate.predicted_rmse for candidate in candidates), default=math.inf)
+
+
+def _measure_lag(session: Session) -> float:
+    """Return by which share of its views, 0..1, a tour is late; of the front: all it has taken."""
+    used = len(session.views) / session.config.max_views
+    return used if session.config.tour == "front" else max(used - _measure_progress(session), 0.0)
+
+
+def _measure_progress(session: Session) -> float:
+    """Return the share of the way round that the views have turned, 0..1."""
+    turned = sum_turns(view.T_world_scan for view in session.views)
+    return min(abs(turned) / math.tau, 1.0)
+
+
+def _iterate_shorter_steps(
+    context: PlanningContext, tried: Iterable[Candidate], error: ErrorOf
+) -> Iterator[Candidate]:
+    """Yield candidates part of the way to the one of those ``tried`` with the largest overlap.
+
+    Round a small thing even the largest overlap may be a turn of 50 deg, as its few lines say
+    little of the direction of its faces. A step is only so short that the views left are enough to
+    go all round with such steps.
+    """
+    config, session = context.session.config, context.session
+    if config.tour != "full":
+        return
+
+    # Share out what is left of the round
+    left = math.tau * (1.0 - _measure_progress(session))
+    least_turn = left / max(config.max_views - len(session.views), 1)
+    widest = max(tried, key=lambda candidate: candidate.overlap)
+    step = context.view.T_world_scan.inverse() @ widest.viewpoint
+
+    # Go part of the way
+    for share in STEP_SHARES:
+        short = Pose2(share * step.x, share * step.y, share * step.yaw)
+        if abs(short.yaw) >= least_turn and context.is_feasible(short):
+            overlap = 1.0 - share * (1.0 - widest.overlap)
+            yield Candidate(to_world(context, short), overlap, error(overlap, short), feasible=True)
 
 
 def _plan_default_overlap(

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import (
     MIN_TARGET_LINES,
     PlanningContext,
@@ -29,7 +27,14 @@ from scan3d_twin.core.planning.surface_patches import (
     measure_overlap,
     merge_patches,
 )
-from scan3d_twin.core.planning.voxels import OCCUPIED, VOXEL_SIZE, Rays, VoxelMap, build_voxel_map
+from scan3d_twin.core.planning.voxels import (
+    VOXEL_SIZE,
+    Rays,
+    VoxelMap,
+    build_voxel_map,
+    find_occupied_voxels,
+)
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, FloatArray, Plan, Pose2, wrap
 from scan3d_twin.core.viewpoints import MAX_FRONT_ANGLE, measure_angle
@@ -164,9 +169,24 @@ class PoseCandidates:
         reason = "nothing new in sight from where the floor is known to be free: look around"
         return Plan(None, 0.0, math.nan, False, (), reason, needs_panorama=True)
 
-    def go(self, pose: Pose2, reason: str, others: tuple[Pose2, ...] = ()) -> Plan:
-        """Return the plan to go to ``pose``, with the runners-up ``others``, best first."""
-        chosen = self.candidate(pose, predict_error(self.context, self._here.inverse() @ pose))
+    def go(
+        self,
+        pose: Pose2,
+        reason: str,
+        others: tuple[Pose2, ...] = (),
+        error: float | None = None,
+    ) -> Plan:
+        """Return the plan to go to ``pose``.
+
+        Args:
+            pose: ``T_world_scan`` of the next sweep.
+            reason: Why it goes there, in words.
+            others: The runners-up, best first.
+            error: Its predicted error [m] if the caller has it; None to predict it.
+        """
+        if error is None:
+            error = predict_error(self.context, self._here.inverse() @ pose)
+        chosen = self.candidate(pose, error)
         rest = tuple(self.candidate(other, math.nan) for other in others[:MAX_RUNNERS_UP])
         return Plan(
             pose, chosen.overlap, chosen.predicted_rmse, False, (*rest[::-1], chosen), reason
@@ -187,13 +207,12 @@ class PoseCandidates:
     @cached_property
     def _latest(self) -> Patches:
         view = self.session.views[-1]
-        return extract_view_patches(view).moved(view.T_world_scan)
+        return extract_view_patches(view, self.session.workspace).moved(view.T_world_scan)
 
     @cached_property
     def hiding(self) -> FloatArray:
         """Points that may hide the target: the centres of all occupied voxels (n, 3) [m]."""
-        cells = np.argwhere(self.space.labels == OCCUPIED)
-        return np.asarray(self.space.origin + (cells + 0.5) * VOXEL_SIZE)
+        return find_occupied_voxels(self.session, self.session.config.planning.standoff)
 
 
 def _find_ring(target: FloatArray, session: Session) -> tuple[FloatArray, FloatArray]:
@@ -210,7 +229,7 @@ def _find_ring(target: FloatArray, session: Session) -> tuple[FloatArray, FloatA
     places = step * np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
     # Keep a ring of it
-    distance, index = find_nearest(cKDTree(target), places)
+    distance, index = Tree.of(target).closest(places)
     ring = (distance >= MIN_STANDOFFS * standoff) & (distance <= MAX_STANDOFFS * standoff)
     to = target[index[ring]] - places[ring]
     return places[ring], np.arctan2(to[:, 1], to[:, 0])

@@ -11,9 +11,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from scipy.special import betaln
-
 
 def count_allowed_failures(draws: int, quantile: float) -> int:
     """Return how many of ``draws`` may fail while their ``quantile``, rounded up, passes."""
@@ -43,8 +40,13 @@ def is_decided(failures: int, drawn: int, draws: int, quantile: float, certainty
 def _probability_at_most(most: int, n: int, a: float, b: float) -> float:
     """Return the probability of at most ``most`` of ``n`` failures of a beta-binomial distribution.
 
-    Written out, as ``scipy.stats`` takes more memory than a small computer has.
+    Written out, as SciPy takes more memory than a small computer has.
     """
-    k = np.arange(most + 1)
-    ways = -np.log(n + 1.0) - betaln(n - k + 1.0, k + 1.0)
-    return float(np.sum(np.exp(ways + betaln(k + a, n - k + b) - betaln(a, b))))
+    ways = (-math.log(n + 1.0) - _log_beta(n - k + 1.0, k + 1.0) for k in range(most + 1))
+    shares = (_log_beta(k + a, n - k + b) - _log_beta(a, b) for k in range(most + 1))
+    return math.fsum(math.exp(way + share) for way, share in zip(ways, shares, strict=True))
+
+
+def _log_beta(a: float, b: float) -> float:
+    """Return the logarithm of the beta function."""
+    return math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)

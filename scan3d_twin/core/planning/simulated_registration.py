@@ -21,6 +21,7 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.motion_model import MotionModel
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
+from scan3d_twin.core.planning.error_prediction import MIN_SHARED_SHARE
 from scan3d_twin.core.planning.sequential_test import is_decided
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
 from scan3d_twin.core.planning.visibility import NextSweep
@@ -88,12 +89,16 @@ class SimulatedRegistration:
     def errors(self, viewpoint: Pose2, draws: int, half: float | None = None) -> Iterator[float]:
         """Yield the error [m] of each draw; infinite if too little of the target is in view."""
         planes = self._surface.seen_from(viewpoint, self._next_sweep(half))
-        if np.count_nonzero(planes.on_target) < MIN_SHARED_READINGS:
+        index = self.grid.index[self.on_target]
+        own = index[index >= 0]
+        least = min(MIN_SHARED_READINGS, MIN_SHARED_SHARE * len(own))
+        if np.count_nonzero(planes.on_target) < least or not np.any(self.on_target):
             yield from repeat(math.inf, draws)
             return
         prior = (self.motion or MotionModel.of((), self.config)).spread(viewpoint)
-        index = self.grid.index[self.on_target]
-        points = self.grid.rows[index[index >= 0][::TARGET_STRIDE], X]
+        points = self.grid.rows[own[::TARGET_STRIDE], X]
+        if len(own) == 0:  # thinner than a surfel
+            points = self.grid.image.points[self.on_target]
         for k in range(draws):
             yield self._error(k, planes, points, prior)
 

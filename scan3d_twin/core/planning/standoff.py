@@ -12,10 +12,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, TargetConfig
-from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.types import FloatArray, Observation
 
 NEAR_TARGET = 0.05
@@ -82,7 +81,7 @@ def measure_height(panorama: Observation, hint: FloatArray, config: TargetConfig
     points = points[points[:, 2] > config.floor_height]
     if len(points) == 0 or len(hint) == 0:
         return math.nan
-    near = find_nearest(cKDTree(hint), panorama.T_odom_scan.apply(points[:, :2]))[0] <= NEAR_TARGET
+    near = Tree.of(hint).is_near(panorama.T_odom_scan.apply(points[:, :2]), NEAR_TARGET)
 
     # Follow them upwards to the first gap
     heights = np.sort(points[near, 2])

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
-from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.registration.kd_tree import Tree
+from scan3d_twin.core.session import Session, View, Workspace
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2
 
 PATCH_SIZE = 0.04
@@ -61,7 +61,7 @@ def extract_patches(points: FloatArray, eye: FloatArray) -> Patches:
         return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
     # Fit planes to their neighbours
-    _, index = cKDTree(thinned).query(thinned, k=NORMAL_NEIGHBOURS)
+    _, index = Tree.of(thinned).nearest(thinned, NORMAL_NEIGHBOURS)
     around = thinned[index] - thinned[index].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
     normals = vectors[..., 0]
@@ -72,14 +72,22 @@ def extract_patches(points: FloatArray, eye: FloatArray) -> Patches:
     return Patches(thinned, normals, values[:, 0] / np.maximum(values.sum(axis=1), 1e-12))
 
 
-def extract_view_patches(view: View) -> Patches:
-    """Return the patches of the target in ``view``, in ``scan``."""
-    return extract_patches(view.target.points, np.array([0.0, 0.0, lidar_height(view)]))
+def extract_view_patches(view: View, workspace: Workspace | None = None) -> Patches:
+    """Return the patches of the target in ``view``, in ``scan``; the ``workspace`` keeps them."""
+    kept = {} if workspace is None else workspace.results_of(view.image)
+    if Patches not in kept or kept[Patches][0] is not view.target:
+        eye = np.array([0.0, 0.0, lidar_height(view)])
+        kept[Patches] = view.target, extract_patches(view.target.points, eye)
+    patches: Patches = kept[Patches][1]
+    return patches
 
 
 def merge_patches(session: Session) -> Patches:
     """Return the patches of all views in ``world``, the first one in each cell."""
-    parts = [extract_view_patches(view).moved(view.T_world_scan) for view in session.views]
+    parts = [
+        extract_view_patches(view, session.workspace).moved(view.T_world_scan)
+        for view in session.views
+    ]
     points = np.concatenate([part.points for part in parts])
     cells = np.floor(points / PATCH_SIZE).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)

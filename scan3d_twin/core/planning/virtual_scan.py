@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
+from scan3d_twin.core.moving_windows import moving_mean
 from scan3d_twin.core.planning.visibility import NextSweep, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels
 from scan3d_twin.core.registration.native import engine
@@ -109,7 +109,7 @@ def _correlate(white: FloatArray, factor: float) -> FloatArray:
     beams = max(1, round(factor))
     if beams == 1:
         return white
-    return np.asarray(math.sqrt(beams) * uniform_filter1d(white, beams, axis=1))
+    return np.asarray(math.sqrt(beams) * moving_mean(white, beams, axis=1))
 
 
 def _draw_bias_field(image: RangeImage, rng: np.random.Generator) -> FloatArray:

@@ -15,8 +15,8 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
+from scan3d_twin.core.moving_windows import open_by_box
 from scan3d_twin.core.planning.surface_patches import Eye
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import (
@@ -66,6 +66,8 @@ class VoxelMap:
     @cached_property
     def may_hold_more(self) -> BoolArray:
         """Unknown voxels at the target's border, which may hold more of it (nx, ny, nz)."""
+        from scipy import ndimage  # slow to import
+
         near = ndimage.maximum_filter(self.target, 1 + 2 * BORDER_VOXELS, mode="constant")
         return np.asarray(near & (self.labels == UNKNOWN))
 
@@ -116,18 +118,10 @@ class Rays:
 
 def build_voxel_map(session: Session, margin: float) -> VoxelMap:
     """Return the map of the space within ``margin`` [m] of the known target."""
-    # Bound the map
-    known = np.concatenate([v.T_world_scan.apply(v.target.points) for v in session.views])
-    hint = session.hint if len(known) == 0 else known[:, :2]
-    low = np.append(hint.min(axis=0) - margin, FLOOR_TOP)
-    top = float(known[:, 2].max()) if len(known) else 1.0
-    high = np.append(hint.max(axis=0) + margin, top + HEADROOM)
-    nx, ny, nz = (int(n) for n in np.ceil((high - low) / VOXEL_SIZE))
+    blank = _lay_out(session, margin)
+    low, shape = blank.origin, blank.labels.shape
 
     # Mark voxels that beams passed
-    shape = (nx, ny, nz)
-    empty = np.zeros(shape, dtype=np.int8)
-    blank = VoxelMap(low, empty, empty.astype(bool))
     free = np.zeros(shape, dtype=bool)
     centres = low + (np.moveaxis(np.indices(shape), 0, -1) + 0.5) * VOXEL_SIZE
     for T_world_scan, image in _iterate_images(session):
@@ -138,6 +132,25 @@ def build_voxel_map(session: Session, margin: float) -> VoxelMap:
     target = _find_occupied(blank, [(v.T_world_scan, v.target.points) for v in session.views])
     labels = np.where(solid, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
     return VoxelMap(low, labels, target & solid)
+
+
+def find_occupied_voxels(session: Session, margin: float) -> FloatArray:
+    """Return the middles (n, 3) [m] of the occupied voxels of ``build_voxel_map``, without it."""
+    blank = _lay_out(session, margin)
+    solid = _find_occupied(blank, [(v.T_world_scan, v.sweep.points) for v in session.views])
+    return np.asarray(blank.origin + (np.argwhere(solid) + 0.5) * VOXEL_SIZE)
+
+
+def _lay_out(session: Session, margin: float) -> VoxelMap:
+    """Return a map of the space within ``margin`` [m] of the known target, all unknown."""
+    known = np.concatenate([v.T_world_scan.apply(v.target.points) for v in session.views])
+    hint = session.hint if len(known) == 0 else known[:, :2]
+    low = np.append(hint.min(axis=0) - margin, FLOOR_TOP)
+    top = float(known[:, 2].max()) if len(known) else 1.0
+    high = np.append(hint.max(axis=0) + margin, top + HEADROOM)
+    nx, ny, nz = (int(n) for n in np.ceil((high - low) / VOXEL_SIZE))
+
+    return VoxelMap(low, np.zeros((nx, ny, nz), np.int8), np.zeros((nx, ny, nz), dtype=bool))
 
 
 def _iterate_images(session: Session) -> Iterator[tuple[Pose2, RangeImage]]:
@@ -184,11 +197,8 @@ def _measure_reach(image: RangeImage, spacing: float) -> FloatArray:
     """Return the free length of each beam (n_lines, n_beams) [m]; NaN for a single dropout."""
     beams = float(np.median(np.diff(image.spec.elevations)))
     hole = np.isnan(image.ranges)
-    # An opening by a box; along one axis after the other takes a quarter of the time.
     wide = [max(1, round(MIN_VOID_ANGLE / step)) for step in (spacing, beams)]
-    mirrored = [n % 2 - 1 for n in wide]
-    eroded = ndimage.minimum_filter(hole, wide, mode="constant", cval=1)
-    void = ndimage.maximum_filter(eroded, wide, mode="constant", cval=0, origin=mirrored)
+    void = open_by_box(hole, wide)
     return np.where(hole & void, image.spec.max_range, image.ranges)
 
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import RegistrationConfig
-from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -39,7 +38,7 @@ def register(
     init_T_target_source: Pose2 | None = None,
     border: BoolArray | None = None,
     config: RegistrationConfig | None = None,
-    tree: cKDTree | None = None,
+    tree: Tree | None = None,
 ) -> RegistrationResult:
     """Register ``source`` to ``target`` by point-to-point ICP in the plane, eq. (1).
 
@@ -63,7 +62,7 @@ def register(
 
     # Iterate to convergence.
     source = _thin_out(source, config.max_points)
-    tree = tree or cKDTree(target)
+    tree = tree or Tree.of(target)
     settled, iterations = False, 0
     while not settled and iterations < config.max_iterations:
         iterations += 1
@@ -104,7 +103,7 @@ def select_overlapping_lines(target: Scan3D, source: Scan3D, init_T_target_sourc
     if len(target) == 0 or len(source) == 0:
         return source.select(np.zeros(len(source), dtype=bool))
     moved = init_T_target_source.apply(source.points)
-    near = np.isfinite(find_nearest(cKDTree(target.points), moved, OVERLAP_DISTANCE)[0])
+    near = np.isfinite(Tree.of(target.points).closest(moved, OVERLAP_DISTANCE)[0])
     total = np.bincount(source.lines, minlength=source.n_lines)
     hits = np.bincount(source.lines, weights=near, minlength=source.n_lines)
     return source.select((2 * hits >= total)[source.lines])
@@ -120,10 +119,10 @@ def find_border(scan: Scan3D, *, right: bool) -> BoolArray:
 
 
 def _find_correspondences(
-    tree: cKDTree, moved: FloatArray, border: BoolArray | None, config: RegistrationConfig
+    tree: Tree, moved: FloatArray, border: BoolArray | None, config: RegistrationConfig
 ) -> tuple[BoolArray, IntArray, FloatArray]:
     """Return whether each point (m,) has a correspondence, its index and its distance [m]."""
-    distances, index = find_nearest(tree, moved, config.max_correspondence_distance)
+    distances, index = tree.closest(moved, config.max_correspondence_distance)
     paired = np.isfinite(distances)
     if border is not None and config.border == "drop":
         paired[paired] = ~border[index[paired]]

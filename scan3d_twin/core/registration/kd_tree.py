@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.registration.native import MAX_NEIGHBOURS, ByteArray, engine
-from scan3d_twin.core.types import BoolArray, FloatArray, SmallIntArray
+from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, SmallIntArray
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,8 @@ class Tree:
 
     @staticmethod
     def of(points: FloatArray) -> Tree:
-        """Return the tree of ``points`` (n, 3), all finite."""
-        n = len(points)
+        """Return the tree of ``points`` (n, 2 or 3), all finite."""
+        points, n = _make_spatial(points), len(points)
         tree = Tree(np.empty((n, 3)), np.empty(n, np.int32), np.zeros(n, np.uint8))
         engine.build_tree(points, n, tree.points, tree.order, tree.axes)
         return tree
@@ -52,6 +53,26 @@ class Tree:
         )  # fmt: skip
         return squares, indices
 
+    def closest(self, points: FloatArray, within: float = math.inf) -> tuple[FloatArray, IntArray]:
+        """Return distance (m,) [m] and index (m,) of the point of the tree closest to each point.
+
+        Points (m, 2 or 3) with none closer than ``within`` [m] get infinity and the number of
+        points of the tree.
+        """
+        distances, indices = np.empty(len(points)), np.empty(len(points), np.int64)
+        engine.find_closest(
+            self.points, self.order, self.axes, len(self.points), _make_spatial(points),
+            len(points), within, distances, indices,
+        )  # fmt: skip
+        return distances, indices
+
+    def is_near(self, points: FloatArray, within: float) -> BoolArray:
+        """Return which ``points`` (m, 2 or 3) have a point of the tree ``within`` a distance [m].
+
+        The search does not go farther, which is much quicker for points far away.
+        """
+        return np.asarray(self.closest(points, within * (1 + 1e-9))[0] <= within)
+
     def fit_planes(self, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Fit a plane to the k nearest neighbours of each point of the tree, itself included.
 
@@ -69,6 +90,15 @@ class Tree:
             self.points, self.order, self.axes, n, k, centroids, normals, variances
         )
         return centroids, normals, variances
+
+
+def _make_spatial(points: FloatArray) -> FloatArray:
+    """Return ``points`` (n, 2 or 3) as (n, 3), those of a top view at z = 0."""
+    if points.shape[1] == 3:
+        return np.ascontiguousarray(points, np.float64)
+    spatial = np.zeros((len(points), 3))
+    spatial[:, :2] = points
+    return spatial
 
 
 def _check_neighbours(k: int) -> None:

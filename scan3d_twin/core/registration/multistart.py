@@ -11,9 +11,9 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import ndtri
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.free_space import measure_contradiction
@@ -157,7 +157,9 @@ def spread_normal(n: int, k: int) -> FloatArray:
     for _ in range(60):
         g = (1.0 + g) ** (1.0 / (k + 1))
     steps = g ** -np.arange(1.0, k + 1)
-    return read_only(ndtri((0.5 + np.arange(1, n + 1)[:, None] * steps) % 1.0))
+    cube = (0.5 + np.arange(1, n + 1)[:, None] * steps) % 1.0
+    quantile = NormalDist().inv_cdf
+    return read_only(np.array([[quantile(share) for share in row] for row in cube.tolist()]))
 
 
 def _measure_contradiction(problem: Problem, pose: FloatArray) -> float:

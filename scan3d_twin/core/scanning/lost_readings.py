@@ -14,9 +14,9 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from scipy import ndimage
 
 from scan3d_twin.core.config import GapConfig
+from scan3d_twin.core.moving_windows import are_all
 from scan3d_twin.core.scanning.deskew import Lines
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.types import (
@@ -60,7 +60,7 @@ def find_holes(
         beams: Number of neighbouring beams of a line that must be lost; fewer are no hole.
     """
     # Let each beam stand for the group around it
-    lost = ndimage.binary_erosion(lost, np.ones((1, max(1, beams)), dtype=bool))
+    lost = are_all(lost, max(1, beams), axis=1, beyond=False)
 
     # Order the lines, between two ends that count as read
     inside = np.flatnonzero(np.abs(yaws) <= half + spacing / 2)

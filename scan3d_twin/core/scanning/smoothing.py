@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
 
+from scan3d_twin.core.moving_windows import moving_maximum, moving_mean
 from scan3d_twin.core.types import UNMEASURED, BoolArray, FloatArray, RangeImage, read_only
 
 WINDOW = 5
@@ -32,18 +32,20 @@ def smooth(image: RangeImage) -> RangeImage:
     absent = ~valid & (image.codes == UNMEASURED) if own is not None else np.zeros_like(valid)
     far = np.where(valid, ranges, np.where(absent, -np.inf, np.inf))
     near = np.where(valid, ranges, np.where(absent, np.inf, -np.inf))
-    farthest = ndimage.maximum_filter(far, WINDOW, mode="constant", cval=np.inf)
-    nearest = ndimage.minimum_filter(near, WINDOW, mode="constant", cval=-np.inf)
+    farthest = moving_maximum(far, WINDOW)
+    nearest = -moving_maximum(-near, WINDOW)
     whole = farthest - nearest < DEPTH_EDGE
 
     # Average the inverse ranges
     inverse = np.divide(1.0, ranges, out=np.zeros_like(ranges), where=valid)
-    if own is None:
-        mean = ndimage.uniform_filter(inverse, WINDOW)
-    else:
-        mean = _regress(inverse, (own, image.yaws), valid)
+    mean = _average(inverse) if own is None else _regress(inverse, (own, image.yaws), valid)
     smoothed = np.divide(1.0, mean, out=ranges.copy(), where=whole & valid)
     return replace(image, ranges=read_only(smoothed))
+
+
+def _average(values: FloatArray) -> FloatArray:
+    """Return the means (n_lines, n_beams) of ``values`` over the windows."""
+    return moving_mean(moving_mean(values, WINDOW, axis=0), WINDOW, axis=1)
 
 
 def _regress(
@@ -58,10 +60,10 @@ def _regress(
     """
     # Take moments over the windows
     weight, (e, y) = valid.astype(np.float64), angles
-    total = np.maximum(ndimage.uniform_filter(weight, WINDOW), 1.0 / WINDOW**2)
+    total = np.maximum(_average(weight), 1.0 / WINDOW**2)
 
     def average(each: FloatArray) -> FloatArray:
-        return np.asarray(ndimage.uniform_filter(weight * each, WINDOW) / total)
+        return np.asarray(_average(weight * each) / total)
 
     mean_e, mean_y, mean = average(e), average(y), average(values)
     ee, yy = average(e * e) - mean_e**2, average(y * y) - mean_y**2

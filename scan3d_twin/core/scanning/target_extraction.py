@@ -12,13 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, TargetConfig
 from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.hal import LIDAR_HEIGHT
-from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.walls import (
@@ -133,8 +132,7 @@ def _share_shown(places: FloatArray, scan: Scan3D, gap: float) -> float:
     """Return the share of ``places`` (n, 2) that have a point of ``scan`` within ``gap`` [m]."""
     if len(scan) == 0:
         return 0.0
-    distance, _ = find_nearest(cKDTree(scan.points[:, :2]), places)
-    return float(np.mean(distance <= gap))
+    return float(np.mean(Tree.of(scan.points[:, :2]).is_near(places, gap)))
 
 
 def _find_background_walls(
@@ -414,8 +412,8 @@ def _find_touching(
     touching = np.bincount(groups[near], minlength=int(groups.max()) + 1) > 0
     possible = dilate(grid, gap + 1.01 * diagonal, GROUPING_CELL).take(cell) & ~touching[groups]
     if possible.any():
-        distance, _ = find_nearest(cKDTree(known), points[possible])
-        touching[groups[possible][distance <= gap]] = True
+        near_known = Tree.of(known).is_near(points[possible], gap)
+        touching[groups[possible][near_known]] = True
     return touching
 
 

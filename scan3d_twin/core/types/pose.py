@@ -10,7 +10,7 @@ import numpy as np
 from scan3d_twin.core.types.arrays import FloatArray, wrap
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, init=False)
 class Pose2:
     """Planar pose ``T_a_b``: position of b's origin in a and b's heading.
 
@@ -25,14 +25,16 @@ class Pose2:
     (1.0, 0.5)
     """
 
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
+    x: float
+    y: float
+    yaw: float
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "x", float(self.x))
-        object.__setattr__(self, "y", float(self.y))
-        object.__setattr__(self, "yaw", wrap(float(self.yaw)))
+    def __init__(self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> None:
+        """Set each field once: there are thousands of poses in a simulated second."""
+        put = object.__setattr__
+        put(self, "x", float(x))
+        put(self, "y", float(y))
+        put(self, "yaw", wrap(float(yaw)))
 
     def __matmul__(self, other: Pose2) -> Pose2:
         """Return ``T_a_c`` from ``T_a_b @ T_b_c``."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -157,5 +158,12 @@ class Hazards:
 
     def active(self) -> tuple[str, ...]:
         """Return the active hazards in words."""
-        flags = (name for name in self.__slots__ if name != "battery")
-        return tuple(name.replace("_", " ") for name in flags if getattr(self, name))
+        flags = _read_flags(self)
+        if True not in flags:  # nearly always
+            return ()
+        named = zip(_FLAGS, flags, strict=True)
+        return tuple(name.replace("_", " ") for name, is_set in named if is_set)
+
+
+_FLAGS = tuple(name for name in Hazards.__slots__ if name != "battery")
+_read_flags = attrgetter(*_FLAGS)

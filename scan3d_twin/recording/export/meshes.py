@@ -6,12 +6,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.model.fused_cloud import Model
 from scan3d_twin.core.model.mesh import Mesh
-from scan3d_twin.core.neighbours import find_nearest
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.recording.colours import GREY, view_colours_rgb
 from scan3d_twin.recording.export.format import MeshFormat
 
@@ -62,8 +61,8 @@ def reconstruct_poisson(model: Model) -> Mesh:
         cloud, depth=OCTREE_DEPTH, n_threads=1
     )
     vertices, faces = np.asarray(closed.vertices), np.asarray(closed.triangles, dtype=np.int64)
-    distance, _ = find_nearest(cKDTree(known.points), vertices)
-    faces = faces[(distance[faces] <= MAX_POISSON_DISTANCE).all(axis=1)]
+    near = Tree.of(known.points).is_near(vertices, MAX_POISSON_DISTANCE)
+    faces = faces[near[faces].all(axis=1)]
     used, corners = np.unique(faces, return_inverse=True)
     return Mesh(vertices[used], corners.reshape(-1, 3), np.full(len(used), -1))
 

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from scipy.spatial.transform import Rotation
 
 from scan3d_twin.core.types import FloatArray, Pose2
 
@@ -118,11 +117,30 @@ def make_header(stamp: float, frame: str) -> Any:
     return make_message("std_msgs/msg/Header", stamp=make_time(stamp), frame_id=frame)
 
 
+def _find_quaternion(R: FloatArray) -> tuple[float, float, float, float]:
+    """Return the quaternion x, y, z, w of a rotation ``R`` (3, 3), with w >= 0.
+
+    By its largest part, so that no small number divides.
+    """
+    (a, b, c), trace = np.diagonal(R).tolist(), float(np.trace(R))
+    (_, r01, r02), (r10, _, r12), (r20, r21, _) = R.tolist()
+    parts = {
+        a: (1 - trace + 2 * a, r10 + r01, r20 + r02, r21 - r12),
+        b: (r10 + r01, 1 - trace + 2 * b, r21 + r12, r02 - r20),
+        c: (r20 + r02, r21 + r12, 1 - trace + 2 * c, r10 - r01),
+        trace: (r21 - r12, r02 - r20, r10 - r01, 1 + trace),
+    }
+    largest = parts[max(parts)]
+    length = math.copysign(math.hypot(*largest), largest[3])
+    x, y, z, w = (part / length + 0.0 for part in largest)
+    return x, y, z, w
+
+
 def encode_mount(T_base_lidar: FloatArray, stamp: float = 0.0) -> Message:
     """Return the lidar's extrinsics as a transform from ``base`` to ``laser``, at ``stamp`` [s]."""
     # Compose rotation and translation
     T = T_base_lidar @ LASER_IN_LIDAR
-    x, y, z, w = map(float, Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
+    x, y, z, w = _find_quaternion(T[:3, :3])
     rotation = make_message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
     place = make_message(
         "geometry_msgs/msg/Vector3", **dict(zip("xyz", T[:3, 3].tolist(), strict=True))

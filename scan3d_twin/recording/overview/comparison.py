@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.model.evaluation import Distances
 from scan3d_twin.core.model.fused_cloud import Model, build_model
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.registration import register
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.recording.load import RecordedRun, load_session, run_folder
@@ -145,7 +144,7 @@ def _moved(model: Model, pose: Pose2 | None) -> Model:
 def _compare(
     name: str, run: RecordedRun, model: Model, other: Model, T_first_own: Pose2
 ) -> ComparedRun:
-    distances, _ = find_nearest(cKDTree(other.points), model.points, MAX_DISTANCE)
+    distances, _ = Tree.of(other.points).closest(model.points, MAX_DISTANCE)
     near = distances[np.isfinite(distances)]
     return ComparedRun(
         name, _options(run), _report(run), run.session, model, T_first_own, distances,

@@ -144,12 +144,14 @@ class SimBase:
 
 def _blocking(before: Hazards, now: Hazards, target: tuple[float, float]) -> tuple[str, ...]:
     """Return the hazards to stop for: new ones, and old ones if the robot drives forward."""
+    active = now.active()
     if now.battery <= 0:
-        return (*now.active(), "battery empty")
+        return (*active, "battery empty")
+    if not active:
+        return ()
     if now == before and sum(target) <= 0:
         return ()
-    active = now.active()
-    if sum(target) > 0 or not active:
+    if sum(target) > 0:
         return active
     known = before.active()
     return tuple(name for name in active if name not in known)

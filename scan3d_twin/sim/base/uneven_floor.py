@@ -10,7 +10,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from scan3d_twin.core.types import FloatArray
 from scan3d_twin.sim.config import RobotErrorConfig
@@ -26,6 +25,8 @@ CELLS_PER_LENGTH = 4
 def draw_uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArray:
     """Return random heights (n, n) [m] of zero mean with the correlation ``uneven_length``."""
     n = round(2 * HALF_SIDE / config.uneven_length * CELLS_PER_LENGTH)
+    from scipy.ndimage import gaussian_filter  # slow to import
+
     smooth = gaussian_filter(rng.standard_normal((n, n)), CELLS_PER_LENGTH / 2, mode="nearest")
     heights: FloatArray = (smooth - smooth.mean()) / smooth.std() * config.uneven
     return heights

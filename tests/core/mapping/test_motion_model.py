@@ -12,7 +12,13 @@ import pytest
 from paper import paper_planning
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.mapping.motion_model import MotionModel, describe_move, motion_prior
+from scan3d_twin.core.mapping.motion_model import (
+    ERROR_CORRELATION,
+    Evidence,
+    MotionModel,
+    describe_move,
+    motion_prior,
+)
 from scan3d_twin.core.navigation.legs import Legs, assume_legs
 from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
 from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, read_only, wrap
@@ -93,7 +99,7 @@ def drive(
 def test_the_jacobian_is_that_of_the_move(legs: Legs) -> None:
     small = 0.01 * ROBOT
     move, true = follow(legs), follow(legs, small)
-    model = replace(MotionModel.of((), CONFIG), mean=small)
+    model = replace(MotionModel.of((), CONFIG), before=(small, np.eye(3)))
     found = model.correct(move, legs)
     assert (found.x, found.y) == pytest.approx((true.x, true.y), abs=2e-6)
     assert wrap(found.yaw - true.yaw) == pytest.approx(0.0, abs=1e-9)
@@ -191,3 +197,29 @@ def test_legs_of_another_move_are_not_believed() -> None:
     move, legs = describe_move(views[0], views[2].observation)
     assert legs == assume_legs(move)
     assert describe_move(views[1], views[2].observation)[1] == MOVES[1]
+
+
+def test_equal_registrations_count_for_less_than_their_number() -> None:
+    evidence = Evidence()
+    for _ in range(6):
+        evidence = evidence.add(np.eye(3), np.zeros(3), 4.0)
+    assert evidence.design_effect == pytest.approx(1 + 5 * ERROR_CORRELATION)
+    assert Evidence().add(np.eye(3), np.zeros(3), 4.0).design_effect == 1.0
+    assert Evidence().add(np.eye(3), np.zeros(3), 0.0).design_effect == 1.0
+    weak = Evidence().add(np.eye(3), np.zeros(3), 400.0).add(np.eye(3), np.zeros(3), 0.01)
+    assert weak.design_effect < 1.01
+
+
+def test_many_registrations_do_not_make_an_error_that_they_share_certain() -> None:
+    """Each finds the robot 4 mm too far to the left, twice its own standard deviation."""
+    legs, model, true = ((0.6, 0.5), (-0.3, 0.0)), MotionModel.of((), CONFIG), np.zeros(3)
+    move = follow(legs)
+    for _ in range(10):
+        result = registered(
+            Pose2(move.x, move.y + 0.004, move.yaw), model.prior(move, legs), (2e-3, 2e-3, 2e-3)
+        )
+        model = model.learn(move, legs, result)
+    off = model.jacobian(move, legs) @ (model.mean - true)
+    spread = model.jacobian(move, legs) @ model.covariance @ model.jacobian(move, legs).T
+    assert abs(off[1]) > 0.001
+    assert abs(off[1]) < 2.5 * math.sqrt(spread[1, 1])

@@ -12,7 +12,9 @@ from synthetic import ROOM, Box, observe
 
 from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
 from scan3d_twin.core.digitize import integrate
-from scan3d_twin.core.errors import ConfigError
+from scan3d_twin.core.errors import ConfigError, RegistrationError
+from scan3d_twin.core.mapping import scan_matching, surfel_store
+from scan3d_twin.core.mapping.loop_closure import align
 from scan3d_twin.core.mapping.motion_model import motion_prior
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
@@ -22,7 +24,7 @@ from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray, Observation, Pose2, rms
+from scan3d_twin.core.types import FloatArray, Observation, Pose2, read_only, rms
 
 pytestmark = pytest.mark.slow
 
@@ -221,3 +223,69 @@ def test_surfels_keep_clear_of_the_floor_and_the_model_does_not() -> None:
     view, limit = session.views[0], session.config.target.floor_height
     assert view.target.points[:, 2].min() < 0.7 * limit
     assert surfels_of(view, session.config).rows[:, X][:, 2].min() > 0.9 * limit
+
+
+def test_views_with_too_little_surface_for_surfels_are_registered_by_their_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*arguments: object) -> SurfelGrid:
+        raise RegistrationError("the scan shows too little surface")
+
+    for module in (scan_matching, surfel_store):
+        monkeypatch.setattr(module, "surfels_of", refuse)
+    true = Pose2(0.0, -0.4, 0.1)
+    session = second_view(session_at(PILASTERS, config()), PILASTERS, true)
+    result = session.views[-1].registration
+    assert result is not None
+    assert result.converged
+    assert error(session, true) < 0.005
+    assert result.predicted_rmse < 0.010
+    assert error(align(session), true) < 0.005
+
+    # Odometry is kept where the points contradict each other
+    monkeypatch.setattr(scan_matching, "register", lambda *a, **b: replace(result, converged=False))
+    kept = second_view(session_at(PILASTERS, config()), PILASTERS, true).views[-1].registration
+    assert kept is not None
+    assert not kept.converged
+
+
+CORNER = (Box((-0.25, -0.25, 0.0), (0.25, 0.25, 0.7)),)
+"""A box in the middle, without anything around it."""
+
+
+def look_at_corner(bearing: float) -> Pose2:
+    """Return the pose at 1.2 m from the middle of ``CORNER`` that faces it from ``bearing``."""
+    return Pose2(1.2 * math.cos(bearing), 1.2 * math.sin(bearing), bearing + math.pi)
+
+
+def test_a_range_error_that_both_sweeps_share_is_predicted_to_turn_the_next_view() -> None:
+    """Both faces are seen too far away, along rays that differ by the turn between the views."""
+    first, second = look_at_corner(0.5), look_at_corner(1.0)
+    step, offset = first.inverse() @ second, 0.010
+
+    def sweep_from(pose: Pose2, seed: int) -> Observation:
+        seen = observe(pose, CORNER, room=False, sigma=0.002, rng=np.random.default_rng(seed))
+        longer = replace(seen.image, ranges=read_only(seen.image.ranges + offset))
+        return Observation(longer, pose)
+
+    settings = config("sweep")
+    shared = replace(settings.registration, offset_sigma=offset, linearity_sigma=0.0)
+    settings = replace(settings, registration=shared)
+    session = Session(settings, 0, np.array([[0.25, 0.0], [0.0, 0.25]]), np.array([1.0, 0.0]))
+    session = integrate(session, sweep_from(first, 1))
+
+    # Predict it with and without an error that is shared
+    exact = replace(settings, registration=replace(settings.registration, offset_sigma=0.0))
+    predicted = [
+        ErrorPrediction.of(PlanningContext(replace(session, config=each))).error(step)
+        / settings.planning.calibration
+        for each in (exact, settings)
+    ]
+    expected = math.sqrt(predicted[1] ** 2 - predicted[0] ** 2)
+
+    # Measure it
+    found = integrate(session, sweep_from(second, 2)).views[-1]
+    points = found.target.points
+    error = rms(found.T_world_scan.apply(points) - second.apply(points))
+    assert error > 0.1 * offset
+    assert expected == pytest.approx(error, rel=0.5)

@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sessions import WALL, session_at
+from sessions import BOX, WALL, session_at
+from synthetic import Box
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning.context import PlanningContext
+from scan3d_twin.core.planning.error_prediction import predict_by_odometry
 from scan3d_twin.core.planning.overlap_or_default import (
     describe_shortfall,
     expect_accuracy,
@@ -131,3 +133,36 @@ def test_the_run_says_what_it_reaches_before_it_drives() -> None:
     assert len(session.views) == 2
     warned = next(k for k, text in enumerate(listener.said) if "is below the expected" in text)
     assert warned < listener.said.index("driving to viewpoint 1")
+
+
+def test_where_nothing_else_does_a_shorter_step_round_a_thing_meets_epsilon() -> None:
+    small = (Box((0.9, -0.1, 0.0), (1.1, 0.1, 0.6)),)
+    context = PlanningContext(session_at(small, Config(tour="full", max_views=60)))
+    straight = context.find_placement(0.8).viewpoint
+    assert straight is not None
+    reach = math.hypot(straight.x, straight.y)
+
+    def error(eta: float, viewpoint: Pose2) -> float:
+        return 0.008 if math.hypot(viewpoint.x, viewpoint.y) < 0.8 * reach else 0.04
+
+    plan = plan_smallest_overlap(context, error)
+    assert not plan.fell_back
+    assert plan.viewpoint is not None
+    turn = abs(plan.viewpoint.yaw)
+    assert turn == pytest.approx(0.75 * abs(straight.yaw))
+    assert plan.overlap == pytest.approx(0.85)
+
+    # A step that would leave too few views for the rest of the way is not taken
+    config = replace(context.session.config, max_views=1 + math.floor(math.tau / turn))
+    late = PlanningContext(replace(context.session, config=config))
+    assert plan_smallest_overlap(late, error).fell_back
+
+
+def test_where_no_surface_predicts_it_the_error_is_that_of_the_odometry() -> None:
+    context = PlanningContext(session_at(BOX, Config(tour="full")))
+    near, far = (predict_by_odometry(context, Pose2(0.0, -y, 0.5)) for y in (0.2, 0.8))
+    assert 0.0 < near < far
+    fine = replace(context.session.config.planning, gamma=0.0, drift=0.001, lambda_=0.001)
+    config = replace(context.session.config, planning=fine)
+    better = PlanningContext(replace(context.session, config=config))
+    assert predict_by_odometry(better, Pose2(0.0, -0.8, 0.5)) < far

@@ -282,3 +282,27 @@ def test_a_run_that_cannot_meet_epsilon_still_adds_views(
     assert (plan := termination_plan(context)) is not None
     assert plan.viewpoint is not None
     assert plan.fell_back
+
+
+def test_views_of_hidden_surface_end_when_they_show_none(seen: Session) -> None:
+    """Two views of what is known already end them; one that looks into a gap does not."""
+    known, end, gap = BESIDE[0], Pose2(0.4, -1.6, math.radians(40.0)), standing(-0.1, 0.7)
+    for last, fruitless in ((gap, False), (known, True)):
+        again = session_at(BOXES, WIDE, poses=(known, end, known, last), half=1.2)
+        assert closing.closing_shows_nothing(again) == fruitless
+        assert not closing.closing_shows_nothing(replace(again, views=again.views[:3]))
+    assert (plan := termination_plan(finished(again, "hidden"))) is not None
+    assert plan.viewpoint is None
+    assert plan.reason == "front complete"
+
+
+def test_a_view_of_hidden_surface_is_checked_like_any_other(seen: Session) -> None:
+    tried: list[Pose2] = []
+
+    def error(viewpoint: Pose2) -> float:
+        tried.append(viewpoint)
+        return math.inf
+
+    assert (plan := termination_plan(finished(seen, "hidden"), error)) is not None
+    assert plan.viewpoint is None
+    assert tried

@@ -23,6 +23,7 @@ from scan3d_twin.core.planning.voxels import (
     VOXEL_SIZE,
     VoxelMap,
     build_voxel_map,
+    find_occupied_voxels,
     is_passed,
 )
 from scan3d_twin.core.session import Session
@@ -57,6 +58,12 @@ def test_before_the_box_is_free_its_front_occupied_and_behind_unknown(space: Vox
     assert label(space, 1.7, 0.0, 0.3) == UNKNOWN
 
 
+def test_occupied_voxels_are_those_of_the_map(box: Session, space: VoxelMap) -> None:
+    middles = find_occupied_voxels(box, 1.0)
+    flat = space.indices(middles)
+    assert np.array_equal(flat, np.flatnonzero(space.labels.ravel() == OCCUPIED))
+
+
 def test_more_of_the_target_may_be_just_beside_what_was_seen_of_it(space: VoxelMap) -> None:
     more = space.origin + (np.argwhere(space.may_hold_more) + 0.5) * VOXEL_SIZE
     assert len(more)
@@ -82,7 +89,10 @@ def test_the_far_side_shows_from_the_side(space: VoxelMap) -> None:
 
 
 def test_patches_lie_on_the_box_and_face_the_robot(box: Session) -> None:
-    patches = extract_view_patches(box.views[0])
+    patches = extract_view_patches(box.views[0], box.workspace)
+    assert extract_view_patches(box.views[0], box.workspace) is patches
+    other = replace(box.views[0], target=box.views[0].target.select(np.arange(2000)))
+    assert len(extract_view_patches(other, box.workspace)) < len(patches)
     front = np.abs(patches.points[:, 0] - 0.9) < 0.03
     assert np.mean(front) > 0.8
     inner = (

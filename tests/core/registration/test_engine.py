@@ -443,6 +443,23 @@ def test_nearest_neighbours_are_those_of_a_full_search() -> None:
     assert (few[1][:, 3:] == -1).all()
 
 
+@pytest.mark.parametrize("within", [np.inf, 0.3])
+@pytest.mark.parametrize("size", [(400, 3), (400, 2), (1, 3), (0, 3)])
+def test_the_closest_point_of_a_tree_is_that_of_all_points(
+    size: tuple[int, int], within: float
+) -> None:
+    rng = np.random.default_rng(0)
+    points, wanted = rng.normal(size=size), 1.5 * rng.normal(size=(200, size[1]))
+    distances, indices = Tree.of(points).closest(wanted, within)
+    every = np.linalg.norm(wanted[:, None] - points, axis=2)
+    least = np.min(every, axis=1, initial=np.inf)
+    near = least < within
+    assert np.where(near, least, np.inf) == pytest.approx(distances, abs=1e-15)
+    assert np.all(indices[~near] == len(points))
+    assert every[near, indices[near]] == pytest.approx(least[near], abs=1e-15)
+    assert np.array_equal(Tree.of(points).is_near(wanted, 0.3), least <= 0.3)
+
+
 @pytest.mark.parametrize("k", [0, 65])
 def test_more_neighbours_than_there_is_room_for_are_refused(k: int) -> None:
     tree = Tree.of(np.zeros((100, 3)))

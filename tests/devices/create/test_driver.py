@@ -817,7 +817,7 @@ def test_on_a_bad_line_a_hazard_is_believed_when_it_is_read_twice(rig):
 
 def bumped(rig):
     """Return what the base reads now, and a bump."""
-    return rig.driver._values | {Packet.BUMPS_DROPS: 2}
+    return rig.driver._readings.values | {Packet.BUMPS_DROPS: 2}
 
 
 def test_a_wheel_that_is_blocked_is_where_its_counts_say(rig):
@@ -857,7 +857,7 @@ def test_a_garbled_command_that_ends_safe_mode_is_made_good_on_a_noisy_line_only
     rig = Rig(model).open()
     rig.driver.set_velocity(0.2, 0.0)
     rig.wait(0.5)
-    rig.driver._filter.is_noisy = lambda now: True
+    rig.driver._readings.filter.is_noisy = lambda now: True
     rig.device.receive(oi.command(Op.START), rig.clock.now())
     rig.wait(0.5)
     assert (rig.driver.mode, rig.base.speed) == (Mode.SAFE, (0.2, 0.0))
@@ -879,18 +879,18 @@ def test_a_garbled_command_that_ends_safe_mode_is_made_good_on_a_noisy_line_only
 
 
 def test_a_reading_out_of_range_is_left_out_and_said(rig, caplog):
-    take = rig.driver._source.take
+    take = rig.driver._inquiry.source.take
     odd = {Packet.BUMPS_DROPS: 0x60, Packet.CHARGING_SOURCES: 8, Packet.MODE: 32}
 
     def take_odd(data, now):
         return [{**values, **odd} for values in take(data, now)]
 
-    rig.driver._source.take = take_odd
+    rig.driver._inquiry.source.take = take_odd
     rig.wait(4.0)
     assert rig.driver.mode is Mode.PASSIVE
     assert not rig.driver.hazards().active()
     assert not rig.driver.charging
-    assert rig.driver._filter.masked > 600
+    assert rig.driver._readings.filter.masked > 600
     assert len(caplog.messages) == 3
     assert "96 in packet 7 (bumps drops), which is out of range" in caplog.messages[0]
     odd[Packet.BUMPS_DROPS] = 0x61
@@ -899,13 +899,13 @@ def test_a_reading_out_of_range_is_left_out_and_said(rig, caplog):
 
 
 def test_a_base_none_of_whose_readings_is_usable_is_not_called_silent(rig):
-    source = rig.driver._source
+    source = rig.driver._inquiry.source
     take, rng = source.take, np.random.default_rng(0)
-    rig.driver._filter.is_noisy = lambda now: True
+    rig.driver._readings.filter.is_noisy = lambda now: True
     source.take = lambda data, now: [
         {**values, Packet.MODE: int(rng.integers(100, 255))} for values in take(data, now)
     ]
-    rig.driver._ask_anew = lambda: source
+    rig.driver._inquiry.ask_anew = lambda: None
     with pytest.raises(
         LinkError, match=r"no reading .* usable for 3\.0 s \(a value is out of range"
     ):

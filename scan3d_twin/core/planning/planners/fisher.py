@@ -7,13 +7,11 @@ the overlap that it chooses; where they fail, the next larger overlap is tried.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.planning.error_prediction import ErrorPrediction, predict_by_odometry
 from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.overlap_or_default import plan_smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
@@ -28,16 +26,15 @@ class FisherPlanner:
     def plan(self, session: Session, rng: np.random.Generator) -> Plan:
         """Return the viewpoint with the smallest overlap whose predicted error meets epsilon."""
         context, config = PlanningContext(session), session.config.planning
-        final = termination_plan(context)
-        if final is not None and final.viewpoint is None:
-            return final
+        seed = int(rng.integers(2**63))
 
         # Prepare prediction and simulation
-        seed = int(rng.integers(2**63))
         try:
             prediction = ErrorPrediction.of(context)
         except RegistrationError:
-            return final or plan_smallest_overlap(context, lambda eta, O2: math.inf)
+            return termination_plan(context) or plan_smallest_overlap(
+                context, lambda _, viewpoint: predict_by_odometry(context, viewpoint)
+            )
         simulation = SimulatedRegistration(
             prediction.grid, prediction.on_target, session.config, seed, prediction.motion
         )
@@ -50,5 +47,8 @@ class FisherPlanner:
             return max(predicted, simulated) if simulated > config.epsilon else predicted
 
         # Choose the overlap, then the sector
+        final = termination_plan(context, error)
+        if final is not None and final.viewpoint is None:
+            return final
         plan = final or plan_smallest_overlap(context, lambda _, viewpoint: error(viewpoint))
         return narrow_sweep(context, plan, error)

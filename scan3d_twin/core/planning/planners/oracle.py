@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.hal import LIDAR_HEIGHT
@@ -26,7 +25,6 @@ from scan3d_twin.core.model.coverable import (
 )
 from scan3d_twin.core.model.evaluation import find_true_pose, lay_on_truth
 from scan3d_twin.core.model.truth import Truth
-from scan3d_twin.core.neighbours import find_nearest
 from scan3d_twin.core.planning.context import (
     PlanningContext,
     blocked_plan,
@@ -36,6 +34,7 @@ from scan3d_twin.core.planning.context import (
 from scan3d_twin.core.planning.overlap_or_default import predict_error
 from scan3d_twin.core.planning.pose_candidates import MAX_STANDOFFS, MIN_STANDOFFS
 from scan3d_twin.core.planning.set_cover import Cover, solve_chain_cover, solve_set_cover
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, Candidate, FloatArray, IntArray, Plan, Pose2
 from scan3d_twin.core.viewpoints import MAX_FRONT_ANGLE, measure_angle
@@ -113,7 +112,7 @@ class TrueWorld:
         points, _ = self._surface
         places = find_feasible_places(points, self.truth, self.config)
         standoff = self.config.planning.standoff
-        distance, index = find_nearest(cKDTree(points[:, :2]), places)
+        distance, index = Tree.of(points[:, :2]).closest(places)
         ring = (distance >= MIN_STANDOFFS * standoff) & (distance <= MAX_STANDOFFS * standoff)
 
         # Face the nearest surface

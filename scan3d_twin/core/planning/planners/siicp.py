@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
@@ -25,6 +24,7 @@ from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_mo
 from scan3d_twin.core.planning.overlap_or_default import list_overlaps, plan_smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
 from scan3d_twin.core.registration.icp import find_border, register
+from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, Scan3D
 
@@ -89,7 +89,7 @@ def simulate_error(
     Q_prime = _select_surface(context, config).last_lines(n_Q)
     Q_prime = Q_prime.middle_lines(max(1, round(config.alpha * n_Q)))  # eq. (5)
     border = find_border(Q, right=not context.has_end_in_view)
-    tree = cKDTree(Q.points)
+    tree = Tree.of(Q.points)
 
     # Displace and register each draw
     errors = []

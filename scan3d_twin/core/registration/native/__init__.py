@@ -287,6 +287,9 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "expect_displacement": (c_double, Doubles, Doubles, Doubles),
     "build_tree": (None, Doubles, c_int64, Doubles, Ints, Bytes),
     "find_nearest": (None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_int64, Doubles, Ints),
+    "find_closest": (
+        None, Doubles, Ints, Bytes, c_int64, Doubles, c_int64, c_double, Doubles, Longs,
+    ),
     "fit_neighbourhoods": (None, Doubles, Ints, Bytes, c_int64, c_int64, Doubles, Doubles, Doubles),
     "number_cells": (c_int64, Ints, c_int64, Ints, Ints),
     "find_median": (c_double, Doubles, c_int64),
@@ -327,9 +330,13 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     ),
     "dilate": (c_int64, Flags, c_int64, c_int64, Longs, c_int64, Flags),
     "label_components": (c_int64, Flags, c_int64, c_int64, Ints),
+    "find_shortest_paths": (
+        c_int64, Flags, c_int64, c_int64, c_int64, c_double, c_double, Doubles, Longs,
+    ),
     "measure_components": (
         c_int64, Doubles, c_int64, c_int64, Longs, Longs, c_int64, c_double, Longs,
     ),
+    "average_windows": (c_int64, Doubles, c_int64, c_int64, c_int64, c_int64, Doubles),
     "mark_floor": (
         c_int64, Longs, c_int64, c_int64, Doubles, c_double, Doubles, Doubles, Doubles, c_int64,
         Doubles, c_int64,

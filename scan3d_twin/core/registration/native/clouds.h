@@ -122,6 +122,50 @@ static void find_nearest(const Tree *tree, const double *from, int64_t m, int64_
     }
 }
 
+/* The closest point found up to now: its squared distance and its place in the tree. */
+typedef struct {
+    double square;
+    int64_t place;
+} Closest;
+
+/* Search the points from `low` to `high`, which are at least `off` away along each axis (Arya and Mount, DCC
+ * 1993). Squares of these are never above those of the points, rounded or not, so that none is missed. */
+static void search_closest(const Tree *tree, int64_t low, int64_t high, const double *from,
+                           const double *off, Closest *closest) {
+    if (high - low > LEAF) {
+        int64_t middle = (low + high) / 2;
+        int axis = tree->axes[middle];
+        const double *p = tree->points + 3 * middle;
+        double apart = from[axis] - p[axis], beyond[3] = {off[0], off[1], off[2]};
+        search_closest(tree, apart < 0 ? low : middle + 1, apart < 0 ? middle : high, from, off, closest);
+        double x = p[0] - from[0], y = p[1] - from[1], z = p[2] - from[2], square = x * x + y * y + z * z;
+        if (square < closest->square) closest->square = square, closest->place = middle;
+        beyond[axis] = apart;
+        if (beyond[0] * beyond[0] + beyond[1] * beyond[1] + beyond[2] * beyond[2] >= closest->square)
+            return;
+        search_closest(tree, apart < 0 ? middle + 1 : low, apart < 0 ? high : middle, from, beyond, closest);
+        return;
+    }
+    for (int64_t place = low; place < high; place++) {
+        const double *p = tree->points + 3 * place;
+        double x = p[0] - from[0], y = p[1] - from[1], z = p[2] - from[2], square = x * x + y * y + z * z;
+        if (square < closest->square) closest->square = square, closest->place = place;
+    }
+}
+
+/* Write distances and indices (m,) of the closest points of the tree that are closer than `within`; infinity
+ * and n where there is none. */
+static void find_closest(const Tree *tree, const double *from, int64_t m, double within, double *distances,
+                         int64_t *indices) {
+    for (int64_t i = 0; i < m; i++) {
+        Closest closest = {within * within, -1};
+        search_closest(tree, 0, tree->n, from + 3 * i, (const double[3]){0}, &closest);
+        int there = closest.place >= 0;
+        distances[i] = there ? sqrt(closest.square) : INFINITY;
+        indices[i] = there ? tree->order[closest.place] : tree->n;
+    }
+}
+
 /* Fit a plane to the k nearest neighbours of each point of the tree: write centroid, unit normal and the
  * two smaller variances, in the original order of the points. */
 static void fit_neighbourhoods(const Tree *tree, int64_t k, double *centroids, double *normals,

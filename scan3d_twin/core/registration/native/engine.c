@@ -3,7 +3,7 @@
  * Everything is compiled once for each processor level (hatch_build.py), which is the suffix of the
  * exported names. The levels differ in speed alone: without fused multiply-add, and with sums whose order
  * does not depend on the register width, the results are the same to the last bit. */
-#include "hidden.h"
+#include "windows.h"
 
 #define JOIN(name, level) name##_##level
 #define AT_LEVEL(name, level) JOIN(name, level)
@@ -172,6 +172,12 @@ void EXPORT(find_nearest)(double *sorted, int32_t *order, uint8_t *axes, int64_t
     find_nearest(&tree, from, m, k, squares, indices);
 }
 
+void EXPORT(find_closest)(double *sorted, int32_t *order, uint8_t *axes, int64_t n, const double *from,
+                     int64_t m, double within, double *distances, int64_t *indices) {
+    Tree tree = {n, sorted, order, axes};
+    find_closest(&tree, from, m, within, distances, indices);
+}
+
 void EXPORT(fit_neighbourhoods)(double *sorted, int32_t *order, uint8_t *axes, int64_t n, int64_t k,
                             double *centroids, double *normals, double *variances) {
     Tree tree = {n, sorted, order, axes};
@@ -281,10 +287,22 @@ int64_t EXPORT(label_components)(const uint8_t *grid, int64_t nx, int64_t ny, in
     return label_components(grid, nx, ny, labels);
 }
 
+int64_t EXPORT(find_shortest_paths)(const uint8_t *grid, int64_t nx, int64_t ny, int64_t start,
+                                    double straight, double diagonal, double *lengths, int64_t *before) {
+    return find_shortest_paths(grid, nx, ny, start, straight, diagonal, lengths, before);
+}
+
 int64_t EXPORT(measure_components)(const double *ranges, int64_t n_lines, int64_t n_beams,
                                    const int64_t *lines, const int64_t *beams, int64_t n, double most,
                                    int64_t *sizes) {
     return measure_components(ranges, n_lines, n_beams, lines, beams, n, most, sizes);
+}
+
+/* moving_windows.py */
+
+int64_t EXPORT(average_windows)(const double *values, int64_t outer, int64_t n, int64_t inner,
+                                int64_t size, double *out) {
+    return average_windows(values, outer, n, inner, size, out);
 }
 
 /* costmap.py */

@@ -220,13 +220,38 @@ static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, doubl
     noise[0] = at_zero > MIN_SIGMA ? at_zero : MIN_SIGMA, noise[1] = slope;
 }
 
+/* Products of a line's differences with those of beams farther on: their sums and numbers by the number of
+ * beams between; those beyond FAR_LAG are not used. */
+typedef struct {
+    double sums[2 * LANES], counts[2 * LANES];
+} Lagged;
+
+/* Add the products of `n` differences, NaN where there is none. All lags of a beam are added at once, each sum
+ * in the order of the beams. */
+static void add_products(const double *restrict difference, int64_t n, Lagged *restrict lagged) {
+    for (int64_t j = 0; j < n; j++) {
+        double here = difference[j], beyond[2 * LANES];
+        const double *others = difference + j;
+        if (isnan(here)) continue;
+        if (n - j < 2 * LANES) {    /* nothing beyond the last beam */
+            for (int lag = 0; lag < 2 * LANES; lag++) beyond[lag] = lag < n - j ? others[lag] : NAN;
+            others = beyond;
+        }
+        for (int lag = 0; lag < 2 * LANES; lag++) {
+            double product = here * others[lag];
+            lagged->sums[lag] += isnan(product) ? 0 : product;
+            lagged->counts[lag] += isnan(product) ? 0 : 1;
+        }
+    }
+}
+
 /* Return the factor on the variance of a mean along a line for the noise's correlation between beams:
  * 1 + 2 sum rho_k. What beams FAR_LAG apart have in common is the yaw error of their lines. */
 static double estimate_correlation(const Sweep *sweep, const uint8_t *valid, const double noise[2],
                                    InverseRanges inverse, Across line) {
-    double sums[FAR_LAG + 1] = {0};
-    int64_t counts[FAR_LAG + 1] = {0}, n_beams = sweep->n_beams;
-    int64_t step = sweep->n_lines * n_beams / (16 * MAX_READINGS);
+    _Static_assert(FAR_LAG < 2 * LANES, "lags fit into two vectors");
+    Lagged lagged = {0};
+    int64_t n_beams = sweep->n_beams, step = sweep->n_lines * n_beams / (16 * MAX_READINGS);
     for (int64_t i = REACH; i < sweep->n_lines - REACH; i += step > 1 ? step : 1) {
         difference_line(sweep, valid, i, &inverse, line);
         for (int64_t j = 0; j < n_beams; j++) {
@@ -234,18 +259,12 @@ static double estimate_correlation(const Sweep *sweep, const uint8_t *valid, con
             double z = line.difference[j] / (sqrt(SQUARES) * (noise[0] + noise[1] * r));
             line.difference[j] = fabs(z) <= MAX_DEVIATION ? z : NAN;
         }
-        for (int64_t j = 0; j < n_beams; j++)
-            for (int lag = 0; lag <= FAR_LAG && j + lag < n_beams; lag++) {
-                double product = line.difference[j] * line.difference[j + lag];
-                if (isnan(product)) continue;
-                sums[lag] += product, counts[lag]++;
-            }
+        add_products(line.difference, n_beams, &lagged);
     }
+    const double *sums = lagged.sums, *counts = lagged.counts;
     if (counts[FAR_LAG] < MIN_READINGS) return 1;
-    double common = sums[FAR_LAG] / (double)counts[FAR_LAG], factor = 1;
-    double own = sums[0] / (double)counts[0] - common;
-    for (int lag = 1; lag < LAGS; lag++)
-        factor += 2 * (sums[lag] / (double)counts[lag] - common) / own;
+    double common = sums[FAR_LAG] / counts[FAR_LAG], factor = 1, own = sums[0] / counts[0] - common;
+    for (int lag = 1; lag < LAGS; lag++) factor += 2 * (sums[lag] / counts[lag] - common) / own;
     return factor > 1 ? factor < MAX_CORRELATION ? factor : MAX_CORRELATION : 1;
 }
 
