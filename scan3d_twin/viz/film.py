@@ -33,8 +33,9 @@ from scan3d_twin.viz.timeline import Timeline
 from scan3d_twin.viz.true_scene import lay_on_scene
 from scan3d_twin.viz.view_errors import read_view_errors
 
-WIDTH, HEIGHT, STRIP = 960, 540, 120
-"""Size of the picture, and height of the strip with the errors below it [pixels]."""
+WIDTH, HEIGHT, STRIP = 960, 540, 132
+"""Size of the picture, and height of the strip with the errors below it [pixels]; both together are
+a multiple of 32, without which libx264 (PyAV 18.1) once in 30 times made other bytes of a film."""
 ROBOT_SPAN = 0.45
 """Width of the box around the robot that is drawn anew in each frame [m]."""
 POINT_TOLERANCE = 0.05

@@ -76,8 +76,9 @@ def test_a_large_error_is_told_as_it_is_known(session):
     known = of_pairs(PairError(1, 0.0171, 0.02, 0.03))
     assert warns(session, "View 1", "17.1 mm off", evaluation=known)
     expected = with_registration(session, converged=True, predicted_rmse=0.0234)
-    assert warns(expected, "may be off by 35.1 mm")  # 1.5 times as much, registration.calibration
-    assert warns(expected, "may be off by 35.1 mm", evaluation=known)
+    most = f"may be off by {23.4 * session.config.registration.calibration:.1f} mm"
+    assert warns(expected, most)
+    assert warns(expected, most, evaluation=known)
     unknown = with_registration(session, converged=True, predicted_rmse=math.nan)
     assert not warns(unknown, "may be off")
 

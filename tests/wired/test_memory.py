@@ -27,7 +27,7 @@ TWENTY = """
 tour = "full"
 max_views = 20
 planner = "fixed"
-baselines.fixed_overlap = 0.9
+baselines.fixed_overlap = 0.92
 planning.closing = "none"
 """
 

@@ -43,11 +43,14 @@ from scan3d_twin.core.registration.multistart import (
 )
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.undetermined import MIN_COMPONENT
-from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, read_only
+from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, read_only, wrap
 
 START_XY, START_YAW = 0.5, math.radians(30.0)
 """Standard deviations of the starts about an earlier view [m], [rad]: people set a scanner down
 within about 1 m and 60 deg of where it stood (an assumption), which is two of them."""
+SEARCHED = 3.0
+"""Distance from an earlier view up to which places are looked for, in those standard deviations. A
+wall farther off, seen from behind, fits onto the wall ahead: what was not searched is not found."""
 STARTS = 256
 """Number of starts for each earlier view: one in (0.2 m)^2 and 8 deg of three standard
 deviations, about what the steps find their way from."""
@@ -137,6 +140,7 @@ def register_globally(
         if target is not None
         for outcome in _find_basins(target, source)
     ]
+    places = [place for place in places if _was_searched(poses, place.T)]
     places.sort(key=lambda place: place.misfit)
     if not places:
         raise RegistrationError(
@@ -236,6 +240,15 @@ def _judge(
             contradictions.append(_measure_contradiction(target, source, T_target_source))
     contradiction = float(np.dot(overlaps, contradictions)) / max(sum(overlaps), 1e-9)
     return _Place(reference, outcome, T, max(overlaps), contradiction)
+
+
+def _was_searched(poses: Sequence[Pose2], T: Pose2) -> bool:
+    """Return whether the starts about one of the earlier views' ``poses`` reach ``T``."""
+    return any(
+        pose.distance(T) <= SEARCHED * START_XY
+        and abs(wrap(T.yaw - pose.yaw)) <= SEARCHED * START_YAW
+        for pose in poses
+    )
 
 
 def _measure_misfit(target: SurfelGrid, source: SurfelGrid, T: FloatArray) -> float:
