@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.grids import find_connected
 from scan3d_twin.core.hal import LIDAR_HEIGHT
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
@@ -93,23 +94,11 @@ def find_feasible_places(surface: FloatArray, truth: Truth, config: Config) -> F
 
     # Keep what is connected with the spawn
     free = _is_free(places.reshape(-1, 2), truth, config).reshape(i.shape)
-    reachable = _flood(free, (-int(first[0]), -int(first[1])))
+    spawn = (-int(first[0]), -int(first[1]))
+    reachable = find_connected(free, spawn) if free[spawn] else np.zeros_like(free)
     if config.tour == "front" and truth.front is not None:
         reachable &= truth.front.inverse().apply(places)[..., 0] > 0
     return np.asarray(places[reachable])
-
-
-def _flood(free: BoolArray, start: tuple[int, int]) -> BoolArray:
-    """Return the cells (m, n) of ``free`` that are connected with ``start`` by their sides."""
-    reached = np.zeros(np.add(free.shape, 2), dtype=bool)
-    inside = reached[1:-1, 1:-1]
-    inside[start] = free[start]
-    count = 0
-    while (found := int(np.count_nonzero(inside))) > count:
-        count = found
-        inside |= reached[:-2, 1:-1] | reached[2:, 1:-1] | reached[1:-1, :-2] | reached[1:-1, 2:]
-        inside &= free
-    return inside
 
 
 def _is_free(places: FloatArray, truth: Truth, config: Config) -> BoolArray:

@@ -345,7 +345,8 @@ def find_true_pose(view: View, truth: Truth) -> Pose2:
     Each line was read at a heading that is off by the line's own error, 0.6 mrad on a `typical`
     robot, and from a place that wanders by a millimetre while the base turns. The pose at a single
     line would count that line's error as one of the sweep's registration; the mean over
-    ``TRUTH_LINES`` lines does not.
+    ``TRUTH_LINES`` lines does not. Where a turntable turns the lidar the base stands: then any line
+    tells where.
     """
     image = view.observation.image
     beam = image.spec.n_beams // 2

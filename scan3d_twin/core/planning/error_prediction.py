@@ -58,8 +58,6 @@ MIN_SHARED_SURFELS = 10
 MIN_SHARED_SHARE = 0.2
 """The same as a share of the target's surfels, where these are few: the smallest overlap. A thin
 thing may have none: then its surroundings alone are registered."""
-
-
 SHARED_FACTOR = 1.2
 """Factor on the standard deviation of a range error that all readings share. The calibration is for
 one step in ten that exceeds it; this error is that of a sensor, for all steps of its run at once,

@@ -109,17 +109,10 @@ def shows_nothing_new(session: Session) -> bool:
     latest = [view.T_world_scan for view in session.views[max(first - 1, 0) :]]
     if first < 1 or abs(sum_turns(latest)) > MIN_PROGRESS_TURN:
         return False
-    seen = [
-        thin_by_voxel(view.T_world_scan.apply(view.target.points), NEW_DISTANCE)
-        for view in session.views
-    ]
-    for k in range(first, len(seen)):
-        if len(seen[k]) == 0:
-            continue
-        distance, _ = Tree.of(np.concatenate(seen[:k])).closest(seen[k], NEW_DISTANCE)
-        if np.mean(~np.isfinite(distance)) > MIN_NEW_SHARE:
-            return False
-    return True
+    return all(
+        new <= MIN_NEW_SHARE * all_of_it
+        for new, all_of_it in _iterate_new(session, first, NEW_DISTANCE)
+    )
 
 
 def closing_shows_nothing(session: Session) -> bool:
@@ -135,16 +128,22 @@ def closing_shows_nothing(session: Session) -> bool:
         return False
 
     # Measure what each shows
+    cell, least = SETTLED_DISTANCE**2, session.config.planning.least_hidden
+    return all(new * cell < least for new, _ in _iterate_new(session, first, SETTLED_DISTANCE))
+
+
+def _iterate_new(session: Session, first: int, distance: float) -> Iterator[tuple[int, int]]:
+    """Yield how many cells of its target each view from ``first`` on shows: new ones, and all.
+
+    Cells have the side ``distance`` [m]; new ones are farther than it from all earlier views' ones.
+    """
     seen = [
-        thin_by_voxel(view.T_world_scan.apply(view.target.points), SETTLED_DISTANCE)
+        thin_by_voxel(view.T_world_scan.apply(view.target.points), distance)
         for view in session.views
     ]
     for k in range(first, len(seen)):
-        distance, _ = Tree.of(np.concatenate(seen[:k])).closest(seen[k], SETTLED_DISTANCE)
-        area = np.count_nonzero(~np.isfinite(distance)) * SETTLED_DISTANCE**2
-        if area >= session.config.planning.least_hidden:
-            return False
-    return True
+        off, _ = Tree.of(np.concatenate(seen[:k])).closest(seen[k], distance)
+        yield int(np.count_nonzero(~np.isfinite(off))), len(seen[k])
 
 
 def was_blocked(context: PlanningContext) -> bool:

@@ -24,9 +24,9 @@ CELLS_PER_LENGTH = 4
 
 def draw_uneven_floor(config: RobotErrorConfig, rng: np.random.Generator) -> FloatArray:
     """Return random heights (n, n) [m] of zero mean with the correlation ``uneven_length``."""
-    n = round(2 * HALF_SIDE / config.uneven_length * CELLS_PER_LENGTH)
     from scipy.ndimage import gaussian_filter  # slow to import
 
+    n = round(2 * HALF_SIDE / config.uneven_length * CELLS_PER_LENGTH)
     smooth = gaussian_filter(rng.standard_normal((n, n)), CELLS_PER_LENGTH / 2, mode="nearest")
     heights: FloatArray = (smooth - smooth.mean()) / smooth.std() * config.uneven
     return heights
