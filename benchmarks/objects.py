@@ -4,7 +4,9 @@
 [--seeds 3] [--first-seed 1000] [--jobs 1] [--peer PYTHON] [--out runs/objects] [--json]`` prints a
 line per run on standard error, then one object {name: {value, unit, peer, runs}}, for each room,
 for each class of objects in it and for each case. The objects are those of ``object_shapes.py``;
-indices 0 to 19 are for work, 20 to 39 for the final figures.
+indices 0 to 19 are for work, 20 to 39 for the final figures. A seed is a robot and a sensor with
+errors of their own: every object takes other ones, ``--seeds`` each from ``--first-seed`` on, so
+that no single robot decides on the share of successes.
 
 A run succeeds when every registration error is at most epsilon. A body of revolution on an open
 floor has no observable yaw about its axis, so it is counted apart, in ``none_revolution_kept``: a
@@ -156,16 +158,15 @@ def run(python: str, folder: Path, subjects: list[Subject], options: argparse.Na
     # Describe the experiment
     scenes = options.out.resolve() / "scenes"
     variants, grids = {}, []
-    for target in sorted({subject.target for subject in subjects}):
-        label = target or "best"
-        variants[label] = {"run": {"preset": "best", "target": target}}
-        paths = [str(scenes / f"{each.name}.xml") for each in subjects if each.target == target]
+    for number, subject in enumerate(subjects):
+        label = subject.target or "best"
+        variants[label] = {"run": {"preset": "best", "target": subject.target}}
         grids.append(
             {
-                "scenes": paths,
+                "scenes": [str(scenes / f"{subject.name}.xml")],
                 "variants": [label],
                 "seeds": options.seeds,
-                "first_seed": options.first_seed,
+                "first_seed": first_seed(options, number),
             }
         )
     common = {"tour": "full", "planning": {"epsilon": options.epsilon / 1e3}}
@@ -180,15 +181,23 @@ def run(python: str, folder: Path, subjects: list[Subject], options: argparse.Na
     subprocess.run(command, check=False, stdout=subprocess.DEVNULL, env=environment)
 
 
+def first_seed(options: argparse.Namespace, number: int) -> int:
+    """Return the first seed of subject ``number``: each has robots and sensors of its own."""
+    return int(options.first_seed + number * options.seeds)
+
+
 def read_rows(folder: Path, subjects: list[Subject], options: argparse.Namespace) -> list[Row]:
     """Return the records of the ``subjects`` in the journal of ``folder``, with their subjects."""
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
     known = {subject.name: subject for subject in subjects}
+    seeds = {
+        subject.name: range(start := first_seed(options, number), start + options.seeds)
+        for number, subject in enumerate(subjects)
+    }
     rows: dict[tuple[str, int], Row] = {}
     for path in sorted(folder.glob("journal*.jsonl")):
         for line in path.read_text(encoding="utf-8").splitlines():
             row = json.loads(line)
-            if row["scene"] in known and row["seed"] in seeds:
+            if row["scene"] in known and row["seed"] in seeds[row["scene"]]:
                 rows[row["scene"], row["seed"]] = {**row, "subject": known[row["scene"]]}
     found = list(rows.values())
     if len({row["code"] for row in found}) > 1:

@@ -341,7 +341,9 @@ def integrate(session: Session, observation: Observation) -> Session:
         return integrate_placed(session, observation)
 
     # Clean the range image
-    image = remove_mixed_pixels(observation.image, config.gaps)
+    turns = session.views[-1].turns if session.views else None
+    image = observation.image if turns is None else turns.correct(observation.image)
+    image = remove_mixed_pixels(image, config.gaps)
     image = fill_gaps(image, config.gaps)
 
     # Predict by odometry
@@ -354,7 +356,7 @@ def integrate(session: Session, observation: Observation) -> Session:
     target = extract_target(image, points, known, config.target)
 
     # Register on the previous view
-    view = View(observation, image, target, points, prior, None)
+    view = View(observation, image, target, points, prior, None, turns)
     if session.views:
         view = match_to_previous(view, session.views, config, motion, session.workspace)
     return align_on_loop_closure(session.with_view(view))

@@ -19,7 +19,13 @@ from scan3d_twin.core.types import (
     RangeImage,
     RegistrationResult,
     Scan3D,
+    read_only,
 )
+
+YAW_SCALE_REPEATABILITY = 0.001
+"""Standard deviation of the yaw scale of a sweep from that of other sweeps of its base; twice the
+0.0005 of the first sweeps of random:20000 to random:20039 from their panoramas (0.0006 by
+benchmarks/mount.py in three_boxes)."""
 
 
 class Workspace:
@@ -43,6 +49,23 @@ class Workspace:
         return Workspace, ()
 
 
+@dataclass(frozen=True, slots=True)
+class TurnScale:
+    """What a base turns more than its odometry says, as the registrations of a run have shown.
+
+    Attributes:
+        scale: The excess as a share of the turn.
+        sigma: Its standard deviation.
+    """
+
+    scale: float
+    sigma: float
+
+    def correct(self, image: RangeImage) -> RangeImage:
+        """Return the ``image`` of a sweep of this base with its yaws corrected."""
+        return replace(image, yaws=read_only(image.yaws * (1.0 + self.scale)))
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """A keyframe: one sweep with its pose in the world.
@@ -54,6 +77,8 @@ class View:
         sweep: All points in ``scan`` except the floor.
         T_world_scan: Pose of the scan, by registration.
         registration: Result of registering it on the previous view; None for the first view.
+        turns: Correction of the turns in ``image``, ``target`` and ``sweep``; None where the run
+            has not learned any.
 
     >>> view = session.views[1]
     >>> points_in_world = view.T_world_scan.apply(view.target.points)
@@ -67,11 +92,24 @@ class View:
     sweep: Scan3D
     T_world_scan: Pose2
     registration: RegistrationResult | None
+    turns: TurnScale | None = None
+
+    @property
+    def measured_image(self) -> RangeImage:
+        """The range image as measured, its gaps open, with the turns corrected."""
+        image = self.observation.image
+        return image if self.turns is None else self.turns.correct(image)
 
     @property
     def T_world_odom(self) -> Pose2:
         """Where registration puts the odometry frame of the time of this view: it drifts."""
         return self.T_world_scan @ self.observation.T_odom_scan.inverse()
+
+    def with_turns(self, turns: TurnScale) -> View:
+        """Return the view with another correction of its turns, at the same pose."""
+        image = replace(self.image, yaws=turns.correct(self.observation.image).yaws)
+        target, sweep = self.target.with_points_of(image), self.sweep.with_points_of(image)
+        return replace(self, image=image, target=target, sweep=sweep, turns=turns)
 
     def compress(self) -> None:
         """Compress the large arrays, as earlier views are seldom read."""
@@ -123,8 +161,11 @@ class Session:
         return render_html(self)
 
     def with_view(self, view: View) -> Session:
-        """Return a session with ``view`` appended."""
-        return replace(self, views=(*self.views, view))
+        """Return a session with ``view`` appended; all views take what it knows of the turns."""
+        turns, views = view.turns, self.views
+        if turns is not None:
+            views = tuple(v if v.turns == turns else v.with_turns(turns) for v in views)
+        return replace(self, views=(*views, view))
 
     def with_panorama(self, panorama: Observation) -> Session:
         """Return a session with a panorama from the latest viewpoint appended."""

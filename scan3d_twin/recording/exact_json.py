@@ -25,9 +25,10 @@ Array = np.ndarray[Any, Any]
 
 
 class _Packer:
-    """Collects the arrays of one value; an array that occurs twice is stored once."""
+    """Collects the arrays of one value; one that occurs twice is stored once if it ``shares``."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, shares: bool = True) -> None:
+        self._shares = shares
         self._places: dict[int, list[Any]] = {}
         self._alive: list[Array] = []
         self._parts: list[memoryview | bytes] = []
@@ -60,7 +61,7 @@ class _Packer:
 
     def _array(self, array: Array) -> list[Any]:
         """Store ``array`` and return its type, shape, type on disk and offset."""
-        if id(array) not in self._places:
+        if not self._shares or id(array) not in self._places:
             stored = _narrowed(array)
             self._places[id(array)] = [
                 array.dtype.str, list(array.shape), stored.dtype.str, self._size
@@ -82,6 +83,19 @@ def pack(value: Any) -> Packed:
     packer = _Packer()
     tree = packer.tree(value)
     return json.dumps(tree, separators=(",", ":"), allow_nan=False), packer.blob()
+
+
+def are_equal(a: Any, b: Any) -> bool:
+    """Return whether two values that ``pack`` takes are equal bit by bit.
+
+    It does not matter which of their arrays are one object, which a file may have written apart.
+    """
+    trees, blobs = [], []
+    for value in (a, b):
+        packer = _Packer(shares=False)
+        trees.append(packer.tree(value))
+        blobs.append(packer.blob())
+    return bool(trees[0] == trees[1] and blobs[0] == blobs[1])
 
 
 def pack_fields(value: Any, unlike: Any = None) -> Packed:

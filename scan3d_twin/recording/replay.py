@@ -13,7 +13,7 @@ from scan3d_twin.core.mapping.loop_closure import align_final
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import Plan, Pose2, wrap
-from scan3d_twin.recording.exact_json import pack
+from scan3d_twin.recording.exact_json import are_equal
 
 Row = dict[str, Any]
 STOPPED = "stopped by the user"
@@ -64,11 +64,6 @@ def finish_replay(again: Session, recorded: Session) -> Session:
     return align_final(again) if recorded.stop_reason in reasons else again
 
 
-def is_identical(a: object, b: object) -> bool:
-    """Return whether two sessions, views or plans are equal bit by bit."""
-    return pack(a) == pack(b)
-
-
 def compare_sessions(recorded: Session, again: Session) -> list[Row]:
     """Return a row per view: differences of pose, registration and plan [mm, deg].
 
@@ -82,7 +77,7 @@ def compare_sessions(recorded: Session, again: Session) -> list[Row]:
         # Compare pose, registration and plan
         row = {
             "view": k,
-            "identical": is_identical((before, plans[0]), (now, plans[1])),
+            "identical": are_equal((before, plans[0]), (now, plans[1])),
             "moved_mm": _mm(before.T_world_scan.distance(now.T_world_scan)),
             "turned_deg": _turned(before.T_world_scan, now.T_world_scan),
             "recorded": {**_registration(before), **_plan(plans[0])},
@@ -98,7 +93,7 @@ def compare_last_plans(recorded: Session, again: Session) -> Row | None:
         return None
     before, now = recorded.plans[-1], again.plans[-1]
     return {
-        "identical": is_identical(before, now),
+        "identical": are_equal(before, now),
         "recorded": {**_plan(before), "reason": before.reason},
         "replayed": {**_plan(now), "reason": now.reason},
     }

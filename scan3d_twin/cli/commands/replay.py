@@ -110,15 +110,11 @@ def _effective(recorded: Settings, options: ReplayOptions, sections: Options) ->
 def _findings(
     recorded: Any, before: Any, again: Any, old: Settings, new: Settings
 ) -> dict[str, Any]:
-    from scan3d_twin.recording.replay import (
-        compare_last_plans,
-        compare_sessions,
-        finish_replay,
-        is_identical,
-    )
+    from scan3d_twin.recording.exact_json import are_equal
+    from scan3d_twin.recording.replay import compare_last_plans, compare_sessions, finish_replay
 
     ended = finish_replay(again, recorded)
-    same_end = is_identical((ended.views, ended.misfits), (recorded.views, recorded.misfits))
+    same_end = are_equal((ended.views, ended.misfits), (recorded.views, recorded.misfits))
     rows, last = compare_sessions(before, again), compare_last_plans(before, again)
     compared = rows if last is None else [*rows, last]
     return {

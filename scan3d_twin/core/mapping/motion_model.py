@@ -47,7 +47,7 @@ from scan3d_twin.core.mapping.prior_removal import remove_prior
 from scan3d_twin.core.navigation.legs import Legs, assume_legs, check_legs
 from scan3d_twin.core.registration import PosePrior
 from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
-from scan3d_twin.core.session import View
+from scan3d_twin.core.session import YAW_SCALE_REPEATABILITY, TurnScale, View
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, RegistrationResult, wrap
 
 MIN_SIGMA_XY, MIN_SIGMA_YAW = 0.003, math.radians(0.2)
@@ -61,6 +61,11 @@ PRIOR_INNOVATIONS = 6.0
 MIN_VARIANCE_REDUCTION = 0.5
 """Share of the odometry's variance that registration must remove in a direction to measure the
 odometry's error there."""
+MAX_SIGMA_SHARE = 0.5
+"""Standard deviation of a learned scale of turns, as a share of what was known before, from which
+sweeps are corrected by it (assumption): a look around leaves too little for any to reach it."""
+TURNS = 2
+"""Index of the relative error of turns in b."""
 ERROR_CORRELATION = 0.5
 """Correlation of the errors of a run's registrations: with it the squared error of the corrected
 odometry, in units of the model's variance, is the same all along a run (0.27 after one step, 0.36
@@ -106,10 +111,12 @@ class MotionModel:
         evidence: What the registrations have shown of it.
         scale: Factor by which the errors of this robot exceed what the model expects.
         heading: Heading in which the latest sweep has left the robot, from its middle [rad].
+        sweeps: By how much the turns of sweeps are corrected as they are taken, and what is left.
     """
 
     config: PlanningConfig
     before: tuple[FloatArray, FloatArray]
+    sweeps: TurnScale
     evidence: Evidence = field(default_factory=Evidence)
     scale: float = 1.0
     heading: float = 0.0
@@ -147,7 +154,8 @@ class MotionModel:
             mean[2] = config.mount.yaw_scale
             turns = min(turns, config.registration.yaw_scale_sigma)
         sigmas = np.array([planning.lambda_, planning.drift, turns])
-        return MotionModel(planning, (mean, learned * np.diag(sigmas**2)))
+        sweeps = TurnScale(config.mount.yaw_scale, config.registration.yaw_scale_sigma)
+        return MotionModel(planning, (mean, learned * np.diag(sigmas**2)), sweeps)
 
     @cached_property
     def _estimate(self) -> tuple[FloatArray, FloatArray]:
@@ -170,6 +178,19 @@ class MotionModel:
     def covariance(self) -> FloatArray:
         """Covariance (3, 3) of the estimate; 0 where nothing is learned."""
         return self._estimate[1]
+
+    @property
+    def turns(self) -> TurnScale | None:
+        """How sweeps are to be corrected, as the base turns in them as it does between views.
+
+        None where that is not known much better than it was when they were taken.
+        """
+        if not self._is_learned:
+            return None
+        sigma = math.hypot(math.sqrt(self.covariance[TURNS, TURNS]), YAW_SCALE_REPEATABILITY)
+        if sigma > MAX_SIGMA_SHARE * self.sweeps.sigma:
+            return None
+        return TurnScale((1.0 + self.mean[TURNS]) / (1.0 + self.sweeps.scale) - 1.0, sigma)
 
     @property
     def _is_learned(self) -> bool:

@@ -10,11 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from scan3d_twin.core.mapping.motion_model import MotionModel
+from scan3d_twin.core.mapping.motion_model import TURNS, MotionModel
 from scan3d_twin.core.session import Session
 
-TURNS = 2
-"""Index of the relative error of turns in ``MotionModel.mean``."""
 SIGMAS = 3.0
 """Standard deviations beyond which the odometry is wrong: 0.3 % of good robots by chance."""
 MIN_PROOFS = 2

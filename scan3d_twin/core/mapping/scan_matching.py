@@ -12,7 +12,7 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.motion_model import MotionModel, describe_move
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, extract_surfels, icp, register
 from scan3d_twin.core.registration.pose_prior import predict_rmse
-from scan3d_twin.core.session import View, Workspace
+from scan3d_twin.core.session import TurnScale, View, Workspace
 from scan3d_twin.core.types import (
     FloatArray,
     Observation,
@@ -23,6 +23,10 @@ from scan3d_twin.core.types import (
     rms,
 )
 from scan3d_twin.core.viewpoints import is_end_in_view
+
+MIN_CHANGE = 0.5
+"""Change of the known scale of turns, in its standard deviations, for which sweeps are corrected
+anew (assumption)."""
 
 
 def predict_pose(views: Sequence[View], observation: Observation, motion: MotionModel) -> Pose2:
@@ -59,11 +63,16 @@ def _match_by_grid(
     view: View, previous: View, config: Config, motion: MotionModel, workspace: Workspace
 ) -> View:
     """Register by the grid engine; odometry is the prior, so that the result is never worse."""
-    prior = motion.prior(*describe_move(previous, view.observation))
+    move, legs = describe_move(previous, view.observation)
+    prior = motion.prior(move, legs)
 
-    # Register on the previous view
+    # Register on the previous view, again if that shows that the turns of both are off
     try:
         result = _register_sweeps(previous, view, config, prior, workspace)
+        turns = _find_better_turns(view, motion.learn(move, legs, result))
+        if turns is not None:
+            previous, view = previous.with_turns(turns), view.with_turns(turns)
+            result = _register_sweeps(previous, view, config, prior, workspace)
     except RegistrationError:
         result = _fall_back_to_odometry(prior)
         result = replace(result, predicted_rmse=_predict_rmse(result, view))
@@ -75,6 +84,15 @@ def _match_by_grid(
     result = replace(result, predicted_rmse=_predict_rmse(result, view))
     T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
     return replace(view, T_world_scan=T_world_scan, registration=result)
+
+
+def _find_better_turns(view: View, motion: MotionModel) -> TurnScale | None:
+    """Return the scale of turns by which a ``view`` should be corrected; None where it is so."""
+    turns = motion.turns
+    if turns is None or view.observation.image.T_scan_axis is not None:
+        return None
+    used = 0.0 if view.turns is None else view.turns.scale
+    return turns if abs(turns.scale - used) > MIN_CHANGE * turns.sigma else None
 
 
 def _register_sweeps(
@@ -133,17 +151,19 @@ def surfels_of(view: View, config: Config, workspace: Workspace | None = None) -
         workspace: Holds those that ``keep_surfels`` has kept; None to compute them.
     """
     # Recall or extract them
-    image, scope = view.observation.image, _select_scope(view, config.registration.scope)
-    kept = None if workspace is None else workspace.results_of(image).get(SurfelGrid)
+    image, scope = view.measured_image, _select_scope(view, config.registration.scope)
+    results = None if workspace is None else workspace.results_of(view.observation.image)
+    kept = None if results is None else results.get(SurfelGrid)
     if kept is not None and kept[0] is scope:
         grid = SurfelGrid(image, *kept[1:])
     else:
         grid = extract_surfels(image, keep=_clear_of_floor(scope, config))
 
     # Add the errors that readings share
+    turns = view.turns
     noise = replace(
         grid.noise,
-        yaw_scale_sigma=config.registration.yaw_scale_sigma,
+        yaw_scale_sigma=config.registration.yaw_scale_sigma if turns is None else turns.sigma,
         bias_sigma=config.registration.bias_sigma,
         linearity_sigma=config.registration.linearity_sigma,
         offset_sigma=config.registration.offset_sigma,

@@ -48,6 +48,7 @@ from scan3d_twin.core.scanning.calibration_samples import (
 )
 from scan3d_twin.core.scanning.extrinsics import compose_mounts, describe_mount
 from scan3d_twin.core.scanning.patterns import is_ahead, is_vertical
+from scan3d_twin.core.session import YAW_SCALE_REPEATABILITY
 from scan3d_twin.core.types import FloatArray, IntArray, RangeImage, read_only
 
 PARAMETERS = (
@@ -86,9 +87,6 @@ WARNING_LIMITS = {
 deg, and the wheel base is known to 1 %."""
 WARNING_SIGMAS = 3.0
 """Errors below which there is no warning, in standard errors."""
-YAW_SCALE_REPEATABILITY = 0.001
-"""Standard deviation of the yaw scale of a sweep from that of the panorama; twice the 0.0005 of the
-first sweeps of random:20000 to random:20039 (0.0006 by benchmarks/mount.py in three_boxes)."""
 
 
 @dataclass(frozen=True)

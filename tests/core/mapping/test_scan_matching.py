@@ -10,7 +10,13 @@ import pytest
 from paper import paper_config, paper_planning, paper_registration, paper_sweep
 from synthetic import ROOM, Box, observe
 
-from scan3d_twin.core.config import Config, PlanningConfig, RegistrationConfig, SweepConfig
+from scan3d_twin.core.config import (
+    Config,
+    MountConfig,
+    PlanningConfig,
+    RegistrationConfig,
+    SweepConfig,
+)
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.mapping import scan_matching, surfel_store
@@ -289,3 +295,60 @@ def test_a_range_error_that_both_sweeps_share_is_predicted_to_turn_the_next_view
     error = rms(found.T_world_scan.apply(points) - second.apply(points))
     assert error > 0.1 * offset
     assert expected == pytest.approx(error, rel=0.5)
+
+
+STATUE = (
+    Box((0.9, -0.25, 0.0), (1.2, 0.05, 0.9)),
+    Box((1.1, -0.05, 0.0), (1.5, 0.3, 0.6)),
+    Box((1.0, 0.0, 0.0), (1.3, 0.2, 0.75)),
+)
+EXCESS = 0.03
+"""Share by which the base turns more than its odometry says."""
+
+
+def place_at(bearing: float) -> Pose2:
+    """Return the pose 1.2 m before the statue, seen from a ``bearing`` [rad]."""
+    return Pose2(1.2 - 1.2 * math.cos(bearing), -1.2 * math.sin(bearing), bearing)
+
+
+def walk_round(settings: Config, bearings: tuple[float, ...]) -> Session:
+    """Return a session of views of the statue by a base with that ``EXCESS``."""
+    session = Session(settings, 0, np.array([[0.9, 0.0]]), np.array([-1.0, 0.0]))
+    odometry, before = Pose2(), place_at(bearings[0])
+    for k, bearing in enumerate(bearings):
+        # Turn, drive and turn
+        move = before.inverse() @ place_at(bearing)
+        length, ahead = math.hypot(move.x, move.y), math.atan2(move.y, move.x)
+        first, last = ahead / (1 + EXCESS), (move.yaw - ahead) / (1 + EXCESS)
+        drive = Pose2(length * math.cos(first), length * math.sin(first), first + last)
+        odometry, before = odometry @ drive, place_at(bearing)
+
+        # Scan with the same turns
+        rng = np.random.default_rng(k)
+        image = observe(before, STATUE, room=False, sigma=0.003, rng=rng).image
+        image = replace(image, yaws=read_only(image.yaws / (1 + EXCESS)))
+        legs = ((first, length), (last, 0.0)) if k else ()
+        session = integrate(session, Observation(image, odometry, legs=legs))
+    return session
+
+
+def test_sweeps_are_corrected_by_the_turns_that_registration_has_shown() -> None:
+    bearings = tuple(math.radians(30.0 * k) for k in range(4))
+    session = walk_round(Config(), bearings)
+    turns = session.views[-1].turns
+    assert turns is not None
+    assert turns.scale == pytest.approx(EXCESS, abs=min(0.006, 3 * turns.sigma))
+    for view, bearing in zip(session.views, bearings, strict=True):
+        assert view.turns == turns
+        yaws = view.observation.image.yaws * (1 + EXCESS)
+        true = view.target.with_points_of(replace(view.image, yaws=yaws)).points
+        shown = view.T_world_scan.apply(view.target.points)
+        assert rms(shown - place_at(bearing).apply(true)) < 0.006
+
+
+def test_sweeps_stay_as_they_are_where_the_look_around_has_shown_the_turns() -> None:
+    settings = Config(
+        mount=MountConfig(yaw_scale=EXCESS), registration=RegistrationConfig(yaw_scale_sigma=0.002)
+    )
+    session = walk_round(settings, (0.0, math.radians(30.0), math.radians(60.0)))
+    assert [view.turns for view in session.views] == [None, None, None]
