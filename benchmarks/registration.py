@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -26,6 +27,7 @@ import numpy as np
 from registration_data import SCENES, Noise, Pair, pair, point_error
 from registration_peers import PEERS
 
+from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, predict_rmse
@@ -35,6 +37,8 @@ from scan3d_twin.core.types import RegistrationResult
 
 PRIOR_XY, PRIOR_YAW = 0.02, math.radians(2.0)
 SPEED_SCENES = ("boxes", "sine")
+LOST = 0.02
+"""Error beyond which a registration counts as lost [m]: in another period, or where it began."""
 JITTERED = 5
 """Times as many pairs where lines jitter: a few lines on faces seen flatly decide on a pair then,
 and medians of 24 pairs differ by half from one set to the next, ours and peers' alike."""
@@ -55,6 +59,14 @@ def ours(data: Pair, *, starts: int = 1, scale: float = 1.0) -> RegistrationResu
         extract_surfels(data.target), extract_surfels(data.source),
         init_T_target_source=data.init.matrix(), prior=prior, starts=starts,
     )  # fmt: skip
+
+
+def ours_or_start(data: Pair, starts: int = 1) -> np.ndarray:
+    """Return our pose (4, 4); where the registration says that it failed, the one it began from."""
+    try:
+        return ours(data, starts=starts).T_target_source
+    except RegistrationError:
+        return data.init.matrix()
 
 
 def timed(run: Callable[[], Any]) -> Timed:
@@ -111,7 +123,8 @@ def accuracy(report: Report, runs: int) -> None:
             errors: dict[str, list[float]] = {}
             for data in drawn:
                 for name in ("ours", *PEERS):
-                    run = (lambda d=data: ours(d)) if name == "ours" else peer_run(name, data)
+                    mine = name == "ours"
+                    run = partial(ours_or_start, data) if mine else peer_run(name, data)
                     result = timed(run)
                     errors.setdefault(name, []).append(error(data, result.T))
                     if (sigma, jitter) == (0.010, 0.0):
@@ -119,6 +132,8 @@ def accuracy(report: Report, runs: int) -> None:
             best = min((n for n in errors if n != "ours"), key=lambda n: median(errors[n]))
             label = f"{scene}_{sigma * 1e3:.0f}mm" + (f"_jitter{jitter:g}" if jitter else "")
             own = median(errors["ours"])
+            lost = sum(each > LOST for each in errors["ours"]) / count
+            report.add(f"lost_{label}", lost, "share", "truth, beyond 2 cm", count)
             report.add(f"error_{label}", own * 1e3, "mm", "truth", count)
             report.add(
                 f"accuracy_vs_best_peer_{label}", own / median(errors[best]), "ratio", best, count
@@ -196,8 +211,10 @@ def speed(report: Report, times: dict[tuple[str, str], list[Timed]], runs: int) 
     values = []
     for scene in SPEED_SCENES:
         drawn = [pair(scene, Noise(0.010), seed) for seed in range(runs)]
-        one = median([timed(lambda d=d: ours(d)).cpu for d in drawn])
-        values.append(median([timed(lambda d=d: ours(d, starts=32)).cpu for d in drawn]) / one)
+        one = median([timed(partial(ours_or_start, d)).cpu for d in drawn])
+        values.append(
+            median([timed(partial(ours_or_start, d, starts=32)).cpu for d in drawn]) / one
+        )
     report.add("starts_32_vs_1", max(values), "ratio", "one start", runs)
 
 
