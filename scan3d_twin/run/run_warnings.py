@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from scan3d_twin.core.mapping.error_check import check_errors
 from scan3d_twin.core.mapping.odometry_check import measure_turn_error
 from scan3d_twin.core.model.evaluation import MIN_F_SCORE, Evaluation
 from scan3d_twin.core.observer import Unobserved
@@ -35,7 +36,7 @@ def find_warnings(
         return [*notes, "Nothing was scanned: there is no view."]
     found = [*notes, *_check_returns(session), *_check_fallbacks(session)]
     found += _check_registrations(session)
-    found += [*_check_misfits(session), *_check_odometry(session)]
+    found += [*_check_misfits(session), *_check_odometry(session), *_check_assumptions(session)]
     found += _check_errors(session, evaluation)
     return found if evaluation is None else [*found, *_check_model(evaluation)]
 
@@ -50,17 +51,18 @@ def describe_doubts(session: Session) -> list[str]:
 
 
 class OdometryCheck(Unobserved):
-    """Warns once, as soon as several views show that the odometry is wrong."""
+    """Warns once, as soon as views show that the odometry is wrong or errors are large."""
 
     def __init__(self, notify: Callable[[str], None]) -> None:
         self._notify = notify
-        self._is_told = False
+        self._untold = [_check_odometry, _check_assumptions]
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
-        for words in () if self._is_told else _check_odometry(session):
-            self._is_told = True
-            self._notify(f"warning: {words}")
+        for check in tuple(self._untold):
+            for words in check(session):
+                self._untold.remove(check)
+                self._notify(f"warning: {words}")
 
 
 def _check_returns(session: Session) -> Iterator[str]:
@@ -145,6 +147,12 @@ def _check_odometry(session: Session) -> Iterator[str]:
         yield str(error)
 
 
+def _check_assumptions(session: Session) -> Iterator[str]:
+    found = check_errors(session)
+    if found.findings:
+        yield str(found)
+
+
 def _check_model(evaluation: Evaluation) -> Iterator[str]:
     if evaluation.coverable_share == 0:
         yield (
@@ -169,11 +177,12 @@ def _check_errors(session: Session, evaluation: Evaluation | None) -> Iterator[s
     wanted = f"more than the {1e3 * config.planning.epsilon:g} mm wanted"
 
     # As far as the run itself knows
+    excess = check_errors(session).excess
     for k, view in enumerate(session.views):
         result = view.registration
         if result is None:
             continue
-        expected = config.registration.calibration * result.predicted_rmse
+        expected = excess * config.registration.calibration * result.predicted_rmse
         if config.planning.epsilon < expected < math.inf:
             yield (
                 f"View {k}: its pose may be off by {1e3 * expected:.1f} mm (90 % of such poses are "

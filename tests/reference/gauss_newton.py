@@ -146,8 +146,8 @@ class Solution(NamedTuple):
         dropped: Directions (j, k) that the surfels do not determine.
         edges: Information of the edges (k, k).
         pairs: Number of correspondences.
-        patch_spread: Of the patches' errors, in assumed ones.
-        spread: Of the errors that all readings share, in assumed ones.
+        patch_spread: Of the patches' errors, in usual ones; NaN if not estimated.
+        spread: Of the errors that all readings share, likewise.
     """
 
     step: FloatArray
@@ -287,8 +287,8 @@ def solve_step(
     """Return the step at ``state``; the ``last`` with the errors that readings share."""
     shared = last and max(scans.both.patch, scans.both.linearity, scans.both.offset) > 0
     solution = solve(scans, prior, beforehand, state, sample, gate, shared=shared)
-    j = excess(solution.patch_spread / USUAL_PATCH_SPREAD)
-    k = excess(solution.spread / USUAL_SPREAD)
+    spreads = solution.patch_spread, solution.spread
+    j, k = (excess(spread) for spread in spreads)
     if max(j, k) <= 1.0:
         return solution
     both = scans.both
@@ -296,7 +296,9 @@ def solve_step(
         patch=j * both.patch, linearity=k * both.linearity, offset=k * both.offset,
         height=k * both.height, lean=k * both.lean,
     )  # fmt: skip
-    return solve(scans._replace(both=larger), prior, beforehand, state, sample, gate, shared=shared)
+    scans = scans._replace(both=larger)
+    solution = solve(scans, prior, beforehand, state, sample, gate, shared=shared)
+    return solution._replace(patch_spread=spreads[0], spread=spreads[1])
 
 
 def excess(ratio: float) -> float:
@@ -351,13 +353,13 @@ def solve(
     step[list(rows)] = small
     rest = by @ small + constant
     information = projected(honest, H) + H_edges + beforehand
-    patch_spread = spread = 1.0
+    patch_spread = spread = math.nan
     if shared:
-        patch_spread = found.spread(np.concatenate([small, rest]))
+        patch_spread = found.spread(np.concatenate([small, rest])) / USUAL_PATCH_SPREAD
         known = State(state_prior(scans.both, rows), np.zeros(len(data.g)))
         known = with_prior(known, k, prior.yaw_scale, state.scale)
         values = rest + np.eye(len(rest))[0] * state.scale
-        spread = state_spread(data.H[k:, k:], known.H[k:, k:], values)
+        spread = state_spread(data.H[k:, k:], known.H[k:, k:], values) / USUAL_SPREAD
     spreads = patch_spread, spread
     return Solution(step, rest[0], information, dropped, H_edges, pairs, *spreads)
 

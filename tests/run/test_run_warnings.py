@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 from paper import paper_config
 
+from scan3d_twin.core.mapping.error_check import ErrorCheck
 from scan3d_twin.core.mapping.odometry_check import TurnError
 from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
 from scan3d_twin.core.session import Session
@@ -126,3 +127,22 @@ def test_odometry_that_disagrees_is_told_once(session, monkeypatch):
     check.on_view(session)
     assert len(told) == 1
     assert told[0].startswith("warning: The base turns 7.0% more")
+
+
+def test_errors_larger_than_assumed_are_told_once_and_widen_what_is_reported(session, monkeypatch):
+    expected = with_registration(session, converged=True, predicted_rmse=0.006)
+    reported = 6.0 * session.config.registration.calibration
+    assert warns(expected, f"may be off by {reported:.1f} mm")
+    worse = ErrorCheck(readings=2.0, shared=1.5, pairs=3)
+    monkeypatch.setattr(run_warnings, "check_errors", lambda session: worse)
+    (told,) = warns(expected, "worse than assumed")
+    assert "readings scatter 2.0 times as widely" in told
+    assert "share are 1.5 times the usual ones" in told
+    assert "Errors may be 2.0 times the predicted ones" in told
+    assert warns(expected, f"may be off by {2.0 * reported:.1f} mm")
+
+    said = []
+    check = run_warnings.OdometryCheck(said.append)
+    check.on_view(session)
+    check.on_view(session)
+    assert len([words for words in said if "worse than assumed" in words]) == 1

@@ -112,6 +112,8 @@ class MotionModel:
         scale: Factor by which the errors of this robot exceed what the model expects.
         heading: Heading in which the latest sweep has left the robot, from its middle [rad].
         sweeps: By how much the turns of sweeps are corrected as they are taken, and what is left.
+        chi2: Sum of the squared normalised innovations so far.
+        freedom: Their number: degrees of freedom of ``chi2``.
     """
 
     config: PlanningConfig
@@ -120,6 +122,8 @@ class MotionModel:
     evidence: Evidence = field(default_factory=Evidence)
     scale: float = 1.0
     heading: float = 0.0
+    chi2: float = 0.0
+    freedom: int = 0
 
     @staticmethod
     def of(views: Sequence[View], config: Config) -> MotionModel:
@@ -142,7 +146,13 @@ class MotionModel:
             square += float(innovation @ innovation)
             count += len(innovation)
             model = replace(model.learn(move, legs, result), scale=math.sqrt(square / count))
-        return replace(model, heading=find_last_heading(views[-1].observation) if views else 0.0)
+        heading = find_last_heading(views[-1].observation) if views else 0.0
+        return replace(
+            model,
+            heading=heading,
+            chi2=square - PRIOR_INNOVATIONS,
+            freedom=round(count - PRIOR_INNOVATIONS),
+        )
 
     @staticmethod
     def _configured(config: Config) -> MotionModel:

@@ -69,6 +69,7 @@ class RunResult:
         predicted_rmse: Expected RMS displacement of the source's surfels [m].
         pairs: Number of correspondences in the last step.
         square: Sum of their squared residuals [m2].
+        spread: That of the errors that all readings share, in usual ones; NaN if not estimated.
         surfels: Number of the source's surfels in the last step.
         iterations: Number of steps.
         settled: Whether the iteration converged.
@@ -83,6 +84,7 @@ class RunResult:
     predicted_rmse: float
     pairs: int
     square: float
+    spread: float
     surfels: int
     iterations: int
     settled: bool
@@ -100,6 +102,7 @@ class RunResult:
             value.predicted_rmse,
             value.pairs,
             value.square,
+            value.spread,
             value.surfels,
             value.iterations,
             bool(value.settled),
@@ -232,4 +235,5 @@ def make_result(problem: Problem, outcome: RunResult, ambiguity_gap: float) -> R
         converged=outcome.settled and len(free) < len(problem.dims),
         degenerate_directions=read_only(outcome.degenerate),
         ambiguity_gap=ambiguity_gap,
+        shared_spread=outcome.spread,
     )

@@ -31,6 +31,8 @@ class RegistrationResult:
         degenerate_directions: Unit directions (k, 6) that the data do not determine.
         ambiguity_gap: Score distance to the next best basin, 0..1, 1 if several starts met in one;
             NaN where a single start looked for no other.
+        shared_spread: Errors that all readings share (a curve of the range error, the floor, the
+            yaw scale), as a multiple of the usual ones; NaN where they were not estimated.
 
     >>> result = session.views[1].registration
     >>> result.converged, result.covariance.shape, bool(result.predicted_rmse < 0.01)
@@ -48,6 +50,7 @@ class RegistrationResult:
     converged: bool
     degenerate_directions: FloatArray
     ambiguity_gap: float
+    shared_spread: float = math.nan
 
     @staticmethod
     def unregistered(

@@ -292,6 +292,7 @@ def assert_same(own: RunResult, plain: reference.gauss_newton.RunResult) -> None
     assert near(own.information, plain.knowledge.information, 1e-7)
     assert own.predicted_rmse == pytest.approx(plain.knowledge.predicted_rmse, rel=1e-7)
     assert own.degenerate.shape == plain.knowledge.degenerate.shape
+    assert own.spread == pytest.approx(plain.solution.spread, rel=1e-7, nan_ok=True)
 
 
 @pytest.mark.parametrize("dof", ["planar", "se3"])

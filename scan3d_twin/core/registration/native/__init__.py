@@ -245,8 +245,9 @@ class RunResult(Value):
     _fields_ = (
         ("T", c_double * 16), ("nuisances", c_double * 2), ("covariance", c_double * 36),
         ("information", c_double * 36), ("degenerate", c_double * 36), ("n_degenerate", c_int64),
-        ("predicted_rmse", c_double), ("square", c_double), ("pairs", c_int64),
-        ("surfels", c_int64), ("iterations", c_int64), ("settled", c_int64), ("overlap", c_int64),
+        ("predicted_rmse", c_double), ("square", c_double), ("spread", c_double),
+        ("pairs", c_int64), ("surfels", c_int64), ("iterations", c_int64), ("settled", c_int64),
+        ("overlap", c_int64),
     )  # fmt: skip
 
 

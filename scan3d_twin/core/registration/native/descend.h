@@ -23,7 +23,7 @@ typedef struct {
     double step[POSE], nuisance_step[NUISANCES];
     double information[STATE * STATE];  /* left side of the equation, less the spurious share */
     double edges[STATE * STATE];        /* information of the edges */
-    double patch_spread, spread;        /* of errors that a patch and that all readings share, in assumed */
+    double patch_spread, spread;        /* of errors that a patch and that all readings share, in usual ones */
     Determined determined;
     Equations equations;
 } Solution;
@@ -161,12 +161,12 @@ static int solve(const Target *target, const Source *source, const PairNoise *no
     memcpy(out->nuisance_step, step + n, sizeof *step * (size_t)prior->n_nuisances);
 
     /* are the errors that readings share as large as assumed? */
-    out->patch_spread = out->spread = 1;
+    out->patch_spread = out->spread = NAN;
     if (shared) {
-        out->patch_spread = measure_patch_spread(&sums, step);
+        out->patch_spread = measure_patch_spread(&sums, step) / USUAL_PATCH_SPREAD;
         add_nuisance_priors(prior, noise, nuisances, 1, &known);
         for (int k = 0; k < prior->n_nuisances; k++) step[n + k] += nuisances[k];
-        out->spread = measure_state_spread(&known, &state, step, n);
+        out->spread = measure_state_spread(&known, &state, step, n) / USUAL_SPREAD;
     }
     free_sums(&sums);
     return 0;
@@ -184,13 +184,15 @@ static int solve_step(const Target *target, const Source *source, const PairNois
     int shared = last && (noise->patch > 0 || noise->linearity > 0 || noise->offset > 0);
     if (solve(target, source, noise, prior, L0, T, nuisances, sample, gate, shared, scratch, out) < 0)
         return -1;
-    double patch = find_excess(out->patch_spread / USUAL_PATCH_SPREAD);
-    double spread = find_excess(out->spread / USUAL_SPREAD);
-    if (patch <= 1 && spread <= 1) return 0;
+    double patch_spread = out->patch_spread, spread = out->spread;
+    double patch_excess = find_excess(patch_spread), excess = find_excess(spread);
+    if (patch_excess <= 1 && excess <= 1) return 0;
     PairNoise larger = *noise;
-    larger.patch *= patch, larger.linearity *= spread, larger.offset *= spread;
-    larger.height *= spread, larger.lean *= spread;
-    return solve(target, source, &larger, prior, L0, T, nuisances, sample, gate, shared, scratch, out);
+    larger.patch *= patch_excess, larger.linearity *= excess, larger.offset *= excess;
+    larger.height *= excess, larger.lean *= excess;
+    int failed = solve(target, source, &larger, prior, L0, T, nuisances, sample, gate, shared, scratch, out);
+    out->patch_spread = patch_spread, out->spread = spread;
+    return failed;
 }
 
 /* Write covariance, information and degenerate directions of the result, from the last step's solution. */
@@ -301,6 +303,7 @@ static int64_t follow_starts(const Target *target, const Source *source, const P
         /* keep the pose of a new basin */
         last->pairs = solution.equations.pairs;
         last->square = solution.equations.square;
+        last->spread = solution.spread;
         last->surfels = sample->count;
         if (last->overlap && is_new_basin(last->T, ends, n_ends, find_reach(source)))
             memcpy(ends + 16 * n_ends++, last->T, sizeof last->T);

@@ -149,5 +149,6 @@ typedef struct {
     int64_t n_degenerate;
     double predicted_rmse;          /* expected RMS displacement of the source's surfels */
     double square;                  /* sum of the squared residuals */
+    double spread;                  /* of the errors that all readings share, in usual ones; NaN: not known */
     int64_t pairs, surfels, iterations, settled, overlap;
 } RunResult;
