@@ -1,12 +1,17 @@
 """Full tours of objects of many kinds, on an open floor and in a room.
 
 ``python benchmarks/objects.py [--first 0] [--count 20] [--cases [NAME ...]] [--rooms none 5x5]
-[--seeds 3] [--first-seed 1000] [--jobs 1] [--peer PYTHON] [--out runs/objects] [--json]`` prints a
-line per run on standard error, then one object {name: {value, unit, peer, runs}}, for each room,
-for each class of objects in it and for each case. The objects are those of ``object_shapes.py``;
-indices 0 to 19 are for work, 20 to 39 for the final figures. A seed is a robot and a sensor with
-errors of their own: every object takes other ones, ``--seeds`` each from ``--first-seed`` on, so
-that no single robot decides on the share of successes.
+[--seeds 3] [--first-seed 1000] [--planners fisher] [--jobs 1] [--peer PYTHON] [--out runs/objects]
+[--json]`` prints a line per run on standard error, then one object {name: {value, unit, peer,
+runs}}, for each room, for each class of objects in it and for each case. The objects are those of
+``object_shapes.py``; indices 0 to 19 are for work, 20 to 39 for the final figures.
+
+Each object meets a robot and a sensor of its own: the run of object ``i`` at ``--first-seed`` s has
+the seed 1000 s + i, in either room and by every planner; the cases are numbered from 900 on. A
+share of successes is thus one over robots, not that of one robot.
+
+With several ``--planners`` (those of ``twin planners``, with the preset `best`) each has its own
+figures, and the others are compared with the first: the ratio of the times to the same coverage.
 
 A run succeeds when every registration error is at most epsilon. A body of revolution on an open
 floor has no observable yaw about its axis, so it is counted apart, in ``none_revolution_kept``: a
@@ -31,6 +36,7 @@ import sys
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +54,10 @@ REACHED = 0.80
 """Coverage from which the times of two builds are compared."""
 EXPECTED_FACTOR = 3.0
 """Error of an open direction in units of the expected one that is accepted."""
+SEED_STRIDE = 1000
+"""Seeds from one ``--first-seed`` to the next: more than there are objects and cases."""
+FIRST_CASE = 900
+"""Number of the first case."""
 SPAWN = -1.7
 """Where the robot starts in the scenes of boxes, along x [m]."""
 Placed = tuple[str, tuple[float, float, float], tuple[float, float, float]]
@@ -62,13 +72,19 @@ class Subject:
         kind: Class of the object, or name of the case.
         room: Its surroundings.
         name: Name of its scene file.
+        index: Number of the object or case; with the seed asked for it determines the robot.
         target: Name of the target that is asked for; empty for the most salient one.
     """
 
     kind: str
     room: str
     name: str
+    index: int
     target: str = ""
+
+    def list_seeds(self, first: int, count: int) -> list[int]:
+        """Return the run's seed for each of the ``count`` seeds from ``first`` on."""
+        return [SEED_STRIDE * seed + self.index for seed in range(first, first + count)]
 
 
 BOX_CASES: dict[str, tuple[tuple[Placed, ...], float, str]] = {
@@ -97,7 +113,7 @@ place), and the target that is asked for."""
 def write_object(folder: Path, index: int, room: str) -> Subject:
     """Write the scene of object ``index``."""
     kind, mesh = make_object(index)
-    subject = Subject(kind, room, f"{kind}_{index:02d}_{room}")
+    subject = Subject(kind, room, f"{kind}_{index:02d}_{room}", index)
     _write_mesh_scene(folder / f"{subject.name}.xml", mesh, room)
     return subject
 
@@ -105,7 +121,8 @@ def write_object(folder: Path, index: int, room: str) -> Subject:
 def write_case(folder: Path, case: str, room: str) -> Subject:
     """Write the scene of a named ``case``."""
     target = BOX_CASES[case][2] if case in BOX_CASES else ""
-    subject = Subject(case, room, f"{case}_{room}", target)
+    index = FIRST_CASE + (*MESH_CASES, *BOX_CASES).index(case)
+    subject = Subject(case, room, f"{case}_{room}", index, target)
     path = folder / f"{subject.name}.xml"
     if case in MESH_CASES:
         _write_mesh_scene(path, place_on_floor(MESH_CASES[case]()), room)
@@ -158,17 +175,19 @@ def run(python: str, folder: Path, subjects: list[Subject], options: argparse.Na
     # Describe the experiment
     scenes = options.out.resolve() / "scenes"
     variants, grids = {}, []
-    for number, subject in enumerate(subjects):
-        label = subject.target or "best"
-        variants[label] = {"run": {"preset": "best", "target": subject.target}}
-        grids.append(
+    for planner, subject in product(options.planners, subjects):
+        label = f"{planner}-{subject.target}" if subject.target else planner
+        run_options = {"preset": "best", "target": subject.target}
+        variants[label] = {"planner": planner, "run": run_options}
+        grids += [
             {
                 "scenes": [str(scenes / f"{subject.name}.xml")],
                 "variants": [label],
-                "seeds": options.seeds,
-                "first_seed": first_seed(options, number),
+                "seeds": 1,
+                "first_seed": seed,
             }
-        )
+            for seed in subject.list_seeds(options.first_seed, options.seeds)
+        ]
     common = {"tour": "full", "planning": {"epsilon": options.epsilon / 1e3}}
     experiment = {"description": "objects", "options": common, "variants": variants, "grids": grids}
     folder.mkdir(parents=True, exist_ok=True)
@@ -181,24 +200,20 @@ def run(python: str, folder: Path, subjects: list[Subject], options: argparse.Na
     subprocess.run(command, check=False, stdout=subprocess.DEVNULL, env=environment)
 
 
-def first_seed(options: argparse.Namespace, number: int) -> int:
-    """Return the first seed of subject ``number``: each has robots and sensors of its own."""
-    return int(options.first_seed + number * options.seeds)
-
-
 def read_rows(folder: Path, subjects: list[Subject], options: argparse.Namespace) -> list[Row]:
     """Return the records of the ``subjects`` in the journal of ``folder``, with their subjects."""
-    known = {subject.name: subject for subject in subjects}
-    seeds = {
-        subject.name: range(start := first_seed(options, number), start + options.seeds)
-        for number, subject in enumerate(subjects)
+    known = {
+        (subject.name, seed): subject
+        for subject in subjects
+        for seed in subject.list_seeds(options.first_seed, options.seeds)
     }
-    rows: dict[tuple[str, int], Row] = {}
+    rows: dict[tuple[str, str, int], Row] = {}
     for path in sorted(folder.glob("journal*.jsonl")):
         for line in path.read_text(encoding="utf-8").splitlines():
             row = json.loads(line)
-            if row["scene"] in known and row["seed"] in seeds[row["scene"]]:
-                rows[row["scene"], row["seed"]] = {**row, "subject": known[row["scene"]]}
+            subject = known.get((row["scene"], row["seed"]))
+            if subject is not None and row["planner"] in options.planners:
+                rows[row["planner"], row["scene"], row["seed"]] = {**row, "subject": subject}
     found = list(rows.values())
     if len({row["code"] for row in found}) > 1:
         print(f"do not quote this: the runs in {folder} used several versions", file=sys.stderr)
@@ -272,10 +287,24 @@ def format_row(row: Row) -> str:
     """Return one line about a run."""
     worst = "-" if row["max_error"] is None else f"{1e3 * row['max_error']:.1f} mm"
     return (
-        f"{row['scene']} seed {row['seed']}: {'ok' if row['success'] else 'NO'}, {row['views']} "
-        f"views, {row['duration'] or 0.0:.0f} s, worst error {worst}, coverage "
+        f"{row['planner']} {row['scene']} seed {row['seed']}: {'ok' if row['success'] else 'NO'}, "
+        f"{row['views']} views, {row['duration'] or 0.0:.0f} s, worst error {worst}, coverage "
         f"{row['coverage']:.3f}, F@20 {row['f20']:.3f}, {row['stop']}"
     )
+
+
+def compare_planners(rows: list[Row], planners: list[str]) -> dict[str, Row]:
+    """Return the figures of each planner, and its times over those of the first."""
+    figures: dict[str, Row] = {}
+    by_name = {name: [row for row in rows if row["planner"] == name] for name in planners}
+    first = by_name[planners[0]]
+    for name, own in by_name.items():
+        found = collect_figures(own)
+        ratio, objects, runs = compare_times(own, first)
+        found["time_to_same_coverage"] = _figure(ratio, "ratio", planners[0], runs)
+        found["time_to_same_coverage_objects"] = _figure(objects, "scenes", planners[0], runs)
+        figures.update((f"{name}_{key}", figure) for key, figure in found.items())
+    return figures
 
 
 def collect_figures(rows: list[Row]) -> dict[str, Row]:
@@ -306,6 +335,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first-seed", type=int, default=1000)
     parser.add_argument("--epsilon", type=float, default=10.0, help="[mm]")
+    parser.add_argument("--planners", nargs="+", default=["fisher"])
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--peer", help="Python of another build")
     parser.add_argument("--out", type=Path, default=Path("runs/objects"))
@@ -325,7 +355,8 @@ def main() -> None:
     # Run both builds
     run(sys.executable, options.out / "ours", subjects, options)
     rows = read_rows(options.out / "ours", subjects, options)
-    figures = collect_figures(rows)
+    several = len(options.planners) > 1
+    figures = compare_planners(rows, options.planners) if several else collect_figures(rows)
     for row in rows:
         print(format_row(row), file=sys.stderr)
     if options.peer is not None:

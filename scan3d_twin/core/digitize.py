@@ -34,7 +34,12 @@ from scan3d_twin.core.scanning.extrinsic_calibration import (
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
-from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target, find_target
+from scan3d_twin.core.scanning.target_extraction import (
+    extract_points,
+    extract_target,
+    find_target,
+    is_empty_room,
+)
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.stand import StandPlanner, start_stand_session
@@ -217,9 +222,16 @@ def begin_session(
     observer: Observer,
     target: tuple[float, float] | None,
 ) -> tuple[Session, Pose2]:
-    """Take a panorama; return an empty session and the first viewpoint in ``odom``."""
+    """Take a panorama; return an empty session and the first viewpoint in ``odom``.
+
+    At 1.5 m the lines of a panorama are 5 cm apart, and a pole of 3 cm may stand between two: if
+    nothing seems to stand in a room, the robot looks again with half that spacing.
+    """
     observer.on_event("looking around for the target")
     panorama = take_panorama(robot, config, observer.on_line)
+    if target is None and is_empty_room(panorama, config):
+        observer.on_event("nothing stands free: looking around again, more slowly")
+        panorama = take_panorama(robot, halve_look_rate(config), observer.on_line)
 
     # Check the extrinsics and the yaw scale
     found = calibrate_on_panorama(panorama.image)
@@ -238,6 +250,11 @@ def begin_session(
     if standoff != tuned.planning.standoff:
         observer.on_event(f"standoff {standoff:.2f} m, by the height of the target")
     return session, viewpoint
+
+
+def halve_look_rate(config: Config) -> Config:
+    """Return ``config`` with half the angle between the lines of a look around."""
+    return replace(config, sweep=replace(config.sweep, look_rate=config.sweep.look_rate / 2))
 
 
 def tune_config(session: Session, config: Config) -> Config:

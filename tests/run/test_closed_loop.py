@@ -3,8 +3,11 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 
 from scan3d_twin.core import digitize
 from scan3d_twin.core.config import MotionConfig
@@ -19,6 +22,7 @@ from scan3d_twin.run.closed_loop import JourneyMeter, LoopOutcome, close_loop
 from scan3d_twin.run.settings import Settings, build_settings
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim
+from scan3d_twin.sim.scenes.load import load_scene
 
 pytestmark = pytest.mark.slow
 
@@ -120,3 +124,18 @@ def test_times_in_which_no_device_was_read_are_named(
         close_loop(replace(robot, clock=clock), truth, settings, events, lambda: 0.0)
     found = [text for text in events.texts if "no device was read" in text]
     assert found == ["planning after view 0 took 8.5 s, in which no device was read"] * named
+
+
+def test_a_pole_between_the_lines_of_the_look_around_is_found(tmp_path: Path) -> None:
+    """Of 3 cm at 1.5 m, where the lines are 5 cm apart; seed 4001 misses it at first."""
+    pole = trimesh.creation.cylinder(0.015, 1.2, sections=48)
+    pole.apply_translation((0.0, 0.0, 0.6))
+    pole.export(tmp_path / "pole.ply")
+    scene = load_scene(str(tmp_path / "pole.ply"), 1.0, "5x5")
+    config = build_settings([{}]).config
+    events = Events()
+    with open_sim(scene, 4001) as (robot, _):
+        session, _ = digitize.begin_session(robot, config, 4001, events, None)
+    assert any("again" in event for event in events.texts)
+    distances = np.hypot(*(session.hint - (1.5, 0.0)).T)
+    assert distances.max() < 0.25

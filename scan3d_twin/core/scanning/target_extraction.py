@@ -21,6 +21,7 @@ from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.walls import (
+    MIN_HEIGHT,
     Wall,
     find_walls,
     is_on_walls,
@@ -58,6 +59,11 @@ away (assumption); else the wall is the target, which odometry has put beside it
 a move of 2.5 m and a turn of 130 deg in the typical world."""
 MAX_PLACES = 2000
 """About how many known points of the target are looked at for that."""
+MIN_PROTRUSION = 0.20
+"""Least distance by which a thing at a wall stands out from it [m]: more than what noise and the
+error of its plane leave of the wall itself, three times ``WALL_REGISTRATION`` (assumption)."""
+MIN_ROOM_WALLS = 3
+"""Fewest walls in sight of a room: a corridor has two."""
 MAX_COMPACT_SIZE = 3.5
 """Size up to which a target is preferred [m]; larger things are chosen if there is nothing else."""
 
@@ -219,6 +225,20 @@ def find_targets(panorama: Observation, count: int, config: Config) -> list[Floa
     return [panorama.T_odom_scan.apply(group.points) for group in (free or groups[:1])[:count]]
 
 
+def is_empty_room(panorama: Observation, config: Config) -> bool:
+    """Return whether a panorama shows a room in which nothing stands.
+
+    Nobody wants a model of that: a thin thing has fallen between two lines.
+
+    Raises:
+        SceneError: Nothing was seen.
+    """
+    if any(group.rank for group in _find_groups(panorama, config)):
+        return False
+    points = extract_points(panorama.image, config).points
+    return len(find_walls(points, config.target.max_range)) >= MIN_ROOM_WALLS
+
+
 def _find_groups(panorama: Observation, config: Config) -> list[_Group]:
     """Return the things in a panorama, at least one."""
     # Select the points in the window
@@ -307,15 +327,43 @@ def _describe_group(
     walls: list[Wall],
     passage: float,
 ) -> _Group:
-    """Return the group of the points that are ``member`` (n,) of it, with its salience."""
-    points = sweep.points[member, :2]
+    """Return the group of the points that are ``member`` (n,) of it, with its salience.
+
+    A side of it that goes back to a wall ends there: that wall is background, near as it is.
+    """
+    # Find the walls at which it stands
+    points = sweep.points[member]
+    near = [wall for wall in walls if wall.contains(points[:, :2], passage).any()]
+    behind = [wall for wall in near if _protrudes(points, wall)]
+
+    # Take them for far away
+    if behind:
+        on_wall = np.any(
+            [wall.contains(sweep.points[:, :2], WALL_REGISTRATION) for wall in behind], axis=0
+        )
+        distance = _find_nearest_per_line(
+            sweep.points[on_wall], sweep.lines[on_wall], len(foremost)
+        )
+        foremost = np.where(foremost < distance, foremost, math.inf)
+
     return _Group(
-        points,
-        _measure_salience(image, sweep.points[member]),
+        points[:, :2],
+        _measure_salience(image, points),
         _stands_free(image, sweep, member, foremost, max_range),
-        float(np.max(np.ptp(points, axis=0))) <= MAX_COMPACT_SIZE,
-        any(wall.contains(points, passage).any() for wall in walls),
+        float(np.max(np.ptp(points[:, :2], axis=0))) <= MAX_COMPACT_SIZE,
+        bool(near),
     )
+
+
+def _protrudes(points: FloatArray, wall: Wall) -> bool:
+    """Return whether ``points`` (n, 3) stand out from ``wall``, and none of them is behind it.
+
+    A ceiling does so too, but it does not stand.
+    """
+    if points[:, 2].min() >= MIN_HEIGHT:
+        return False
+    distance = wall.distance(points[:, :2])
+    return bool(distance.max() >= MIN_PROTRUSION and distance.min() > -WALL_REGISTRATION)
 
 
 def _stands_free(

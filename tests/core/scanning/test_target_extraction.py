@@ -13,6 +13,7 @@ from scan3d_twin.core.scanning.target_extraction import (
     extract_points,
     extract_target,
     find_target,
+    is_empty_room,
     is_in_window,
 )
 from scan3d_twin.core.types import VALID, Observation, Pose2, read_only
@@ -74,6 +75,33 @@ def test_a_wall_is_found_when_there_is_nothing_else() -> None:
     hint = find_target(look(wall, room=False, spawn=Pose2(0.0, 4.0, 0.0)), None, CONFIG)
     assert np.ptp(hint[:, 1]) > 3.0
     assert hint[:, 0].min() == pytest.approx(1.3, abs=0.01)
+
+
+@pytest.mark.parametrize("y", [0.0, 1.0, 1.2])
+def test_a_thing_at_a_wall_is_preferred_to_the_wall(y: float) -> None:
+    """Seen from beside it, its side leads to the wall without a step in depth."""
+    thing = Box((0.0, -0.35, 0.0), (0.4, 0.35, 0.7))
+    wall = Box((0.4, -3.0, 0.0), (0.5, 3.0, 2.5))
+    spawn = Pose2(-1.7, y, 0.0)
+    found = find_target(look((thing, wall), room=False, spawn=spawn), None, CONFIG)
+    hint = found + np.array([-1.7, y])
+    assert hint.min(axis=0) == pytest.approx([0.0, -0.35], abs=0.07)
+    assert hint[:, 0].max() < 0.4
+    assert hint[:, 1].max() == pytest.approx(0.35, abs=0.07)
+
+
+def test_what_an_uneven_wall_leaves_is_no_thing_at_it() -> None:
+    ledge = Box((0.3, -0.35, 0.0), (0.4, 0.35, 0.7))
+    wall = Box((0.4, -3.0, 0.0), (0.5, 3.0, 2.5))
+    hint = find_target(look((ledge, wall), room=False, spawn=Pose2(-1.7, 0.6, 0.0)), None, CONFIG)
+    assert np.ptp(hint[:, 1]) > 1.0
+
+
+def test_a_room_is_empty_when_nothing_stands_in_it() -> None:
+    wall = (Box((1.3, -5.0, 0.0), (1.4, 5.0, 2.5)),)
+    assert is_empty_room(look(()), CONFIG)
+    assert not is_empty_room(look(), CONFIG)
+    assert not is_empty_room(look(wall, room=False), CONFIG)
 
 
 def test_the_wanted_place_overrides_what_is_salient() -> None:
