@@ -224,9 +224,14 @@ class MotionModel:
         """
         return self._about(self.correct(move, legs), move, legs)
 
-    def spread(self, viewpoint: Pose2) -> PosePrior:
-        """Return the distribution of where a move to ``viewpoint`` ends, about that viewpoint."""
-        return self._about(viewpoint, viewpoint, None)
+    def spread(self, viewpoint: Pose2, factor: float = 1.0) -> PosePrior:
+        """Return the distribution of where a move to ``viewpoint`` ends, about that viewpoint.
+
+        Args:
+            viewpoint: Where the move leads, in ``scan`` of the latest view.
+            factor: Factor on the standard deviations of what the robot errs by in all moves.
+        """
+        return self._about(viewpoint, viewpoint, None, factor)
 
     def correct(self, move: Pose2, legs: Legs | None = None) -> Pose2:
         """Return a ``move`` by odometry, corrected by the mean of the model."""
@@ -257,12 +262,12 @@ class MotionModel:
         u = float(np.trace(self.before[1] @ M))
         return replace(self, evidence=self.evidence.add(M, A.T @ W @ d, u))
 
-    def _about(self, mean: Pose2, move: Pose2, legs: Legs | None) -> PosePrior:
+    def _about(self, mean: Pose2, move: Pose2, legs: Legs | None, factor: float = 1.0) -> PosePrior:
         """Return the prior about ``mean`` with the covariance of a ``move``."""
         if not self._is_learned:
             return motion_prior(mean, self.config, self.scale)
         A = self.jacobian(move, legs)
-        C = self._changing(move) + A @ self._spread @ A.T
+        C = self._changing(move) + factor**2 * A @ self._spread @ A.T
         return PosePrior.of_robot(mean, (C + C.T) / 2)
 
     def _changing(self, move: Pose2) -> FloatArray:

@@ -59,9 +59,9 @@ MIN_SHARED_SHARE = 0.2
 """The same as a share of the target's surfels, where these are few: the smallest overlap. A thin
 thing may have none: then its surroundings alone are registered."""
 SHARED_FACTOR = 1.2
-"""Factor on the standard deviation of a range error that all readings share. The calibration is for
-one step in ten that exceeds it; this error is that of a sensor, for all steps of its run at once,
-of which 95 % are to keep epsilon: 1.96 / 1.64, by the quantiles of a normal distribution."""
+"""Factor on the standard deviations of what errs alike in all steps of a run, a range error that
+readings share and the odometry of the robot. The calibration is for one step in ten that is
+beyond it, but of runs 95 % are to keep epsilon: 1.96 / 1.64, quantiles of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,9 @@ class ErrorPrediction:
 
         # Add edges and the prior
         motion = self.motion or MotionModel.of((), self.config)
-        rest = self._edges(viewpoint, sweep)[block] + motion.spread(viewpoint).information(PLANAR)
+        rest = self._edges(viewpoint, sweep)[block] + motion.spread(
+            viewpoint, SHARED_FACTOR
+        ).information(PLANAR)
         C = np.linalg.inv(honest @ H[block] @ honest.T + rest)
 
         # Add what a range error that both sweeps share displaces
@@ -330,7 +332,7 @@ def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:
     session = context.session
     motion = MotionModel.of(session.views, session.config)
     target = Moments.of(context.view.target.points).turned(viewpoint.yaw)
-    expected = predict_rmse_of_moments(target, motion.spread(viewpoint).covariance)
+    expected = predict_rmse_of_moments(target, motion.spread(viewpoint, SHARED_FACTOR).covariance)
     return session.config.planning.calibration * expected
 
 
