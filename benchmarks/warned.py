@@ -1,9 +1,10 @@
 """Which errors of a run are foretold: closed loops in a world that may be worse than assumed.
 
 ``python benchmarks/warned.py [--world harsh] [--scenes three_boxes sine_box] [--first 1030]
-[--runs 12] [--json]`` runs the preset ``best`` on each scene (``random`` takes a scene for each
-seed) and prints a line per run on standard error. Warnings are those that need no truth. A view is
-warned of by a warning of this view, or of the whole run (``error_check``, ``odometry_check``).
+[--runs 12] [--config FILE] [--json]`` runs the preset ``best`` on each scene (``random`` takes a
+scene for each seed) and prints a line per run on standard error. Warnings are those that need no
+truth. A view is warned of by a warning of this view, or of the whole run (``error_check``,
+``odometry_check``).
 Keys, {value, low, high} with Wilson's 95 % interval:
 
 * ``worse_runs``: share of the runs (with two views or more) that call their sensor or robot worse
@@ -21,6 +22,7 @@ import argparse
 import json
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 from scan3d_twin.bench.reporting.statistics import estimate_rate
 from scan3d_twin.core.config import preset_options
@@ -34,7 +36,12 @@ from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.devices.registry import Devices
 from scan3d_twin.run.run_warnings import find_warnings
-from scan3d_twin.run.settings import build_settings, device_options, world_options
+from scan3d_twin.run.settings import (
+    build_settings,
+    device_options,
+    read_settings,
+    world_options,
+)
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 
@@ -71,14 +78,17 @@ def is_warned(session: Session, k: int) -> bool:
     return any(words.startswith((f"View {k}:", f"View {k} ")) for words in find_warnings(session))
 
 
-def run(scene_name: str, seed: int, world: str, most_views: int) -> tuple[ErrorCheck, list[Step]]:
+def run(
+    scene_name: str, seed: int, world: str, most_views: int, config_file: Path | None
+) -> tuple[ErrorCheck, list[Step]]:
     """Return what a closed loop found of its errors, and its registered views."""
     # Choose options
     scene = load_scene(f"random:{seed}" if scene_name == "random" else scene_name)
     standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
+    own = {} if config_file is None else read_settings(config_file)
     loop = {"tour": scene.tour, "planning": standoff, "max_views": most_views}
     settings = build_settings(
-        [device_options(Devices()), world_options(world), preset_options("best"), loop]
+        [device_options(Devices()), world_options(world), preset_options("best"), loop, own]
     )
 
     # Run the loop
@@ -121,6 +131,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1030)
     parser.add_argument("--runs", type=int, default=12)
     parser.add_argument("--max-views", type=int, default=12)
+    parser.add_argument("--config", type=Path, help="options of the loop and the twin, TOML")
     parser.add_argument("--json", action="store_true", help="print JSON only")
     options = parser.parse_args()
 
@@ -128,7 +139,7 @@ def main() -> None:
     runs: list[tuple[ErrorCheck, list[Step]]] = []
     for scene in options.scenes:
         for seed in range(options.first, options.first + options.runs):
-            found, steps = run(scene, seed, options.world, options.max_views)
+            found, steps = run(scene, seed, options.world, options.max_views, options.config)
             runs.append((found, steps))
             print(
                 f"{scene} {seed}: readings {found.readings:.2f} shared {found.shared:.2f} odometry "
