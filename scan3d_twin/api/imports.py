@@ -126,7 +126,10 @@ def _fit_config(given: Config, images: Sequence[RangeImage]) -> Config:
         max_views=max(1, min(len(images), 1000)),
         target=replace(given.target, max_range=min(reach, LONGEST_RANGE)),
         sweep=replace(given.sweep, width=width, margin=0.0),
-        registration=replace(given.registration, yaw_scale_sigma=YAW_SCALE_SIGMA),
+        # Whose lidar it was, and how noisy, nobody says.
+        registration=replace(
+            given.registration, yaw_scale_sigma=YAW_SCALE_SIGMA, reading_sigma=0.0
+        ),
     )
 
 

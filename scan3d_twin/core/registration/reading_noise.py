@@ -20,6 +20,10 @@ RANGES = 0.5, 3.0
 weak. A log of a URG-04LX has 2.7 mm at 0.5 to 1 m and at 1 to 2 m, 4.7 mm at 3 to 4 m."""
 MOST_INCIDENCE = math.radians(20.0)
 """Largest angle between ray and normal of readings that count [rad] (assumption)."""
+MOST_SPACING = math.radians(1.5)
+"""Largest angle between lines over which seven of them still show the noise of a surface and not
+its shape: on three_boxes, lines .6, 1.2, 1.7, 2.2 and 2.9 deg apart read 1.13, 1.19, 1.25, 1.65
+and 3.1 times the noise of the log."""
 LEAST_READINGS = 100
 """Fewest readings that tell: they give the median of the differences to 10 % (assumption)."""
 SIXTH_DIFFERENCE = read_only([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])
@@ -32,11 +36,11 @@ def measure_reading_noise(grid: SurfelGrid) -> float:
     """Return the standard deviation of the readings seen frontally in a sweep [m].
 
     It is 1.4826 median |D| r^2 / sqrt(924), with D the sixth difference of the inverse range over
-    seven lines at one beam. NaN where too few readings are seen so, or where the beams of the lines
-    lie at elevations of their own.
+    seven lines at one beam. NaN where too few readings are seen so, where lines are far apart, or
+    where the beams of the lines lie at elevations of their own.
     """
     image = grid.image
-    if image.elevations is not None:
+    if image.elevations is not None or grid.line_spacing > MOST_SPACING:
         return math.nan
 
     # Choose near readings that have three lines on either side

@@ -126,9 +126,14 @@ COMMON_ERRORS: Mapping[str, float | bool] = {
     "warm_up": 0.0,
 }
 """Errors that all models share."""
-LD_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.005, "offset_sigma": 0.015}
-"""What registration assumes of LD06 and LD19: ``surface_bias`` and ``unit_offset`` above."""
-STL27L_REGISTRATION: Mapping[str, float] = {"bias_sigma": 0.003, "offset_sigma": 0.005}
+LD_REGISTRATION: Mapping[str, float] = {
+    "bias_sigma": 0.005, "offset_sigma": 0.015, "reading_sigma": 0.0,
+}  # fmt: skip
+"""What registration assumes of LD06 and LD19: ``surface_bias`` and ``unit_offset`` above; no log of
+one tells the noise of single readings."""
+STL27L_REGISTRATION: Mapping[str, float] = {
+    "bias_sigma": 0.003, "offset_sigma": 0.005, "reading_sigma": 0.0,
+}  # fmt: skip
 """The same of the STL27L."""
 FLOOR_HEIGHT = 0.05
 """Height below which points seen by LD06 and LD19 are floor [m]: at 0.6 m, where half of it counts

@@ -128,7 +128,8 @@ def _describe(model: RplidarModel, summary: str) -> LidarDevice:
         sample_rate=lambda link: model.modes[link].sample_rate,
         probe=PROBE,
         describe=describe_rplidar,
-        options={"lidar": errors},
+        # No log of one tells the noise of single readings.
+        options={"lidar": errors, "registration": {"reading_sigma": 0.0}},
     )
 
 

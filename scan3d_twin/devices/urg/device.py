@@ -69,5 +69,4 @@ URG04LX = LidarDevice(
     sends_text=True,
     probe=PROBE,
     describe=describe_urg,
-    options={"registration": {"reading_sigma": urg04lx.READING_SIGMA}},
 )

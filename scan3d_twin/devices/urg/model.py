@@ -32,9 +32,6 @@ REVOLUTION = 0.1
 
 MODULATIONS = (46.55e6, 53.2e6)
 """Frequencies of the light's two modulations [Hz]; their phases repeat together every 22.5 m."""
-READING_SIGMA = 0.0027
-"""Noise of readings of surfaces seen frontally from 1 to 2 m, standard deviation [m]: 2.65 mm (95 %
-of it: 2.32 to 3.41) in the log of a standing sensor (``benchmarks/sensor_statistics.py``)."""
 REPLY_LATENCY = 0.101
 """Time from step 0 of a turn to the start of its reply [s]; a single sample in a capture of
 firmware 3.1.04 over USB."""

@@ -33,3 +33,8 @@ def test_what_is_far_away_or_seen_flatly_does_not_tell():
 
 def test_lines_with_beams_of_their_own_do_not_tell():
     assert math.isnan(noise_of(AHEAD, 0.003, shift=irregular))
+
+
+def test_lines_far_apart_show_the_shape_of_things_and_do_not_tell():
+    assert math.isnan(noise_of(AHEAD, 0.003, step=math.radians(2.0)))
+    assert noise_of(AHEAD, 0.003, step=math.radians(1.2)) == pytest.approx(0.003, rel=0.1)
