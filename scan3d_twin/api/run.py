@@ -23,7 +23,7 @@ from scan3d_twin.recording.recorder import Recorder, SerialTaps
 from scan3d_twin.run.closed_loop import LoopOutcome, RobotContext, close_loop
 from scan3d_twin.run.folder import release_folder
 from scan3d_twin.run.report import Effort, Report, failure_reason
-from scan3d_twin.run.run_warnings import OdometryCheck
+from scan3d_twin.run.run_warnings import AssumptionCheck
 from scan3d_twin.run.settings import Settings
 from scan3d_twin.run.versions import collect_versions
 from scan3d_twin.viz.notebook import REPORT_HEIGHT, frame_page, render_html
@@ -151,7 +151,7 @@ def _digitize_and_save(
         settings = replace(settings, twin=replace(settings.twin, robot=robot.base.spec.name))
         recorder.describe(name, settings)
         watching: Observer = Observers(recorder, ViewSaver(folder, settings), observer)
-        watching = Observers(watching, OdometryCheck(watching.on_event))
+        watching = Observers(watching, AssumptionCheck(watching.on_event))
 
         # Resume an earlier run
         earlier = None

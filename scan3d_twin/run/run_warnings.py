@@ -50,7 +50,7 @@ def describe_doubts(session: Session) -> list[str]:
     ]
 
 
-class OdometryCheck(Unobserved):
+class AssumptionCheck(Unobserved):
     """Warns once, as soon as views show that the odometry is wrong or errors are large."""
 
     def __init__(self, notify: Callable[[str], None]) -> None:

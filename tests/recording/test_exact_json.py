@@ -12,8 +12,15 @@ from same import same
 
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Plan, Pose2
-from scan3d_twin.recording.exact_json import is_array, pack, pack_fields, unpack, unpack_fields
+from scan3d_twin.core.types import FloatArray, Plan, Pose2, read_only
+from scan3d_twin.recording.exact_json import (
+    are_equal,
+    is_array,
+    pack,
+    pack_fields,
+    unpack,
+    unpack_fields,
+)
 
 
 def test_a_session_comes_back_bit_by_bit(session):
@@ -106,3 +113,13 @@ def test_json_is_strict():
 
 def test_whole_numbers_take_no_more_room_than_they_need():
     assert len(pack(np.arange(800, dtype=np.int64))[1]) == 1600
+
+
+def test_values_are_equal_whichever_of_their_arrays_are_one_object() -> None:
+    """A view that changed later is written apart, and shares no arrays with what was written."""
+    array = read_only(np.arange(4.0))
+    together, apart = (array, array), (array, read_only(np.arange(4.0)))
+    assert pack(together) != pack(apart)
+    assert are_equal(together, apart)
+    assert not are_equal(together, (array, read_only(np.arange(4.0) + 1e-15)))
+    assert not are_equal(together, (array, read_only(np.arange(5.0))))

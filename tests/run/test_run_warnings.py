@@ -122,7 +122,7 @@ def test_odometry_that_disagrees_is_told_once(session, monkeypatch):
     monkeypatch.setattr(run_warnings, "measure_turn_error", lambda session: error)
     assert warns(session, "turns 7.0% more than it says", "wrong model")
     told = []
-    check = run_warnings.OdometryCheck(told.append)
+    check = run_warnings.AssumptionCheck(told.append)
     check.on_view(session)
     check.on_view(session)
     assert len(told) == 1
@@ -142,7 +142,7 @@ def test_errors_larger_than_assumed_are_told_once_and_widen_what_is_reported(ses
     assert warns(expected, f"may be off by {2.0 * reported:.1f} mm")
 
     said = []
-    check = run_warnings.OdometryCheck(said.append)
+    check = run_warnings.AssumptionCheck(said.append)
     check.on_view(session)
     check.on_view(session)
     assert len([words for words in said if "worse than assumed" in words]) == 1

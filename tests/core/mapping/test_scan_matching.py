@@ -343,7 +343,7 @@ def test_sweeps_are_corrected_by_the_turns_that_registration_has_shown() -> None
         yaws = view.observation.image.yaws * (1 + EXCESS)
         true = view.target.with_points_of(replace(view.image, yaws=yaws)).points
         shown = view.T_world_scan.apply(view.target.points)
-        assert rms(shown - place_at(bearing).apply(true)) < 0.006
+        assert rms(shown - place_at(bearing).apply(true)) < 0.002
 
 
 def test_sweeps_stay_as_they_are_where_the_look_around_has_shown_the_turns() -> None:
