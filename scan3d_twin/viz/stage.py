@@ -63,6 +63,9 @@ class Stage:
         self._upto, self._with_background, self._with_path = 0, True, True
         self._colouring: Colouring = "view"
         self._heights = (math.inf, -math.inf)
+        self._aim: tuple[FloatArray, FloatArray] | None = None
+        # A page that comes while the camera is aimed is not yet known, and has begun without it.
+        server.on_client_connect(self._aim_page)
         server.scene.set_up_direction("+z")
         server.scene.add_grid("/floor", 12.0, 12.0, cell_color=CELL, section_color=SECTION)
         self._robot = self._build_robot()
@@ -307,11 +310,19 @@ class Stage:
         camera = choose_camera(np.concatenate([hint, *seen]), poses)
         a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.1 * camera.distance
         ray = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+        self._aim = (camera.middle, d * ray)
         self._server.initial_camera.look_at = camera.middle
         self._server.initial_camera.position = camera.middle + d * ray
         for page in self._server.get_clients().values() if client is None else [client]:
-            page.camera.look_at = camera.middle
-            page.camera.position = camera.middle + _back_off(page.camera) * d * ray
+            self._aim_page(page)
+
+    def _aim_page(self, page: viser.ClientHandle) -> None:
+        """Point the camera of ``page`` at what the others look at."""
+        if self._aim is None:
+            return
+        middle, offset = self._aim
+        page.camera.position = middle + _back_off(page.camera) * offset
+        page.camera.look_at = middle  # second, as a new position moves it along
 
 
 def _back_off(camera: viser.CameraHandle) -> float:

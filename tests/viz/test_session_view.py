@@ -11,6 +11,18 @@ from scan3d_twin.viz.stage import Stage, _back_off
 from scan3d_twin.viz.view_errors import format_view_errors, list_view_errors
 
 
+def test_a_page_that_comes_while_the_camera_is_aimed_looks_at_the_target(session, open_page):
+    with open_server(LOOPBACK, 0, "boxes") as (server, address):
+        SessionView(server, "boxes", session)
+        aimed = server.initial_camera.look_at
+        server.initial_camera.look_at = (0.0, 0.0, 9.0)  # what the page begins with
+        shown = open_page(address, **SMALL)
+        shown.page.get_by_text("view 2 (3 of 3 views)").wait_for(timeout=SOON)
+        assert drawn(shown.page, {0, 1, 2}) == {0, 1, 2}
+        (client,) = server.get_clients().values()
+        np.testing.assert_allclose(client.camera.look_at, aimed, atol=1e-3)
+
+
 def test_a_session_is_shown_by_view_back_and_forth_light_and_dark(session, open_page):
     with open_server(LOOPBACK, 0, "boxes") as (server, address):
         SessionView(server, "boxes", session)
@@ -157,11 +169,12 @@ def test_a_recording_plays_fits_and_is_saved_as_a_picture(moved, open_page):
 
         # The camera
         (client,) = server.get_clients().values()
-        before = client.camera.position
+        before, middle = client.camera.position, client.camera.look_at
         client.camera.position = before + 1.0
         page.get_by_role("button", name="Fit to target").click()
         page.wait_for_timeout(300)
         np.testing.assert_allclose(client.camera.position, before, atol=1e-3)
+        np.testing.assert_allclose(client.camera.look_at, middle, atol=1e-3)
 
         # A picture
         with page.expect_download(timeout=SOON) as download:
