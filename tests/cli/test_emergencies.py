@@ -126,4 +126,4 @@ def test_a_suspension(attempt, tmp_path):
         devices.serve(lambda: devices.drives() or process.poll() is not None)
         code, words = stops_and_ends(devices, process)
         assert code == 5
-        assert "suspended for 1." in words
+        assert float(words.split("suspended for ")[1].split(" s ")[0]) >= 1.2
