@@ -34,12 +34,8 @@ from scan3d_twin.core.scanning.extrinsic_calibration import (
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
-from scan3d_twin.core.scanning.target_extraction import (
-    extract_points,
-    extract_target,
-    find_target,
-    is_empty_room,
-)
+from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target
+from scan3d_twin.core.scanning.target_selection import find_target, is_empty_room
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.stand import StandPlanner, start_stand_session
