@@ -44,7 +44,7 @@ from scipy import stats
 from scan3d_twin.core.config import preset_options
 from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.model.evaluation import find_true_pose
+from scan3d_twin.core.model.pose_errors import find_true_pose
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.registration.pose_prior import PLANAR

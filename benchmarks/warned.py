@@ -30,7 +30,7 @@ from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import TwinError
 from scan3d_twin.core.mapping.error_check import ErrorCheck, check_errors
 from scan3d_twin.core.mapping.odometry_check import measure_turn_error
-from scan3d_twin.core.model.evaluation import measure_view_error
+from scan3d_twin.core.model.pose_errors import measure_view_error
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
