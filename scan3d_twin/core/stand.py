@@ -25,7 +25,7 @@ def start_stand_session(
 ) -> Session:
     """Return an empty session of a stand, which sees the target from where it stands.
 
-    Args and errors as for ``start_session``; every place is a viewpoint.
+    Args and errors as for ``session_start.start_session``; every place is a viewpoint.
     """
     hint = find_target(panorama, target, config)
     contour = extract_panorama_contour(here.inverse().apply(hint))
