@@ -19,7 +19,6 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.mapping.loop_closure import align_final, align_on_loop_closure
 from scan3d_twin.core.mapping.motion_model import MotionModel
 from scan3d_twin.core.mapping.scan_matching import match_to_previous, predict_pose
-from scan3d_twin.core.navigation.costmap import Costmap
 from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.placed_views import integrate_placed
@@ -211,18 +210,6 @@ def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer
     before = session.views[-1].observation.T_odom_scan if session.views else poses[0]
     legs = measure_legs(before, poses, observation.T_odom_scan.yaw)
     return replace(observation, touched=touched, legs=legs)
-
-
-def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
-    """Return the waypoints (n, 2) in ``odom`` [m] to ``viewpoint``, around obstacles.
-
-    Raises:
-        ScanError: There is no path.
-    """
-    path = costmap.find_path(viewpoint.x, viewpoint.y)
-    if path is None:
-        raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
-    return path
 
 
 def integrate(session: Session, observation: Observation) -> Session:
