@@ -28,14 +28,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from watched_loop import Watcher, run_watched
 
 from scan3d_twin.core.config import preset_options
-from scan3d_twin.core.digitize import run_loop
-from scan3d_twin.core.errors import TwinError
 from scan3d_twin.core.model.evaluation import evaluate
-from scan3d_twin.core.observer import Unobserved
-from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
+from scan3d_twin.run.resolve import scene_options
 from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
@@ -69,33 +67,18 @@ class Step:
     odometry: float
 
 
-class Watcher(Unobserved):
-    """Keeps the session as it was when something ended it."""
-
-    session: Session | None = None
-
-    def on_view(self, session: Session) -> None:
-        """Remember ``session``."""
-        self.session = session
-
-
 def steps(seed: int, name: str, factor: float | None) -> list[Step]:
     """Return the steps of a closed loop on the random scene ``seed``; none if it failed early."""
     scene, watcher = load_scene(f"random:{seed}"), Watcher()
-    standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
-    own = {"tour": scene.tour, "planning": standoff, "max_views": MOST_VIEWS}
+    own = {**scene_options(scene), "max_views": MOST_VIEWS}
     extra = {"alignment": {"mode": "off"}}
     if factor is not None:
         extra["planning"] = {"calibration": factor}
     config = build_settings([preset_options(name), own, extra]).config
     with open_sim(scene, seed) as (robot, truth):
-        try:
-            session = run_loop(robot, make_planner(config.planner), config, seed, watcher)
-        except TwinError as error:
-            print(f"random:{seed}: {error}", file=sys.stderr)
-            if watcher.session is None:
-                return []
-            session = watcher.session
+        session = run_watched(f"random:{seed}", robot, config, seed, watcher)
+        if session is None:
+            return []
         pairs = evaluate(session, truth).pairs
     return [_step(session, seed, pair) for pair in pairs]
 

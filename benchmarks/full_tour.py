@@ -26,6 +26,7 @@ from scan3d_twin.core.mapping.loop_closure import apply_alignment, solve_alignme
 from scan3d_twin.core.model.evaluation import Evaluation, evaluate
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
+from scan3d_twin.run.resolve import scene_options
 from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
@@ -51,9 +52,8 @@ class Tour:
 def tour(scene: str, seed: int) -> Tour:
     """Go round the target of ``scene``."""
     loaded = load_scene(scene)
-    standoff = {} if loaded.standoff is None else {"standoff": loaded.standoff}
     options = [
-        {"tour": "full", "planning": standoff},
+        {**scene_options(loaded), "tour": "full"},
         preset_options("best"),
         {"alignment": {"mode": "off"}},
     ]

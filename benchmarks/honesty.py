@@ -40,16 +40,14 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
+from watched_loop import Watcher, run_watched
 
 from scan3d_twin.core.config import preset_options
-from scan3d_twin.core.digitize import run_loop
-from scan3d_twin.core.errors import TwinError
-from scan3d_twin.core.model.evaluation import find_true_pose
-from scan3d_twin.core.observer import Unobserved
-from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.model.pose_errors import find_true_pose
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.run.resolve import scene_options
 from scan3d_twin.run.settings import build_settings, read_settings, world_options
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
@@ -104,24 +102,13 @@ class Pair:
     M: tuple[float, ...]
 
 
-class Watcher(Unobserved):
-    """Keeps the session as it was when something ended it."""
-
-    session: Session | None = None
-
-    def on_view(self, session: Session) -> None:
-        """Remember ``session``."""
-        self.session = session
-
-
 def run_scene(
     seed: int, world: str, jitter: float, config_file: Path | None
 ) -> tuple[int, list[Pair]]:
     """Return the seed and the pairs of a closed loop on its scene; none if it failed early."""
     # Choose options
     scene, watcher = load_scene(f"random:{seed}"), Watcher()
-    standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
-    loop = {"tour": scene.tour, "planning": standoff, "max_views": MOST_VIEWS}
+    loop = {**scene_options(scene), "max_views": MOST_VIEWS}
     own = {} if config_file is None else read_settings(config_file)
     sway = {"lidar": {"sway": math.radians(jitter)}} if jitter > 0 else {}
     settings = build_settings(
@@ -131,13 +118,9 @@ def run_scene(
     # Run the loop
     config = settings.config
     with open_sim(scene, seed, settings.twin) as (robot, truth):
-        try:
-            session = run_loop(robot, make_planner(config.planner), config, seed, watcher)
-        except TwinError as error:
-            print(f"random:{seed}: {error}", file=sys.stderr)
-            if watcher.session is None:
-                return seed, []
-            session = watcher.session
+        session = run_watched(f"random:{seed}", robot, config, seed, watcher)
+        if session is None:
+            return seed, []
         poses = [find_true_pose(view, truth) for view in session.views]
     return seed, [_compare(session, k, poses, seed) for k in range(1, len(session.views))]
 

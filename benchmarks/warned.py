@@ -24,17 +24,16 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from watched_loop import Watcher, run_watched
+
 from scan3d_twin.bench.reporting.statistics import estimate_rate
 from scan3d_twin.core.config import preset_options
-from scan3d_twin.core.digitize import run_loop
-from scan3d_twin.core.errors import TwinError
 from scan3d_twin.core.mapping.error_check import ErrorCheck, check_errors
 from scan3d_twin.core.mapping.odometry_check import measure_turn_error
-from scan3d_twin.core.model.evaluation import measure_view_error
-from scan3d_twin.core.observer import Unobserved
-from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.model.pose_errors import measure_view_error
 from scan3d_twin.core.session import Session
 from scan3d_twin.devices.registry import Devices
+from scan3d_twin.run.resolve import scene_options
 from scan3d_twin.run.run_warnings import find_warnings
 from scan3d_twin.run.settings import (
     build_settings,
@@ -58,16 +57,15 @@ class Step:
     is_warned_at_end: bool
 
 
-class Watcher(Unobserved):
-    """Keeps the latest session, and whether each view was warned of when it was registered."""
+class WarningsWatcher(Watcher):
+    """Keeps also whether each view was warned of when it was registered."""
 
     def __init__(self) -> None:
-        self.session: Session | None = None
         self.warned: list[bool] = []
 
     def on_view(self, session: Session) -> None:
         """See ``Observer``."""
-        self.session = session
+        super().on_view(session)
         self.warned.append(is_warned(session, len(session.views) - 1))
 
 
@@ -84,23 +82,18 @@ def run(
     """Return what a closed loop found of its errors, and its registered views."""
     # Choose options
     scene = load_scene(f"random:{seed}" if scene_name == "random" else scene_name)
-    standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
     own = {} if config_file is None else read_settings(config_file)
-    loop = {"tour": scene.tour, "planning": standoff, "max_views": most_views}
+    loop = {**scene_options(scene), "max_views": most_views}
     settings = build_settings(
         [device_options(Devices()), world_options(world), preset_options("best"), loop, own]
     )
 
     # Run the loop
-    config, watcher = settings.config, Watcher()
+    config, watcher = settings.config, WarningsWatcher()
     with open_sim(scene, seed, settings.twin) as (robot, truth):
-        try:
-            session = run_loop(robot, make_planner(config.planner), config, seed, watcher)
-        except TwinError as error:
-            print(f"{scene_name} {seed}: {error}", file=sys.stderr)
-            if watcher.session is None:
-                return ErrorCheck(), []
-            session = watcher.session
+        session = run_watched(f"{scene_name} {seed}", robot, config, seed, watcher)
+        if session is None:
+            return ErrorCheck(), []
         errors = [measure_view_error(k, session, truth) for k in range(1, len(session.views))]
 
     # Compare errors and warnings

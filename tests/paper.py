@@ -5,13 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from scan3d_twin.core.config import (
-    AlignmentConfig,
-    Config,
-    PlanningConfig,
-    RegistrationConfig,
-    SweepConfig,
-)
+from scan3d_twin.core.config import AlignmentConfig, Config, RegistrationConfig, SweepConfig
+from scan3d_twin.core.planning_config import PlanningConfig
 
 PAPER = Config.preset("paper")
 

@@ -14,10 +14,10 @@ from scan3d_twin.core.model.evaluation import (
     Evaluation,
     Reference,
     evaluate_model,
-    is_of_target,
     measure_mesh_accuracy,
 )
 from scan3d_twin.core.model.fused_cloud import Model, build_view_clouds, join_models
+from scan3d_twin.core.model.judged_targets import is_of_target
 from scan3d_twin.core.model.mesh import Mesh, build_mesh
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray
@@ -25,14 +25,7 @@ from scan3d_twin.recording.ply import model_ply
 from scan3d_twin.recording.views import view_bytes, view_path
 from scan3d_twin.run.closed_loop import Truth
 from scan3d_twin.run.folder import require_own_folders, write_file, write_inside
-from scan3d_twin.run.report import (
-    Effort,
-    Journey,
-    Report,
-    build_report,
-    count_views,
-    report_json,
-)
+from scan3d_twin.run.report import Effort, Journey, Report, build_report, count_views, report_json
 from scan3d_twin.run.settings import Settings, settings_toml
 from scan3d_twin.viz.packing import show_run
 from scan3d_twin.viz.report_page import Pictures, render_report_page

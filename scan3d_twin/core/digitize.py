@@ -19,42 +19,20 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.mapping.loop_closure import align_final, align_on_loop_closure
 from scan3d_twin.core.mapping.motion_model import MotionModel
 from scan3d_twin.core.mapping.scan_matching import match_to_previous, predict_pose
-from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.placed_views import integrate_placed
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
-from scan3d_twin.core.planning.standoff import fit_standoff
-from scan3d_twin.core.scanning.extrinsic_calibration import (
-    apply_yaw_scale,
-    calibrate_on_panorama,
-    describe_suspicion,
-)
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
-from scan3d_twin.core.scanning.target_extraction import (
-    extract_points,
-    extract_target,
-    find_target,
-    is_empty_room,
-)
+from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.stand import StandPlanner, start_stand_session
-from scan3d_twin.core.types import (
-    FloatArray,
-    Observation,
-    Plan,
-    Pose2,
-)
-from scan3d_twin.core.viewpoints import (
-    choose_viewpoint,
-    extract_panorama_contour,
-    find_first_segment,
-    measure_sweep_width,
-)
+from scan3d_twin.core.session_start import begin_session, tune_config
+from scan3d_twin.core.stand import StandPlanner
+from scan3d_twin.core.types import FloatArray, Observation, Plan, Pose2
 
 DEFAULT_CONFIG = Config()
 """The preset ``best``."""
@@ -215,104 +193,6 @@ class _WatchedRobot:
         return observe(self._robot, viewpoint, session, self._observer)
 
 
-def begin_session(
-    robot: Robot,
-    config: Config,
-    seed: int,
-    observer: Observer,
-    target: tuple[float, float] | None,
-) -> tuple[Session, Pose2]:
-    """Take a panorama; return an empty session and the first viewpoint in ``odom``.
-
-    At 1.5 m the lines of a panorama are 5 cm apart, and a pole of 3 cm may stand between two: if
-    nothing seems to stand in a room, the robot looks again with half that spacing.
-    """
-    observer.on_event("looking around for the target")
-    panorama = take_panorama(robot, config, observer.on_line)
-    if target is None and is_empty_room(panorama, config):
-        observer.on_event("nothing stands free: looking around again, more slowly")
-        panorama = take_panorama(robot, halve_look_rate(config), observer.on_line)
-
-    # Check the extrinsics and the yaw scale
-    found = calibrate_on_panorama(panorama.image)
-    if warning := describe_suspicion(found):
-        observer.on_event(f"warning: {warning}")
-    tuned = apply_yaw_scale(config, found)
-    if tuned != config:
-        observer.on_event(f"turns are corrected by {tuned.mount.yaw_scale:+.2%}")
-
-    # Choose target and first viewpoint
-    here = robot.base.odometry().T_odom_base
-    if robot.base.spec.is_stand:
-        return start_stand_session(panorama, here, tuned, seed, target), here
-    session, viewpoint = start_session(panorama, here, tuned, seed, target)
-    standoff = session.config.planning.standoff
-    if standoff != tuned.planning.standoff:
-        observer.on_event(f"standoff {standoff:.2f} m, by the height of the target")
-    return session, viewpoint
-
-
-def halve_look_rate(config: Config) -> Config:
-    """Return ``config`` with half the angle between the lines of a look around."""
-    return replace(config, sweep=replace(config.sweep, look_rate=config.sweep.look_rate / 2))
-
-
-def tune_config(session: Session, config: Config) -> Config:
-    """Return ``config`` for a run that continues ``session``, tuned by its first panorama."""
-    if not session.panoramas:
-        return config
-    panorama = session.panoramas[0][1]
-    tuned = apply_yaw_scale(config, calibrate_on_panorama(panorama.image))
-    return fit_standoff(tuned, panorama, session.hint)
-
-
-def start_session(
-    panorama: Observation,
-    here: Pose2,
-    config: Config,
-    seed: int,
-    target: tuple[float, float] | None,
-) -> tuple[Session, Pose2]:
-    """Return an empty session and the first viewpoint in ``odom``, from a panorama.
-
-    Pure: the same arguments give the same result.
-
-    Args:
-        panorama: The panorama.
-        here: Where the robot stands in ``odom``.
-        config: The effective configuration.
-        seed: The run's one seed.
-        target: Place (x, y) in ``odom`` [m] of the target; the most salient thing by default.
-
-    Raises:
-        SceneError: There is no target.
-        ScanError: No viewpoint of the target can be reached.
-    """
-    # Find the target
-    hint = find_target(panorama, target, config)
-    config = fit_standoff(config, panorama, hint)
-    contour = extract_panorama_contour(here.inverse().apply(hint))
-    session = Session(config, seed, hint, here.rotate(contour.normal(0)), ((0, panorama),))
-
-    # Choose the first viewpoint
-    costmap = build_costmap(session.observations(), config, here, workspace=session.workspace)
-    segment = find_first_segment(
-        contour, measure_sweep_width(config), from_left=config.tour == "front"
-    )
-
-    def feasible(viewpoint: Pose2) -> bool:
-        there = here @ viewpoint
-        return costmap.is_feasible(there.x, there.y)
-
-    viewpoint, _ = choose_viewpoint(segment, config, feasible)
-    if viewpoint is None:
-        raise ScanError(
-            "no viewpoint of the target can be reached; clear the floor in front of it, or allow "
-            "another planning.standoff"
-        )
-    return session, here @ viewpoint
-
-
 def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer) -> Observation:
     """Drive to ``viewpoint`` in ``odom``, around obstacles, and return a sweep from there."""
     # Drive and sweep
@@ -330,18 +210,6 @@ def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer
     before = session.views[-1].observation.T_odom_scan if session.views else poses[0]
     legs = measure_legs(before, poses, observation.T_odom_scan.yaw)
     return replace(observation, touched=touched, legs=legs)
-
-
-def find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
-    """Return the waypoints (n, 2) in ``odom`` [m] to ``viewpoint``, around obstacles.
-
-    Raises:
-        ScanError: There is no path.
-    """
-    path = costmap.find_path(viewpoint.x, viewpoint.y)
-    if path is None:
-        raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
-    return path
 
 
 def integrate(session: Session, observation: Observation) -> Session:

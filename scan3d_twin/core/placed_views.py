@@ -25,11 +25,8 @@ from scan3d_twin.core.mapping.surfel_store import SurfelStore
 from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
-from scan3d_twin.core.scanning.target_extraction import (
-    extract_points,
-    extract_target,
-    find_target,
-)
+from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target
+from scan3d_twin.core.scanning.target_selection import find_target
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import (

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.scanning.target_extraction import find_target
+from scan3d_twin.core.scanning.target_selection import find_target
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Plan, Pose2
 from scan3d_twin.core.viewpoints import extract_panorama_contour
@@ -25,7 +25,7 @@ def start_stand_session(
 ) -> Session:
     """Return an empty session of a stand, which sees the target from where it stands.
 
-    Args and errors as for ``start_session``; every place is a viewpoint.
+    Args and errors as for ``session_start.start_session``; every place is a viewpoint.
     """
     hint = find_target(panorama, target, config)
     contour = extract_panorama_contour(here.inverse().apply(hint))

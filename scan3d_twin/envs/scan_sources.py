@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import find_path
+from scan3d_twin.core.errors import ScanError
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.navigation.legs import measure_legs
@@ -71,7 +71,7 @@ class EpisodeScanSource(ABC):
         """See ``ScanSource``."""
         # Drive and sweep
         here = self.here
-        path = find_path(self.costmap_from(here, session), viewpoint)
+        path = _find_path(self.costmap_from(here, session), viewpoint)
         places = [np.array([here.x, here.y]), *path]
         self.driven += sum(float(np.linalg.norm(b - a)) for a, b in pairwise(places))
         seen, poses = self._go(path, viewpoint.yaw)
@@ -92,6 +92,18 @@ class EpisodeScanSource(ABC):
         if (start.x, start.y) == tuple(known.start):
             return known
         return replace(known, start=np.array([start.x, start.y]))
+
+
+def _find_path(costmap: Costmap, viewpoint: Pose2) -> FloatArray:
+    """Return the waypoints (n, 2) in ``odom`` [m] to ``viewpoint``, around obstacles.
+
+    Raises:
+        ScanError: There is no path.
+    """
+    path = costmap.find_path(viewpoint.x, viewpoint.y)
+    if path is None:
+        raise ScanError(f"no way to the viewpoint at ({viewpoint.x:.2f}, {viewpoint.y:.2f}) m")
+    return path
 
 
 def _saw_the_same(a: Session, b: Session) -> bool:

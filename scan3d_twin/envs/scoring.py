@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.model.evaluation import (
-    COVERAGE_DISTANCE,
-    find_true_pose,
-    measure_displacement,
-)
+from scan3d_twin.core.model.evaluation import COVERAGE_DISTANCE
 from scan3d_twin.core.model.fused_cloud import find_supported, thin_by_voxel
+from scan3d_twin.core.model.pose_errors import find_true_pose, measure_displacement
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.registration.kd_tree import is_near
 from scan3d_twin.core.session import Session

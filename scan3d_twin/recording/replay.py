@@ -8,10 +8,11 @@ from dataclasses import replace
 from typing import Any
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.digitize import ask_planner, integrate, tune_config
+from scan3d_twin.core.digitize import ask_planner, integrate
 from scan3d_twin.core.mapping.loop_closure import align_final
 from scan3d_twin.core.planning import Planner
 from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.session_start import tune_config
 from scan3d_twin.core.types import Plan, Pose2, wrap
 from scan3d_twin.recording.exact_json import are_equal
 

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
+from scan3d_twin.core.model.evaluation import Distances, Evaluation
+from scan3d_twin.core.model.pose_errors import PairError
 from scan3d_twin.core.scanning.sphere_density import measure_density
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.stand import STAND_REASON

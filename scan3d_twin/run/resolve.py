@@ -70,7 +70,13 @@ def load_run_scene(run: RunConfig) -> Scene:
 
 def settings_for_scene(scene: Scene, given: Options) -> Settings:
     """Return the effective settings in ``scene`` for the ``given`` options."""
-    return build_settings([_scene_options(scene), *_named_options(given), given])
+    return build_settings([scene_options(scene), *_named_options(given), given])
+
+
+def scene_options(scene: Scene) -> Options:
+    """Return the options that ``scene`` states about its scanning."""
+    standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
+    return {"tour": scene.tour, "planning": standoff}
 
 
 def _check_target(text: str, scene: Scene) -> None:
@@ -86,9 +92,3 @@ def _named_options(given: Options) -> list[Options]:
     stated = build_settings([given])
     run, devices = stated.run, stated.twin.devices
     return [device_options(devices), world_options(run.world), preset_options(run.preset)]
-
-
-def _scene_options(scene: Scene) -> Options:
-    """Return the options that ``scene`` states about its scanning."""
-    standoff = {} if scene.standoff is None else {"standoff": scene.standoff}
-    return {"tour": scene.tour, "planning": standoff}

@@ -14,8 +14,8 @@ import numpy as np
 import viser
 
 from scan3d_twin.core.hal import Lidar, Robot
-from scan3d_twin.core.model.evaluation import lay_on_truth
 from scan3d_twin.core.model.fused_cloud import measure_scanned_share
+from scan3d_twin.core.model.pose_errors import lay_on_truth
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.observer import Command, with_clock_callbacks
 from scan3d_twin.core.scanning.turning import find_lidar_pose

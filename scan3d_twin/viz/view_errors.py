@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scan3d_twin.core.model.evaluation import measure_view_error
+from scan3d_twin.core.model.pose_errors import measure_view_error
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.session import Session
 from scan3d_twin.recording.load import RecordedRun, run_folder

@@ -11,8 +11,9 @@ from paper import paper_planning
 from scan3d_twin.cli.app import app
 from scan3d_twin.cli.commands.sim import SimOptions, resolve
 from scan3d_twin.cli.dotted import dotted_options, field_docs, stated
-from scan3d_twin.core.config import Config, PlanningConfig, preset_options
+from scan3d_twin.core.config import Config, preset_options
 from scan3d_twin.core.errors import UnknownNameError
+from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.sim.config import TwinConfig
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan3d_twin.core import digitize
+from scan3d_twin.core import digitize, session_start
 from scan3d_twin.core.config import MotionConfig
 from scan3d_twin.core.errors import ConfigError, ScanError
 from scan3d_twin.core.hal import Clock
@@ -135,7 +135,7 @@ def test_a_pole_between_the_lines_of_the_look_around_is_found(tmp_path: Path) ->
     config = build_settings([{}]).config
     events = Events()
     with open_sim(scene, 4001) as (robot, _):
-        session, _ = digitize.begin_session(robot, config, 4001, events, None)
+        session, _ = session_start.begin_session(robot, config, 4001, events, None)
     assert any("again" in event for event in events.texts)
     distances = np.hypot(*(session.hint - (1.5, 0.0)).T)
     assert distances.max() < 0.25

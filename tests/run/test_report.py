@@ -5,7 +5,8 @@ from dataclasses import replace
 import jsonschema
 import pytest
 
-from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
+from scan3d_twin.core.model.evaluation import Distances, Evaluation
+from scan3d_twin.core.model.pose_errors import PairError
 from scan3d_twin.run.report import (
     TIMING_FIELDS,
     Effort,

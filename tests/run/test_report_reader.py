@@ -6,7 +6,8 @@ import json
 import pytest
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
+from scan3d_twin.core.model.evaluation import Distances, Evaluation
+from scan3d_twin.core.model.pose_errors import PairError
 from scan3d_twin.run.report import Effort, Journey, build_report, report_json
 from scan3d_twin.run.report_reader import MAX_SIZE, read_report
 from scan3d_twin.run.settings import Settings

@@ -6,7 +6,8 @@ from paper import paper_config
 
 from scan3d_twin.core.mapping.error_check import ErrorCheck
 from scan3d_twin.core.mapping.odometry_check import TurnError
-from scan3d_twin.core.model.evaluation import Distances, Evaluation, PairError
+from scan3d_twin.core.model.evaluation import Distances, Evaluation
+from scan3d_twin.core.model.pose_errors import PairError
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Pose2, read_only
 from scan3d_twin.run import run_warnings

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from paper import paper_config
 
-from scan3d_twin.core.model.evaluation import find_true_pose
+from scan3d_twin.core.model.pose_errors import find_true_pose
 from scan3d_twin.core.model.sampled_surface import measure_surface_distance
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.types import Pose2, wrap

@@ -8,9 +8,10 @@ import trimesh
 from accessible import MAX_PAGE, SCHEMES, WIDTHS, find_violations
 from pixels import share_of
 
-from scan3d_twin.core.model.evaluation import Comparison, Distances, Evaluation, PairError
+from scan3d_twin.core.model.evaluation import Comparison, Distances, Evaluation
 from scan3d_twin.core.model.fused_cloud import Model, build_model, build_view_clouds
 from scan3d_twin.core.model.mesh import build_mesh
+from scan3d_twin.core.model.pose_errors import PairError
 from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Effort, Journey, build_report
 from scan3d_twin.run.settings import Settings, settings_toml

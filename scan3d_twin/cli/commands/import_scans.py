@@ -68,7 +68,8 @@ def import_scans(
     from scan3d_twin.api.imports import import_scans as run
     from scan3d_twin.cli.output import say
     from scan3d_twin.cli.summary import next_steps, summary
-    from scan3d_twin.core.config import Config, PlanningConfig, TargetConfig
+    from scan3d_twin.core.config import Config, TargetConfig
+    from scan3d_twin.core.planning_config import PlanningConfig
     from scan3d_twin.recording.importing.assemble import Mount
     from scan3d_twin.recording.importing.source import ImportOptions
     from scan3d_twin.run.folder import claim_folder, default_folder, release_folder

@@ -10,8 +10,9 @@ The prior of each registration is removed again (``prior_removal``), so that odo
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +23,7 @@ from scan3d_twin.core.mapping.motion_model import MotionModel, describe_move
 from scan3d_twin.core.mapping.pose_graph import CHI2_GATE, PoseGraph, Solution
 from scan3d_twin.core.mapping.prior_removal import remove_prior
 from scan3d_twin.core.mapping.scan_matching import register_points
-from scan3d_twin.core.mapping.surfel_store import SurfelStore
+from scan3d_twin.core.mapping.surfel_store import Grids, SurfelStore
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
@@ -52,9 +53,9 @@ UNKNOWN_XY, UNKNOWN_YAW = 1.0, 1.0
 """Information on such a view besides its registrations [m], [rad]: only to keep the graph
 determined."""
 
-
-Grids = Sequence[SurfelGrid | None] | SurfelStore
-"""The surfel grid of each view; None for a view without a surface."""
+Points = Callable[[int], FloatArray] | None
+"""Returns the points (n, 3) [m] by which a view is registered where it or the other has no surface;
+None to leave out such pairs."""
 
 
 @dataclass(frozen=True)
@@ -227,13 +228,15 @@ def align_views(views: Sequence[View], config: Config) -> tuple[list[Edge], Solu
     learned = views if config.registration.engine == "grid" else ()
     model = MotionModel.of(learned, config)
     steps = [_expect_step(model, a, b) for a, b in pairwise(views)]
+    store = SurfelStore(views, config)
     return align_grids(
-        SurfelStore(views, config),
+        store,
         [step for step, _ in steps],
         searched=[searched for _, searched in steps],
         first=views[0].T_world_scan,
         starts=config.registration.starts,
         min_overlap=config.alignment.min_overlap,
+        points=store.points,
     )
 
 
@@ -260,6 +263,7 @@ def align_grids(
     first: Pose2 | None = None,
     starts: int = 4,
     min_overlap: float = 0.15,
+    points: Points = None,
 ) -> tuple[list[Edge], Solution]:
     """Return the registered pairs of scans, and the solution of their pose graph.
 
@@ -270,6 +274,7 @@ def align_grids(
         first: Pose of the first scan; the origin by default.
         starts: Number of starting poses of each registration.
         min_overlap: Share of the smaller scan that must overlap for two scans to be registered.
+        points: Points of each scan, for those without a surface.
     """
     # Chain the odometry
     poses = [first or Pose2()]
@@ -278,7 +283,8 @@ def align_grids(
 
     # Register neighbours
     priors = odometry if searched is None else searched
-    chain = (register_pair(grids, k, k + 1, prior, starts) for k, prior in enumerate(priors))
+    pair_up = partial(register_pair, grids, starts=starts, points=points)
+    chain = (pair_up(k, k + 1, prior) for k, prior in enumerate(priors))
     edges = [edge for edge in chain if edge is not None]
     solution = _optimize_graph(poses, odometry, edges)
 
@@ -288,13 +294,15 @@ def align_grids(
         seen = find_overlapping_pairs(grids, solution.poses, min_overlap)
         pairs = [pair for pair in seen if pair not in tried]
         tried.update(pairs)
-        found = (register_pair(grids, i, j, _graph_prior(solution, i, j), starts) for i, j in pairs)
+        found = (pair_up(i, j, _graph_prior(solution, i, j)) for i, j in pairs)
         edges += [edge for edge in found if edge is not None]
         solution = _optimize_graph(solution.poses, odometry, edges)
     return edges, solution
 
 
-def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -> Edge | None:
+def register_pair(
+    grids: Grids, i: int, j: int, prior: PosePrior, starts: int, points: Points
+) -> Edge | None:
     """Return the edge between the scans i and j; None where they do not overlap.
 
     Views that show too little surface for surfels are registered by their points.
@@ -305,13 +313,14 @@ def register_pair(grids: Grids, i: int, j: int, prior: PosePrior, starts: int) -
         j: Index of the scan that is registered.
         prior: Prior of scan j in i.
         starts: Number of starting poses.
+        points: Points of each scan, for those without a surface.
     """
     target, source = grids[i], grids[j]
     try:
         if target is not None and source is not None:
             result = _register_surfels(target, source, prior, starts)
-        elif isinstance(grids, SurfelStore):
-            result = register_points(grids.points(i), grids.points(j), prior)
+        elif points is not None:
+            result = register_points(points(i), points(j), prior)
         else:
             return None
     except RegistrationError:

@@ -41,10 +41,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from scan3d_twin.core.config import Config, PlanningConfig
+from scan3d_twin.core.config import Config
 from scan3d_twin.core.mapping.pose_graph import CHI2_GATE
 from scan3d_twin.core.mapping.prior_removal import remove_prior
 from scan3d_twin.core.navigation.legs import Legs, assume_legs, check_legs
+from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.registration import PosePrior
 from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
 from scan3d_twin.core.session import YAW_SCALE_REPEATABILITY, TurnScale, View

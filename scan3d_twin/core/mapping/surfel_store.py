@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
@@ -16,8 +17,16 @@ MAX_GRIDS_IN_MEMORY = 2
 """Surfel grids kept when optimising for memory, enough to compare two views; each takes 13 MB."""
 
 
-class SurfelStore:
+class Grids(Protocol):
     """The surfel grid of each view by its index; None for a view without a surface."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, k: int, /) -> SurfelGrid | None: ...
+
+
+class SurfelStore:
+    """``Grids`` that are extracted when they are first needed."""
 
     def __init__(self, views: Sequence[View], config: Config) -> None:
         self._views, self._config = views, config

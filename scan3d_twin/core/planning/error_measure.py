@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from scan3d_twin.core.config import Criterion
+from scan3d_twin.core.planning_config import Criterion
 from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, rms
 
 

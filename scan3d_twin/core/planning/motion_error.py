@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.config import PlanningConfig
+from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.types import FloatArray, Pose2
 
 

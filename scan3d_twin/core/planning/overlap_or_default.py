@@ -13,10 +13,10 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from statistics import median
 
-from scan3d_twin.core.config import PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, to_world
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, Plan, Pose2
 from scan3d_twin.core.viewpoints import sum_turns

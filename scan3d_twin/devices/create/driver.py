@@ -17,10 +17,15 @@ from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Model, Op
-from scan3d_twin.devices.create.dead_reckoning import SampleTimes
-from scan3d_twin.devices.create.hazards import blocking_hazards, find_unsafe_causes
+from scan3d_twin.devices.create.hazards import (
+    LOW_BATTERY,
+    blocking_hazards,
+    check_ready,
+    find_unsafe_causes,
+)
+from scan3d_twin.devices.create.heartbeat import Heartbeat
 from scan3d_twin.devices.create.identification import find_base
-from scan3d_twin.devices.create.inquiry import ASK_AGAIN, Inquiry
+from scan3d_twin.devices.create.inquiry import ASK_AGAIN, LOST_AFTER, Inquiry
 from scan3d_twin.devices.create.link import (
     MODE_SETTLE,
     Contact,
@@ -31,6 +36,7 @@ from scan3d_twin.devices.create.link import (
 from scan3d_twin.devices.create.order_watch import OrderWatch
 from scan3d_twin.devices.create.packets import Mode
 from scan3d_twin.devices.create.readings import BaseReadings
+from scan3d_twin.devices.create.receiver import Receiver
 from scan3d_twin.devices.links.guard import Guard, NoGuard
 from scan3d_twin.devices.links.transport import Transport, is_away
 
@@ -38,13 +44,6 @@ log = logging.getLogger(__name__)
 
 SILENCE = 0.3
 """Silence of a driving base after which a stop is sent [s]; 20 periods."""
-LOST_AFTER = 1.0
-"""Silence of a driving base after which the link counts as lost [s]. If the base answers earlier,
-only the computer or the cable was busy, and it drives on; assumption. Bytes that arrive from a base
-that was called back are a sign of life, for up to ``FRAME_AT_LOWEST`` more."""
-SILENCE_AT_REST = 3.0
-"""Silence of a standing base after which the link counts as lost [s]; until then the driver keeps
-requesting the stream."""
 MAX_OUTAGE = 30.0
 """Time to wait for an unplugged base [s]: enough to fasten a plug; assumption."""
 UNSERVICED = 0.25
@@ -54,21 +53,8 @@ GUARD_TIMEOUT = 0.3
 MAX_HANG = 10.0
 """Time without ``service`` after which driving is not resumed [s]: by then nobody expects the robot
 to move; assumption."""
-FRAME_AT_LOWEST = 1.5
-"""Time that a base called back from 300 bit/s may take to send the frame that it had begun [s]: 45
-bytes."""
-KEEP_AWAKE = 60.0
-"""Time after which a base in Passive is sent its request again [s]: a Create 2 falls asleep after
-five minutes without a command (manual); that a request counts as one is an assumption."""
-LISTENING = 0.03
-"""Longest time between two reads of the port that counts as listening [s]."""
-STALE, STALE_IF_NOISY = 0.5, 0.1
-"""Time after which bytes that wait for ``service`` are stale [s]; shorter on a noisy link, where
-lost bytes make their age uncertain."""
 STOPPING_TIME = 0.2
 """Time from a stop command until the wheels stand [s]; they decelerate with 1.8 m/s2."""
-LOW_BATTERY = 0.1
-"""State of charge below which the robot does not drive, 0..1; it must still find home."""
 STOP = oi.drive_direct(0, 0)
 FAREWELL = STOP + oi.command(Op.PAUSE_RESUME, 0) + oi.command(Op.START)
 """Stops the wheels, pauses the stream and enters Passive, where the base may charge and sleep."""
@@ -102,18 +88,18 @@ class CreateBase:
 
     def __init__(self, transport: Transport, clock: Clock, contact: Contact, guard: Guard) -> None:
         # Device and port
-        self._transport, self._clock, self._guard = transport, clock, guard
-        self._serviced = self._beat_at = clock.now()
-        self._beat_gap, self._guarded = 0.0, False
+        self._transport, self._clock = transport, clock
+        started = clock.now()
+        self._heartbeat = Heartbeat(guard, clock, started)
 
         # Request the first packets
         self._inquiry = Inquiry(transport, clock, contact)
         self._inquiry.ask(packets_at_rest(contact))
         self.spec = base_spec(contact.model, streams=self._inquiry.streams)
         self._patience = ASK_AGAIN if self._inquiry.streams else 3 * ASK_AGAIN
-        latency = self._inquiry.transfer_time(oi.frame_size(self._inquiry.packets))
-        self._times = SampleTimes(self.spec.sample_period, latency)
-        self._readings, self._gap = BaseReadings(self.spec, contact), False
+        self._readings = BaseReadings(self.spec, contact)
+        period = self.spec.sample_period
+        self._receiver = Receiver(transport, self._inquiry, self._readings, period, started)
 
         # State of the commands
         self._sent = (0, 0)
@@ -124,7 +110,7 @@ class CreateBase:
         # Wait for the first reading
         while self._readings.latest is None:
             clock.sleep(oi.PERIOD / 3)
-            self._receive(clock.now())
+            self._receiver.receive(clock.now(), self._sent)
             self._check_silence(clock.now())
 
     @property
@@ -187,12 +173,12 @@ class CreateBase:
             return
 
         # Take in the readings
-        before, away = self.hazards(), now - self._serviced
+        before, away = self.hazards(), now - self._receiver.latest
         if self._moving and away > UNSERVICED:
-            self._readings.drive(self._serviced + min(away, GUARD_TIMEOUT), 0, 0)
-        fresh = self._receive(now)
-        self._beat()
-        hung, self._beat_gap = max(away, self._beat_gap), 0.0
+            self._readings.drive(self._receiver.latest + min(away, GUARD_TIMEOUT), 0, 0)
+        fresh = self._receiver.receive(now, self._sent)
+        self._heartbeat.beat(self._moving)
+        hung = max(away, self._heartbeat.take_longest())
 
         # Stop after a hang
         if self._moving and away > MAX_HANG:
@@ -217,34 +203,11 @@ class CreateBase:
             self._inquiry.return_to_baud()
             self._transport.write(FAREWELL)
         self._sent = (0, 0)
-        self._guard.beat(False)
+        self._heartbeat.end()
 
     @property
     def _moving(self) -> bool:
         return self._sent != (0, 0)
-
-    def _receive(self, now: float) -> bool:
-        """Take in what has arrived; return whether there were readings."""
-        # Discard stale bytes
-        away = now - self._serviced
-        if away > (STALE_IF_NOISY if self._readings.filter.is_noisy(now) else STALE):
-            self._transport.discard_input()
-            if away > STALE and not self._moving:
-                self._inquiry.ask_anew()
-
-        # Count only the time spent listening as silence
-        self._inquiry.note_deaf(max(0.0, away - LISTENING), now)
-        self._serviced = now
-
-        # Read, timestamp and take in
-        readings = self._inquiry.read(now)
-        self._gap |= self._readings.filter.count_errors(self._inquiry.source.errors, now)
-        stamps = self._times.stamps(len(readings), now, gap=self._gap)
-        for stamp, values in zip(stamps, readings, strict=True):
-            self._gap = False
-            if self._readings.take(stamp, now, values, self._sent):
-                self._inquiry.note_reading(now)
-        return bool(readings)
 
     # Driving.
 
@@ -256,7 +219,7 @@ class CreateBase:
         """
         # Check charger, battery and packets
         self._catch_up()
-        self._check_ready()
+        check_ready(self.hazards(), charging=self.charging)
         if self._inquiry.packets != watched_packets(self.contact):
             self._inquiry.ask(watched_packets(self.contact))
         if self._readings.is_safe():
@@ -287,7 +250,7 @@ class CreateBase:
         Raises:
             HazardError, LinkError: See ``service``.
         """
-        if self._moving or self._clock.now() - self._serviced <= UNSERVICED:
+        if self._moving or self._clock.now() - self._receiver.latest <= UNSERVICED:
             return
         before = self._readings.latest
         self.service(self._clock.now())
@@ -295,32 +258,17 @@ class CreateBase:
             self._clock.sleep(oi.PERIOD / 3)
             self.service(self._clock.now())
 
-    def _check_ready(self) -> None:
-        """Raise ``HazardError`` if the base must not start driving."""
-        if self.charging:
-            raise HazardError("the base is on its charger: unplug it or take it off the dock")
-        if self.hazards().battery < LOW_BATTERY:
-            raise HazardError(f"low battery: {self.hazards().battery:.0%} left; charge the base")
-
     def _drive(self, right_mm: int, left_mm: int) -> None:
         self._sent = (right_mm, left_mm)
         self._sent_at = self._clock.now()
         self._orders.send(self._sent, self._sent_at)
-        self._beat()
+        self._heartbeat.beat(self._moving)
         # While the base is called back it hears a stop at once, a drive command after the call.
         if not self._moving:
             self._inquiry.return_to_baud()
         if not self._inquiry.is_calling_back:
             self._transport.write(oi.drive_direct(right_mm, left_mm))
         self._readings.drive(self._sent_at, right_mm, left_mm)
-
-    def _beat(self) -> None:
-        """Send a heartbeat to the guard, and keep the longest time between two in a drive."""
-        self._guard.beat(self._moving)
-        now = self._clock.now()
-        if self._guarded:
-            self._beat_gap = max(self._beat_gap, now - self._beat_at)
-        self._beat_at, self._guarded = now, self._moving
 
     # Watching.
 
@@ -380,9 +328,9 @@ class CreateBase:
             self._waiting = False
 
         # Stop the wheels
-        self._inquiry.heard = self._serviced = now = self._clock.now()
-        self._guarded = False
-        self._gap = True
+        now = self._clock.now()
+        self._receiver.resume(now)
+        self._heartbeat.interrupt()
         self._halt(now, "the base was unplugged")
 
     def _restore_safe_mode(self, now: float) -> list[str]:
@@ -416,7 +364,7 @@ class CreateBase:
                 self._halt(now, f"the base has not answered for {silent:.2f} s")
 
         # Give up
-        if self._is_lost(now):
+        if self._inquiry.is_lost(now, self._moving):
             self._inquiry.heard = now
             drove = self._moving
             self._inquiry.return_to_baud()
@@ -426,17 +374,6 @@ class CreateBase:
                 usable = f"no reading of the base was usable for {silent:.1f} s"
                 words = f"{usable} ({reason}); check its cable"
             raise HazardError(f"stopped: {words}") if drove else LinkError(words)
-
-    def _is_lost(self, now: float) -> bool:
-        """Return whether the base has been silent for too long.
-
-        A driving base that was called back may still send, at another rate, what it had begun.
-        """
-        silent = now - self._inquiry.heard
-        if not self._moving:
-            return silent > SILENCE_AT_REST
-        dead = min(silent, now - self._inquiry.stirred)
-        return dead > LOST_AFTER or silent > LOST_AFTER + FRAME_AT_LOWEST
 
     def _halt(self, now: float, why: str) -> None:
         """Stop the wheels; drive on if the base answers in Safe mode within ``LOST_AFTER``."""
@@ -458,6 +395,5 @@ class CreateBase:
 
     def _keep_awake(self, now: float) -> None:
         """Repeat the request to a base that streams in Passive, before it falls asleep."""
-        is_due = now - self._inquiry.requested_at > KEEP_AWAKE and self._inquiry.streams
-        if is_due and self.mode is Mode.PASSIVE and not is_away(self._transport):
-            self._inquiry.repeat_stream(now)
+        if self.mode is Mode.PASSIVE and not is_away(self._transport):
+            self._inquiry.keep_awake(now)

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 
 from scan3d_twin.core.hal import DriveBase
 from scan3d_twin.core.types import Odometry
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Command, CommandParser, Model, Op
 from scan3d_twin.devices.create.emulated_body import Body, Quirks
+from scan3d_twin.devices.create.emulated_outputs import Outputs
+from scan3d_twin.devices.create.emulated_script import Script
 from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets, packets_of, size_of
 from scan3d_twin.devices.create.roomba import step_speed
-from scan3d_twin.devices.create.script_events import has_happened
 from scan3d_twin.devices.links.line_format import BITS_PER_BYTE
 
 MAX_BACKLOG = 0.1
@@ -48,20 +48,6 @@ _ACTUATORS = {
     Op.DIGIT_LEDS_ASCII,
 }  # fmt: skip
 """Commands that are obeyed in Safe and Full only."""
-
-
-@dataclass
-class Outputs:
-    """What the base shows, plays and switches: the data bytes last commanded; None is off."""
-
-    leds: bytes | None = None
-    drivers: bytes | None = None
-    pwm: bytes | None = None
-    digital: bytes | None = None
-    digits: bytes | None = None
-    songs: dict[int, bytes] = field(default_factory=dict)
-    sent_ir: bytes | None = None
-    buttons: bytes | None = None
 
 
 class CreateEmulator:
@@ -99,13 +85,10 @@ class CreateEmulator:
         self._later: deque[tuple[float, bytes]] = deque()
         self._deaf_until = 0.0
 
-        # Stream, script and song
+        # Stream, script and drive commands
         self._stream: list[int] = []
         self._streaming = False
-        self._script = b""
-        self._queue: deque[Command] = deque()
-        self._wait: Callable[[], bool] | None = None
-        self._song, self._song_ends = 0, 0.0
+        self._script = Script(model, self.body)
         self._requested = self._requested_direct = (0, 0)
         self._actions = self._make_actions()
 
@@ -147,8 +130,8 @@ class CreateEmulator:
         self._heard = self._now
 
     def _is_listening(self) -> bool:
-        busy = self._wait is not None or bool(self._queue)
-        return not (self.asleep or busy or self._now < self._deaf_until or self._quirks.silent)
+        is_deaf = self.asleep or self._script.is_busy or self._now < self._deaf_until
+        return not (is_deaf or self._quirks.silent)
 
     def _advance(self, now: float) -> None:
         """Let time pass up to ``now`` [s]."""
@@ -229,13 +212,13 @@ class CreateEmulator:
             Op.STREAM: self._start_stream,
             Op.PAUSE_RESUME: self._pause_or_resume,
             # Scripts
-            Op.SCRIPT: self._store_script,
-            Op.PLAY_SCRIPT: lambda _: self._play_script(),
+            Op.SCRIPT: self._script.store,
+            Op.PLAY_SCRIPT: lambda _: self._script.play(),
             Op.SHOW_SCRIPT: self._show_script,
-            Op.WAIT_TIME: self._wait_time,
-            Op.WAIT_DISTANCE: self._wait_distance,
-            Op.WAIT_ANGLE: self._wait_angle,
-            Op.WAIT_EVENT: self._wait_event,
+            Op.WAIT_TIME: lambda c: self._script.wait_time(c, self._now),
+            Op.WAIT_DISTANCE: self._script.wait_distance,
+            Op.WAIT_ANGLE: self._script.wait_angle,
+            Op.WAIT_EVENT: self._script.wait_event,
         }
 
     def _output_actions(self) -> dict[Op, Callable[[Command], None]]:
@@ -252,8 +235,8 @@ class CreateEmulator:
             Op.DIGIT_LEDS_RAW: show("digits"),
             Op.DIGIT_LEDS_ASCII: show("digits"),
             Op.SEND_IR: show("sent_ir"),
-            Op.SONG: self._store_song,
-            Op.PLAY: self._play_song,
+            Op.SONG: lambda c: outputs.store_song(c.data, self._model.songs),
+            Op.PLAY: lambda c: outputs.play_song(c.data[0], self._now),
         }
 
     def _change_mode(self, mode: Mode) -> None:
@@ -292,7 +275,7 @@ class CreateEmulator:
         """
         self._stop(_)
         self._baud = self._model.baud
-        self._stream, self._script = [], b""
+        self._stream, self._script.stored = [], b""
         self._deaf_until = self._now + BOOT
         if not self._model.has_counts:
             return
@@ -335,17 +318,6 @@ class CreateEmulator:
             (right_mm + left_mm) / 2000, (right_mm - left_mm) / self._model.wheel_base_mm
         )
 
-    def _store_song(self, command: Command) -> None:
-        number, length = command.data[:2]
-        if number < self._model.songs and 1 <= length <= 16:
-            self.outputs.songs[number] = command.data[2:]
-
-    def _play_song(self, command: Command) -> None:
-        notes = self.outputs.songs.get(command.data[0])
-        if notes and self._now >= self._song_ends:
-            self._song = command.data[0]
-            self._song_ends = self._now + sum(notes[1::2]) / 64
-
     # Sensors.
 
     def _values(self, numbers: Iterable[int]) -> dict[int, int]:
@@ -356,8 +328,8 @@ class CreateEmulator:
         values = {
             **self.body.readings(),
             Packet.MODE: self.mode + self._quirks.mode_offset,
-            Packet.SONG_NUMBER: self._song,
-            Packet.SONG_PLAYING: self._now < self._song_ends,
+            Packet.SONG_NUMBER: self.outputs.song,
+            Packet.SONG_PLAYING: self._now < self.outputs.song_ends,
             Packet.STREAM_PACKETS: len(self._stream),
             Packet.REQUESTED_VELOCITY: self._requested[0],
             Packet.REQUESTED_RADIUS: self._requested[1],
@@ -390,49 +362,17 @@ class CreateEmulator:
     def _pause_or_resume(self, command: Command) -> None:
         self._streaming = bool(command.data[0]) and bool(self._stream)
 
-    # Scripts.
-
-    def _store_script(self, command: Command) -> None:
-        if command.data[0] <= oi.MAX_SCRIPT:
-            self._script = command.data[1:]
-
-    def _play_script(self) -> None:
-        self._queue.extend(CommandParser(self._model).feed(self._script))
-
     def _show_script(self, _: Command) -> None:
         self._streaming = False
-        self._put(bytes([len(self._script)]) + self._script, self._now)
+        self._put(bytes([len(self._script.stored)]) + self._script.stored, self._now)
 
     def _run_script(self) -> None:
         """Continue the script until it waits or ends."""
         for _ in range(COMMANDS_PER_TICK):
-            if self._wait is not None:
-                if not self._wait():
-                    return
-                self._wait = None
-            if not self._queue:
+            command = self._script.next_command(self._now, self.mode)
+            if command is None:
                 return
-            self._obey(self._queue.popleft())
-
-    def _wait_time(self, command: Command) -> None:
-        until = self._now + command.data[0] / 10
-        self._wait = lambda: self._now >= until
-
-    def _wait_distance(self, command: Command) -> None:
-        (way,), wheels = command.words(), self.body.wheels
-        wheels.distance_mm, goal = 0.0, wheels.total_mm + way
-        sign = 1 if way >= 0 else -1
-        self._wait = lambda: sign * (wheels.total_mm - goal) >= 0
-
-    def _wait_angle(self, command: Command) -> None:
-        (turn,), wheels = command.words(), self.body.wheels
-        wheels.angle_deg, goal = 0.0, wheels.total_deg + turn
-        sign = 1 if turn >= 0 else -1
-        self._wait = lambda: sign * (wheels.total_deg - goal) >= 0
-
-    def _wait_event(self, command: Command) -> None:
-        event = int.from_bytes(command.data, "big", signed=True)
-        self._wait = lambda: has_happened(event, self.body, self.mode)
+            self._obey(command)
 
 
 def _clip_both(speeds_mm: tuple[int, ...]) -> tuple[int, int]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.types import Hazards
 from scan3d_twin.devices.create.link import Values
 from scan3d_twin.devices.create.packets import BumpsDrops, Overcurrents, Packet
 
 EMPTY_MV, FULL_MV = 12_600, 15_600
 """Voltages taken for 0 and 1 where the base reports no charge [mV]; 12 NiMH cells."""
+LOW_BATTERY = 0.1
+"""State of charge below which the robot does not drive, 0..1; it must still find home."""
 
 
 def decode_hazards(values: Values) -> Hazards:
@@ -35,6 +38,14 @@ def _battery(values: Values) -> float:
     if capacity := values[Packet.CAPACITY]:
         return min(1.0, values[Packet.CHARGE] / capacity)
     return min(1.0, max(0.0, (values[Packet.VOLTAGE] - EMPTY_MV) / (FULL_MV - EMPTY_MV)))
+
+
+def check_ready(hazards: Hazards, *, charging: bool) -> None:
+    """Raise ``HazardError`` if a base must not start driving."""
+    if charging:
+        raise HazardError("the base is on its charger: unplug it or take it off the dock")
+    if hazards.battery < LOW_BATTERY:
+        raise HazardError(f"low battery: {hazards.battery:.0%} left; charge the base")
 
 
 def blocking_hazards(before: Hazards, now: Hazards, ahead: int) -> tuple[str, ...]:

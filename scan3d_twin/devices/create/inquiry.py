@@ -29,6 +29,19 @@ from scan3d_twin.devices.links.transport import Transport
 
 ASK_AGAIN = 0.1
 """Time between two requests, and between two repetitions of a drive command [s]."""
+LOST_AFTER = 1.0
+"""Silence of a driving base after which the link counts as lost [s]. If the base answers earlier,
+only the computer or the cable was busy, and it drives on; assumption. Bytes that arrive from a base
+that was called back are a sign of life, for up to ``FRAME_AT_LOWEST`` more."""
+SILENCE_AT_REST = 3.0
+"""Silence of a standing base after which the link counts as lost [s]; until then the driver keeps
+requesting the stream."""
+FRAME_AT_LOWEST = 1.5
+"""Time that a base called back from 300 bit/s may take to send the frame that it had begun [s]: 45
+bytes."""
+KEEP_AWAKE = 60.0
+"""Time after which a base in Passive is sent its request again [s]: a Create 2 falls asleep after
+five minutes without a command (manual); that a request counts as one is an assumption."""
 GRACE = 0.15
 """Silence that a base has at most behind it right after a request for other packets [s]."""
 CALL_AFTER_ASKS = 4
@@ -109,6 +122,17 @@ class Inquiry:
         if isinstance(self._source, Stream):
             self._header_summed = self._source.header_summed
 
+    def is_lost(self, now: float, moving: bool) -> bool:
+        """Return whether the base has been silent for too long, while ``moving`` or at rest.
+
+        A driving base that was called back may still send, at another rate, what it had begun.
+        """
+        silent = now - self.heard
+        if not moving:
+            return silent > SILENCE_AT_REST
+        dead = min(silent, now - self.stirred)
+        return dead > LOST_AFTER or silent > LOST_AFTER + FRAME_AT_LOWEST
+
     def call_back(self, now: float) -> None:
         """Order the base back from the rate that a garbled byte may have sent it to."""
         self._is_calling_back = self.has_called = True
@@ -148,10 +172,11 @@ class Inquiry:
         self.ask_anew()
         return self.transfer_time(len(HALF_ANYTHING))
 
-    def repeat_stream(self, now: float) -> None:
-        """Request the stream once more; it goes on meanwhile."""
-        self._transport.write(oi.stream(self.packets))
-        self.requested_at = now
+    def keep_awake(self, now: float) -> None:
+        """Request the stream once more if a base would fall asleep; it goes on meanwhile."""
+        if now - self.requested_at > KEEP_AWAKE and self.streams:
+            self._transport.write(oi.stream(self.packets))
+            self.requested_at = now
 
     def transfer_time(self, size: int) -> float:
         """Return how long ``size`` bytes are on the line, in s."""

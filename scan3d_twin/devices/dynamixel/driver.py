@@ -37,6 +37,7 @@ from scan3d_twin.devices.dynamixel.connect import (
     read_health,
 )
 from scan3d_twin.devices.dynamixel.link import Answer, RefusedError, ServoLink, Steps
+from scan3d_twin.devices.dynamixel.ordered_motion import STATE, Order, OrderedMotion
 from scan3d_twin.devices.dynamixel.spec import limit_spec, to_angle
 from scan3d_twin.devices.dynamixel.tick_clock import RestartedError, TickClock
 from scan3d_twin.devices.links.transport import Transport
@@ -51,19 +52,13 @@ BACKOFF = (0.1, 0.5)
 MAX_SILENCE = 1.0
 """Time in which no question has a good answer, after which the servo is looked for anew [s]: thirty
 questions that time out."""
-REST_TIME = 0.1
-"""Time without a profile after which a motion has ended and the guard is taken off [s]."""
 EXAMINED_AGAIN = 1.0
 """Time after which a servo that reports an error, but works, is asked again what it has [s]."""
 MAX_REFUSALS = 3
 """Refused goals in a row after which the servo is set up anew."""
-ACCELERATION = max(1, round(model.ACCELERATION / model.ACCELERATION_UNIT))
-"""Content of the register of that name while the torque is on."""
-STATE = reg.BUS_WATCHDOG.address, reg.PRESENT_POSITION.end
-"""Part of the control table that is read each time: guard, profile, goal, timer and position."""
 LENGTHS = 3
-"""Number of lengths of that part, which take turns: an answer that comes late is not taken for that
-to the next question."""
+"""Number of lengths of the ``STATE`` that is read, which take turns: an answer that comes late is
+not taken for that to the next question."""
 
 _log = logging.getLogger(__name__)
 
@@ -83,19 +78,6 @@ class ServoStats:
     bad: int = 0
     reconnects: int = 0
     problem: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Order:
-    """A motion that was asked for.
-
-    Attributes:
-        position: Where to [counts], whole turns included.
-        velocity: How fast [0.229 rev/min], at least 1: 0 would be as fast as it can.
-    """
-
-    position: int
-    velocity: int
 
 
 class Xl330Turntable:
@@ -129,11 +111,8 @@ class Xl330Turntable:
         self._link: ServoLink | None = None
         self._place: Place | None = None
         self._angles = AngleHistory()
-        self._order: Order | None = None
-        self._is_pending = self._is_on = self._is_armed = False
-        self._has_expired = False
+        self._motion = OrderedMotion(self._angles)
         self._velocity = self._length = 0
-        self._rest_since: float | None = None
         self._hazard, self._is_told, self._examined = "", False, -math.inf
         self._work = self._run_work()
         try:
@@ -179,16 +158,17 @@ class Xl330Turntable:
 
     def stop(self) -> None:
         """See ``Turntable.stop``; it takes the way to brake."""
-        if self._order is None or self._rest_since is not None:
+        order = self._motion.order
+        if order is None or self._motion.is_at_rest:
             return
-        if not self._is_on:
-            self._order, self._is_pending = None, False
+        if not self._motion.is_on:
+            self._motion.revoke()
             return
         speed = self._velocity * model.SPEED_UNIT
         way = math.copysign(speed**2 / (2 * model.ACCELERATION), speed)
         low, high = self.info.positions
         position = max(low, min(high, round(self._angles.position + way / model.COUNT)))
-        self._give(replace(self._order, position=position))
+        self._give(replace(order, position=position))
 
     def angle(self) -> TableAngle:
         """See ``Turntable.angle``."""
@@ -205,16 +185,16 @@ class Xl330Turntable:
         if transport is None:
             return
         with suppress(LinkError):
-            if self._link is not None and self._is_on:
+            if self._link is not None and self._motion.is_on:
                 # Let the answer to the last question pass
                 self._link.pump(POLL)
-                for _ in self._let_go(self._link):
+                for _ in self._motion.let_go(self._link, self.info.id):
                     self._link.pump(POLL)
         transport.close()
 
     def _give(self, order: Order) -> None:
         """Carry out an ``order`` as soon as the line is free."""
-        self._order, self._is_pending, self._rest_since = order, True, None
+        self._motion.give(order)
         self.service()
 
     def _connect_first(self) -> None:
@@ -267,7 +247,7 @@ class Xl330Turntable:
         clock, silent_since, refusals = TickClock(), math.inf, 0
         while True:
             bad = link.bad
-            if self._is_pending and self._angles and not self._hazard:
+            if self._motion.is_pending and self._angles and not self._hazard:
                 refusals = yield from self._try_order(link, servo, refusals)
             is_good = yield from self._read_state(link, servo, clock)
             self.stats.bad += link.bad - bad
@@ -282,7 +262,7 @@ class Xl330Turntable:
             RefusedError: It is refused for another reason than a guard that has expired.
         """
         try:
-            yield from self._carry_out(link, servo)
+            yield from self._motion.carry_out(link, servo)
         except RefusedError as error:
             if error.number == ErrorNumber.RANGE and refusals < MAX_REFUSALS:
                 return refusals + 1
@@ -295,44 +275,9 @@ class Xl330Turntable:
         """Keep what a servo says about itself; a motion that was interrupted goes on."""
         self.stats.reconnects += self._place is not None
         self.info, self._place = info, Place(info.id, info.baud)
-        # A torque that others have left on is not ours, nor is its profile
-        self._is_on = info.is_on and self._order is not None
-        self._is_armed = self._has_expired = False
+        self._motion.resume(info.is_on)
         self._angles.begin()
-        # What had been reached is held no more if the torque is off
-        is_at_work = self._rest_since is None or not info.is_on
-        self._is_pending = self._order is not None and is_at_work
         self.spec = limit_spec(info.positions, info.max_velocity, info.baud)
-
-    def _carry_out(self, link: ServoLink, servo: int) -> Steps[None]:
-        """Take the next step of the pending order: torque, guard, or profile and goal."""
-        if not self._is_on:
-            # Hold the present position first
-            here = ACCELERATION, 1, self._angles.position - self._angles.whole_turns
-            yield from link.write(servo, reg.PROFILE_ACCELERATION, *here)
-            yield from link.write(servo, reg.TORQUE, 1)
-            self._is_on, self._is_armed = True, False
-            return
-        if not self._is_armed:
-            # What has expired is cleared by 0
-            if self._has_expired:
-                yield from link.write(servo, reg.BUS_WATCHDOG, 0)
-            units = round(model.WATCHDOG / model.WATCHDOG_UNIT)
-            yield from link.write(servo, reg.BUS_WATCHDOG, units)
-            self._is_armed, self._has_expired = True, False
-            return
-
-        # The order may have been changed or taken back meanwhile
-        if (order := self._order) is None:
-            return
-        profile = ACCELERATION, order.velocity, order.position - self._angles.whole_turns
-        try:
-            yield from link.write(servo, reg.PROFILE_ACCELERATION, *profile)
-        except RefusedError:
-            self._is_armed, self._has_expired = False, True
-            raise
-        if self._order is order:
-            self._is_pending, self._rest_since = False, None
 
     def _read_state(self, link: ServoLink, servo: int, clock: TickClock) -> Steps[bool]:
         """Read the state of the servo and act on it; return whether it answered well."""
@@ -350,8 +295,8 @@ class Xl330Turntable:
         if answer.alert and not self._hazard and answer.sent > self._examined + EXAMINED_AGAIN:
             self._examined = answer.sent
             yield from self._find_hazard(link, servo)
-        if not self._hazard and self._is_on and not self._is_pending:
-            yield from self._follow(link, servo, answer)
+        if not self._hazard and self._motion.is_on and not self._motion.is_pending:
+            yield from self._motion.follow(link, servo, answer)
         return True
 
     def _keep_angle(self, answer: Answer, clock: TickClock) -> None:
@@ -368,49 +313,11 @@ class Xl330Turntable:
         self.stats.good += 1
         self.stats.problem = ""
 
-    def _follow(self, link: ServoLink, servo: int, answer: Answer) -> Steps[None]:
-        """See to it that the servo does what it was told; take the guard off when it has.
-
-        Raises:
-            RestartedError: It has lost its power, and with it what it was told.
-        """
-        if reg.PROFILE_ACCELERATION.find_in(answer.data, STATE[0]) != ACCELERATION:
-            raise RestartedError
-        order = self._order
-        if order is None or (self._rest_since is not None and not self._is_armed):
-            return
-
-        # Goal and guard are as they were set, or the order is sent again
-        goal = reg.GOAL_POSITION.find_in(answer.data, STATE[0]) + self._angles.whole_turns
-        guard = reg.BUS_WATCHDOG.find_in(answer.data, STATE[0])
-        self._has_expired = guard == model.WATCHDOG_EXPIRED
-        if self._has_expired or goal != order.position:
-            if self._has_expired:
-                _log.warning("the turntable stopped, as this program was silent; it goes on")
-            self._is_pending, self._is_armed = True, False
-            return
-
-        # At rest there is nothing to guard
-        if reg.MOVING_STATUS.find_in(answer.data, STATE[0]) & model.PROFILE_ON:
-            self._rest_since = None
-        elif self._rest_since is None:
-            self._rest_since = answer.sent
-        elif answer.sent > self._rest_since + REST_TIME:
-            yield from link.write(servo, reg.BUS_WATCHDOG, 0)
-            self._is_armed = False
-
     def _find_hazard(self, link: ServoLink, servo: int) -> Steps[None]:
         """Find out whether the servo has switched itself off, and why."""
         is_on, bits = yield from read_health(link, servo)
-        if not bits or (is_on and self._is_on):
+        if not bits or (is_on and self._motion.is_on):
             return
         reason, cure = explain_errors(bits)
         self._hazard = f"the turntable has switched its torque off: {reason}; {cure}, then go on"
-        self._is_on = self._is_pending = False
-
-    def _let_go(self, link: ServoLink) -> Steps[None]:
-        """Switch torque and guard off."""
-        servo = self.info.id
-        yield from link.write(servo, reg.TORQUE, 0)
-        yield from link.write(servo, reg.BUS_WATCHDOG, 0)
-        self._is_on = False
+        self._motion.end()

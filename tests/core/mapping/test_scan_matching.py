@@ -10,13 +10,7 @@ import pytest
 from paper import paper_config, paper_planning, paper_registration, paper_sweep
 from synthetic import ROOM, Box, observe
 
-from scan3d_twin.core.config import (
-    Config,
-    MountConfig,
-    PlanningConfig,
-    RegistrationConfig,
-    SweepConfig,
-)
+from scan3d_twin.core.config import Config, MountConfig, RegistrationConfig, SweepConfig
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.mapping import scan_matching, surfel_store
@@ -26,6 +20,7 @@ from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels import X

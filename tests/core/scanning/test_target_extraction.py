@@ -1,33 +1,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
-import pytest
 from paper import paper_config
-from synthetic import THREE_BOXES, Box, observe
+from synthetic import Box, observe
 
-from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.scanning.target_extraction import (
-    extract_points,
-    extract_target,
-    find_target,
-    is_empty_room,
-    is_in_window,
-)
-from scan3d_twin.core.types import VALID, Observation, Pose2, read_only
+from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target, is_in_window
+from scan3d_twin.core.types import Pose2
 
 CONFIG = paper_config()
 SPAWN = Pose2(-0.9, 0.0, 0.0)
-
-
-def look(
-    boxes: tuple[Box, ...] = THREE_BOXES, *, room: bool = True, spawn: Pose2 = SPAWN
-) -> Observation:
-    """Return a panorama of ``boxes``, with ``odom`` at the robot."""
-    seen = observe(spawn, boxes, width=math.tau - 1e-3, step=math.radians(2.0), room=room)
-    return Observation(seen.image, Pose2())  # odom is where the robot was opened
 
 
 def test_floor_robot_and_far_things_are_left_out() -> None:
@@ -48,79 +31,6 @@ def test_the_window_is_213_beams_around_384() -> None:
     middle = image.spec.n_beams // 2
     assert len(inside) == 213
     assert (inside[0], inside[-1]) == (middle - 106, middle + 106)
-
-
-def test_the_look_around_finds_the_boxes_not_the_room() -> None:
-    hint = find_target(look(), None, CONFIG)
-    assert hint[:, 0].min() == pytest.approx(1.5, abs=0.02)
-    assert hint[:, 1].min() == pytest.approx(-1.15, abs=0.08)
-    assert hint[:, 1].max() == pytest.approx(1.15, abs=0.08)
-    assert hint[:, 0].max() < 2.2  # the wall behind is at 3.4
-
-
-@pytest.mark.parametrize("beam", [330, 384, 410])
-def test_a_glint_beside_the_boxes_makes_no_wall_of_them(beam: int) -> None:
-    seen = look()
-    image, whole = seen.image, find_target(seen, None, CONFIG)
-    bearing = math.atan2(whole[:, 1].max(), whole[np.argmax(whole[:, 1]), 0])
-    beside = np.flatnonzero(image.yaws[:, 384] > bearing)[-1]
-    ranges, codes = image.ranges.copy(), image.codes.copy()
-    ranges[beside, beam], codes[beside, beam] = 1.0, VALID
-    glint = replace(seen, image=replace(image, ranges=read_only(ranges), codes=read_only(codes)))
-    assert np.array_equal(find_target(glint, None, CONFIG), whole)
-
-
-def test_a_wall_is_found_when_there_is_nothing_else() -> None:
-    wall = (Box((1.3, -5.0, 0.0), (1.4, 5.0, 2.5)),)
-    hint = find_target(look(wall, room=False, spawn=Pose2(0.0, 4.0, 0.0)), None, CONFIG)
-    assert np.ptp(hint[:, 1]) > 3.0
-    assert hint[:, 0].min() == pytest.approx(1.3, abs=0.01)
-
-
-@pytest.mark.parametrize("y", [0.0, 1.0, 1.2])
-def test_a_thing_at_a_wall_is_preferred_to_the_wall(y: float) -> None:
-    """Seen from beside it, its side leads to the wall without a step in depth."""
-    thing = Box((0.0, -0.35, 0.0), (0.4, 0.35, 0.7))
-    wall = Box((0.4, -3.0, 0.0), (0.5, 3.0, 2.5))
-    spawn = Pose2(-1.7, y, 0.0)
-    found = find_target(look((thing, wall), room=False, spawn=spawn), None, CONFIG)
-    hint = found + np.array([-1.7, y])
-    assert hint.min(axis=0) == pytest.approx([0.0, -0.35], abs=0.07)
-    assert hint[:, 0].max() < 0.4
-    assert hint[:, 1].max() == pytest.approx(0.35, abs=0.07)
-
-
-def test_what_an_uneven_wall_leaves_is_no_thing_at_it() -> None:
-    ledge = Box((0.3, -0.35, 0.0), (0.4, 0.35, 0.7))
-    wall = Box((0.4, -3.0, 0.0), (0.5, 3.0, 2.5))
-    hint = find_target(look((ledge, wall), room=False, spawn=Pose2(-1.7, 0.6, 0.0)), None, CONFIG)
-    assert np.ptp(hint[:, 1]) > 1.0
-
-
-def test_a_room_is_empty_when_nothing_stands_in_it() -> None:
-    wall = (Box((1.3, -5.0, 0.0), (1.4, 5.0, 2.5)),)
-    assert is_empty_room(look(()), CONFIG)
-    assert not is_empty_room(look(), CONFIG)
-    assert not is_empty_room(look(wall, room=False), CONFIG)
-
-
-def test_the_wanted_place_overrides_what_is_salient() -> None:
-    small = Box((-0.2, 1.2, 0.0), (0.0, 1.4, 0.3))
-    scene = (*THREE_BOXES, small)
-    assert find_target(look(scene), None, CONFIG)[:, 0].min() > 1.0
-    hint = find_target(look(scene), (0.75, 1.25), CONFIG)
-    assert hint[:, 0].max() < 1.0
-    assert hint[:, 1].min() == pytest.approx(1.2, abs=0.05)
-
-
-def test_nothing_near_the_wanted_place_is_an_error_that_says_so() -> None:
-    with pytest.raises(SceneError, match=r"no target within 0.5 m of \(-0.90, 0.30\)"):
-        find_target(look(), (-0.9, 0.3), CONFIG)
-
-
-def test_an_empty_floor_is_an_error_that_says_so() -> None:
-    with pytest.raises(SceneError, match="shows nothing within 4 m"):
-        find_target(look((), room=False), None, CONFIG)
 
 
 def test_the_target_is_extracted_without_the_room() -> None:
@@ -169,21 +79,6 @@ def test_a_group_is_the_target_when_it_comes_within_the_gap_of_what_is_known() -
         assert (len(target) > 0) == near
         outcomes.append(near)
     assert 10 < sum(outcomes) < 50
-
-
-def test_a_twig_close_by_is_less_salient_than_a_box_behind_it() -> None:
-    """The twig fills more of the view; the box shows more area."""
-    box = Box((1.6, -0.3, 0.0), (2.0, 0.3, 0.6))
-    twig = Box((0.3, 0.35, 0.0), (0.45, 0.5, 0.9))
-    look = observe(Pose2(), (box, twig), width=math.tau - 1e-3, step=math.radians(2.0))
-    found = find_target(look, None, paper_config())
-    assert found[:, 0].min() > 1.4
-
-
-def test_of_two_alike_the_one_ahead_is_the_target() -> None:
-    ahead, behind = Box((1.3, -0.3, 0.0), (1.6, 0.3, 0.6)), Box((-1.5, -0.3, 0.0), (-1.2, 0.3, 0.6))
-    look = observe(Pose2(), (ahead, behind), width=math.tau - 1e-3, step=math.radians(2.0))
-    assert find_target(look, None, paper_config())[:, 0].min() > 1.0
 
 
 def test_near_the_robot_the_floor_takes_little_of_a_thing_and_none_of_it_stays() -> None:

@@ -10,7 +10,7 @@ from scan3d_twin.core.errors import ConfigError, HazardError, LinkError, LinkTim
 from scan3d_twin.core.navigation.wheel_kinematics import WHEEL_ACCELERATION
 from scan3d_twin.core.types import Hazards, Pose2
 from scan3d_twin.devices.create import codec as oi
-from scan3d_twin.devices.create import driver, emulator
+from scan3d_twin.devices.create import emulator, inquiry
 from scan3d_twin.devices.create.codec import CREATE1, CREATE2, Op
 from scan3d_twin.devices.create.driver import FAREWELL, open_create
 from scan3d_twin.devices.create.emulated_body import Quirks
@@ -142,9 +142,9 @@ def test_nothing_there_is_said_with_a_cure():
 
 def test_a_base_at_rest_does_not_fall_asleep(rig, monkeypatch):
     """In Passive a Create 2 sleeps after five minutes without a command; here in five seconds."""
-    assert driver.KEEP_AWAKE < emulator.SLEEP_AFTER / 2
+    assert inquiry.KEEP_AWAKE < emulator.SLEEP_AFTER / 2
     monkeypatch.setattr(emulator, "SLEEP_AFTER", emulator.SLEEP_AFTER / 60)
-    monkeypatch.setattr(driver, "KEEP_AWAKE", driver.KEEP_AWAKE / 60)
+    monkeypatch.setattr(inquiry, "KEEP_AWAKE", inquiry.KEEP_AWAKE / 60)
     rig.wait(12.0)
     assert not rig.device.asleep
     assert rig.driver.mode is Mode.PASSIVE

@@ -2,8 +2,15 @@
 
 import pytest
 
+from scan3d_twin.core.errors import HazardError
 from scan3d_twin.core.types import Hazards
-from scan3d_twin.devices.create.hazards import blocking_hazards, decode_hazards, find_unsafe_causes
+from scan3d_twin.devices.create.hazards import (
+    LOW_BATTERY,
+    blocking_hazards,
+    check_ready,
+    decode_hazards,
+    find_unsafe_causes,
+)
 from scan3d_twin.devices.create.link import COMMON
 from scan3d_twin.devices.create.packets import BumpsDrops, Overcurrents, Packet
 
@@ -85,3 +92,11 @@ def test_why_safe_mode_was_left():
     assert find_unsafe_causes(SAFE, Hazards(wheel_drop_left=True)) == ["wheel drop left"]
     (why,) = find_unsafe_causes(SAFE, Hazards())
     assert "guard" in why
+
+
+def test_a_base_on_its_charger_or_with_a_low_battery_is_not_ready():
+    check_ready(Hazards(battery=LOW_BATTERY), charging=False)
+    with pytest.raises(HazardError, match="on its charger"):
+        check_ready(Hazards(battery=1.0), charging=True)
+    with pytest.raises(HazardError, match="low battery: 9% left"):
+        check_ready(Hazards(battery=0.09), charging=False)

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from paper import paper_config
 
-from scan3d_twin.core.digitize import begin_session
 from scan3d_twin.core.errors import ConfigError, UnknownNameError
 from scan3d_twin.core.observer import Unobserved
+from scan3d_twin.core.session_start import begin_session
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.random_ranges import SceneRanges, shape_names

@@ -21,10 +21,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scan3d_twin.core.config import Gain
 from scan3d_twin.core.planning.context import stop_plan
 from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.voxels import OCCUPIED, UNKNOWN, Rays, VoxelMap
+from scan3d_twin.core.planning_config import Gain
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan
 

@@ -23,7 +23,7 @@ from scan3d_twin.core.model.coverable import (
     find_feasible_places,
     find_visible,
 )
-from scan3d_twin.core.model.evaluation import find_true_pose, lay_on_truth
+from scan3d_twin.core.model.pose_errors import find_true_pose, lay_on_truth
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.planning.context import (
     PlanningContext,

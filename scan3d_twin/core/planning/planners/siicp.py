@@ -15,7 +15,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scan3d_twin.core.config import PlanningConfig
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.error_measure import measure_error
@@ -23,6 +22,7 @@ from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
 from scan3d_twin.core.planning.overlap_or_default import list_overlaps, plan_smallest_overlap
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
+from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.registration.icp import find_border, register
 from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
