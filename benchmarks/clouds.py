@@ -167,7 +167,7 @@ def degenerate_case(
 ) -> tuple[int, int, list[float]]:
     """Return how many tries are right and unreported, and the ratios of variances."""
     right, unreported, errors, variances = 0, 0, [], []
-    dims = list(PLANAR) if dof == "planar" else list(range(6))
+    dims = PLANAR if dof == "planar" else tuple(range(6))
     for seed in range(tries):
         data, expected = cloud_scenes.degenerate_pair(name, seed, dof)
         prior = None
@@ -191,13 +191,11 @@ def degenerate_case(
         right += cloud_scenes.spans_agree(result.degenerate_directions, expected, reach)
 
         # Errors and variances in the determined directions.
-        unit = np.array([1.0, 1.0, 1.0, 1 / reach, 1 / reach, 1 / reach])
-        basis = np.linalg.svd((expected / unit)[:, dims])[2][len(expected) :]
-        off = shift_to_target(data.truth) @ deviation(result.T_target_source, data.truth)
-        errors.append(basis @ (off / unit)[dims])
-        scaled = (result.information * np.outer(unit, unit))[np.ix_(dims, dims)]
-        covariance = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
-        variances.append(np.diagonal(basis @ covariance @ basis.T))
+        off, variance = cloud_scenes.compare_determined(
+            result, data.truth, expected, data.source, dims
+        )
+        errors.append(off)
+        variances.append(variance)
     if name == "identical" or not errors or np.size(errors) == 0:
         return right, unreported, []
     ratios = np.mean(variances, axis=0) / np.mean(np.square(errors), axis=0)
