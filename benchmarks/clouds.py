@@ -9,7 +9,8 @@
   1 mm), and the median of the normalised estimation error squared (NEES) over that of chi2;
 * degenerate scenes, planar and in six degrees of freedom, with and without a prior: the share that
   reports exactly the undetermined directions, the share of errors beyond 3 predicted ones that
-  nothing reports, and predicted over Monte-Carlo variance in the determined directions.
+  nothing reports, predicted over Monte-Carlo variance in the determined directions, and the NEES of
+  each: where few pairs are known worse than the others, these alone decide on the former.
 """
 
 from __future__ import annotations
@@ -140,14 +141,15 @@ def robustness(report: Report, tries: int, first: int, apart: float, label: str)
 
 def degenerate(report: Report, tries: int) -> None:
     """Degenerate scenes."""
-    shares, unreported, ratios, count = [], 0, [], 0
+    shares, unreported, ratios, standardised, count = [], 0, [], [], 0
     for name in (*cloud_scenes.DEGENERATE, "disjoint", "identical"):
-        right, own = 0, []
+        right, own, each = 0, [], []
         for dof in ("planar", "se3"):
             for with_prior in (False, True):
                 found = degenerate_case(name, dof, with_prior, tries)
                 right, unreported = right + found[0], unreported + found[1]
                 own.extend(found[2])
+                each.extend(found[3])
                 count += tries
         label = name.replace(" ", "_")
         report.add(f"directions_{label}", right / (4 * tries), "share", "by hand", 4 * tries)
@@ -155,19 +157,24 @@ def degenerate(report: Report, tries: int) -> None:
         if own:
             report.add(f"variance_low_{label}", min(own), "ratio", "Monte Carlo", 4 * tries)
             report.add(f"variance_high_{label}", max(own), "ratio", "Monte Carlo", 4 * tries)
+            report.add(f"nees_low_{label}", min(each), "ratio", "1", 4 * tries)
+            report.add(f"nees_high_{label}", max(each), "ratio", "1", 4 * tries)
             ratios.extend(own)
+            standardised.extend(each)
     report.add("directions", min(shares), "share", "worst case", count)
     report.add("unreported", unreported / count, "share", "truth", count)
     report.add("variance_low", min(ratios), "ratio", "Monte Carlo", count)
     report.add("variance_high", max(ratios), "ratio", "Monte Carlo", count)
+    report.add("nees_low", min(standardised), "ratio", "1", count)
+    report.add("nees_high", max(standardised), "ratio", "1", count)
 
 
 def degenerate_case(
     name: str, dof: str, with_prior: bool, tries: int
-) -> tuple[int, int, list[float]]:
-    """Return how many tries are right and unreported, and the ratios of variances."""
+) -> tuple[int, int, list[float], list[float]]:
+    """Return how many tries are right and unreported; of each direction variances and NEES."""
     right, unreported, errors, variances = 0, 0, [], []
-    dims = list(PLANAR) if dof == "planar" else list(range(6))
+    dims = PLANAR if dof == "planar" else tuple(range(6))
     for seed in range(tries):
         data, expected = cloud_scenes.degenerate_pair(name, seed, dof)
         prior = None
@@ -191,17 +198,16 @@ def degenerate_case(
         right += cloud_scenes.spans_agree(result.degenerate_directions, expected, reach)
 
         # Errors and variances in the determined directions.
-        unit = np.array([1.0, 1.0, 1.0, 1 / reach, 1 / reach, 1 / reach])
-        basis = np.linalg.svd((expected / unit)[:, dims])[2][len(expected) :]
-        off = shift_to_target(data.truth) @ deviation(result.T_target_source, data.truth)
-        errors.append(basis @ (off / unit)[dims])
-        scaled = (result.information * np.outer(unit, unit))[np.ix_(dims, dims)]
-        covariance = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
-        variances.append(np.diagonal(basis @ covariance @ basis.T))
+        off, variance = cloud_scenes.compare_determined(
+            result, data.truth, expected, data.source, dims
+        )
+        errors.append(off)
+        variances.append(variance)
     if name == "identical" or not errors or np.size(errors) == 0:
-        return right, unreported, []
+        return right, unreported, [], []
     ratios = np.mean(variances, axis=0) / np.mean(np.square(errors), axis=0)
-    return right, unreported, ratios.tolist()
+    nees = np.mean(np.square(errors) / variances, axis=0)
+    return right, unreported, ratios.tolist(), nees.tolist()
 
 
 def main() -> None:

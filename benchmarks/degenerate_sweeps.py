@@ -30,8 +30,8 @@ from degenerate_pairs import CASES, PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration import register
-from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, deviation, shift_to_target
-from scan3d_twin.core.types import FloatArray, RegistrationResult
+from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior
+from scan3d_twin.core.types import FloatArray
 
 FIRST_SEED = 50000
 """First seed; those below 1000 were looked at."""
@@ -73,25 +73,12 @@ def count(name: str, pairs: list[SweepPair], with_prior: bool) -> Tally:
         tally.right += cloud_scenes.spans_agree(
             result.degenerate_directions, pair.directions, reach
         )
-        error, variance = compare(pair, result, reach)
+        error, variance = cloud_scenes.compare_determined(
+            result, truth, pair.directions, points, PLANAR
+        )
         tally.errors.append(error)
         tally.variances.append(variance)
     return tally
-
-
-def compare(
-    pair: SweepPair, result: RegistrationResult, reach: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return errors [m] and variances [m2] of the determined directions (k,) each."""
-    unit = np.repeat([1.0, 1.0 / reach], 3)
-    dims = list(PLANAR)
-    k = len(pair.directions)
-    basis = np.linalg.svd((pair.directions / unit)[:, dims])[2][k:] if k else np.eye(3)
-    truth = pair.truth.matrix()
-    off = shift_to_target(truth) @ deviation(result.T_target_source, truth)
-    scaled = (result.information * np.outer(unit, unit))[np.ix_(dims, dims)]
-    covariance = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
-    return basis @ (off / unit)[dims], np.diagonal(basis @ covariance @ basis.T)
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from registration_data import LINES, Noise, Pair, pair, point_error
 
+from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.pose_prior import PosePrior
 from scan3d_twin.core.registration.surfel_grid import extract_surfels
@@ -32,10 +33,15 @@ RESAMPLES = 2000
 
 
 def register(data: Pair) -> tuple[float, float]:
-    """Return error [m] and CPU time [s] of the registration of a pair."""
+    """Return error [m], infinite if it fails, and CPU time [s] of the registration of a pair."""
     prior, began = PosePrior.planar(data.init, PRIOR_XY, PRIOR_YAW), time.thread_time()
     grids = extract_surfels(data.target), extract_surfels(data.source)
-    result = register_grids(*grids, init_T_target_source=data.init.matrix(), prior=prior, starts=1)
+    try:
+        result = register_grids(
+            *grids, init_T_target_source=data.init.matrix(), prior=prior, starts=1
+        )
+    except RegistrationError:
+        return math.inf, time.thread_time() - began
     took = time.thread_time() - began
     points = data.source.points[np.isfinite(data.source.ranges)]
     return point_error(points, result.T_target_source, data.truth), took
@@ -73,6 +79,7 @@ def main() -> None:
                     "value": round(value, 3), "low": round(low, 3), "high": round(high, 3),
                     "unit": "ratio", "peer": "regular lines", "runs": len(pairs),
                     "error_mm": round(1e3 * float(np.median(errors)), 4),
+                    "failed": int(np.count_nonzero(np.isinf(errors))),
                     "readings": round(float(readings)),
                     "ms": round(1e3 * float(np.median(times)), 2),
                 }  # fmt: skip

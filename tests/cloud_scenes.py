@@ -13,8 +13,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import expm
 
-from scan3d_twin.core.types import FloatArray
+from scan3d_twin.core.registration.pose_prior import deviation, shift_to_target
+from scan3d_twin.core.types import FloatArray, RegistrationResult
 
 MIXED_SHARE = 0.5
 """Share of the rays closer than half a beam to a depth edge that return a range in between."""
@@ -465,6 +467,53 @@ def degenerate_pair(
     if name == "disjoint":
         init = displace_randomly(np.eye(4), offset, turn, dof == "se3", rng)
     return CloudPair(target, source, truth, init, sensor, dof), case.directions(first, dof)
+
+
+def nearest_equivalent(
+    truth: FloatArray, estimate: FloatArray, directions: FloatArray, reach: float
+) -> FloatArray:
+    """Return the pose (4, 4) nearest to ``estimate`` that a scene tells as little from ``truth``.
+
+    ``truth`` is moved by the one-parameter groups of ``directions`` (k, 6), not along straight
+    lines: a turn of 2 deg about an axis 2 m off leaves the tangent by 1 mm.
+    """
+    unit = np.array([1.0, 1.0, 1.0, reach, reach, reach])
+    pose = truth
+    for _ in range(20):
+        off = shift_to_target(pose) @ deviation(estimate, pose)
+        along = np.linalg.lstsq((directions * unit).T, off * unit, rcond=None)[0] @ directions
+        twist = np.zeros((4, 4))
+        twist[:3, :3] = np.cross(np.eye(3), along[3:])
+        twist[:3, 3] = along[:3]
+        pose = expm(twist) @ pose
+    return np.asarray(pose)
+
+
+def compare_determined(
+    result: RegistrationResult,
+    truth: FloatArray,
+    directions: FloatArray,
+    points: FloatArray,
+    dims: tuple[int, ...],
+) -> tuple[FloatArray, FloatArray]:
+    """Return errors [m] and variances [m2] of the determined directions (k,) each.
+
+    Args:
+        result: Of a pair whose scene leaves some directions undetermined.
+        truth: ``T_target_source`` (4, 4).
+        directions: The undetermined ones about the target's origin (j, 6).
+        points: Points of the source (n, 3) [m], whose RMS distance scales rotations.
+        dims: The estimated entries of x y z rx ry rz.
+    """
+    reach = math.sqrt(float(np.mean(np.sum(points**2, axis=1))))
+    unit, rows = np.repeat([1.0, 1.0 / reach], 3), list(dims)
+    basis = np.linalg.svd((directions / unit)[:, rows])[2][len(directions) :]
+    found = result.T_target_source
+    nearest = nearest_equivalent(truth, found, directions, reach)
+    off = shift_to_target(nearest) @ deviation(found, nearest)
+    scaled = (result.information * np.outer(unit, unit))[np.ix_(rows, rows)]
+    covariance = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
+    return basis @ (off / unit)[rows], np.diagonal(basis @ covariance @ basis.T)
 
 
 def spans_agree(found: FloatArray, expected: FloatArray, reach: float) -> bool:

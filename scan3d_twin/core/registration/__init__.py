@@ -17,7 +17,7 @@ from scan3d_twin.core.registration.gauss_newton import Criteria, Dof
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.pose_prior import PosePrior
 from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_pair, extract_surfels
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, RegistrationResult, Scan3D
 
 __all__ = [
@@ -46,9 +46,9 @@ def register(
 
     Args:
         target: A sweep: a ``RangeImage``, or for several registrations the result of
-            ``extract_surfels``. Or a cloud: a ``Scan3D``, points (n, 3) [m] seen from their origin,
-            or the result of ``prepare_cloud``. Sweeps register better, since their grid of lines
-            and beams gives the noise of every reading.
+            ``extract_surfels``, each with its own noise. Or a cloud: a ``Scan3D``, points (n, 3)
+            [m] seen from their origin, or the result of ``prepare_cloud``. Sweeps register better,
+            since their grid of lines and beams gives the noise of every reading.
         source: A scan of the same kind as ``target``.
         prior: Prior distribution of the pose; it decides in directions the scans leave free.
         init_T_target_source: Initial guess, (4, 4) or planar; by default the prior's mean, else
@@ -80,6 +80,8 @@ def register(
     init = init.matrix() if isinstance(init, Pose2) else init
 
     # Two sweeps.
+    if isinstance(target, RangeImage) and isinstance(source, RangeImage):
+        target, source = extract_pair(target, source)
     if isinstance(target, RangeImage | SurfelGrid) and isinstance(source, RangeImage | SurfelGrid):
         return register_grids(
             target if isinstance(target, SurfelGrid) else extract_surfels(target),

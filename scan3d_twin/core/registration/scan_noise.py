@@ -27,7 +27,7 @@ not significant, the mean of what is positive of its normal distribution stands 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,6 +97,18 @@ class ScanNoise:
         """Return the noise of which the engine has ``found`` what a sweep shows (4,)."""
         range_sigma, growth, yaw_sigma, correlation = found.tolist()
         return ScanNoise(range_sigma, growth, yaw_sigma, correlation=correlation)
+
+    def range_sigma_at(self, distance: float) -> float:
+        """Return the range noise [m] at a distance [m]."""
+        return self.range_sigma + self.range_sigma_per_metre * distance
+
+    def with_range_noise_of(self, other: ScanNoise) -> ScanNoise:
+        """Return this noise with the range noise of another sweep."""
+        return replace(
+            self,
+            range_sigma=other.range_sigma,
+            range_sigma_per_metre=other.range_sigma_per_metre,
+        )
 
     @property
     def values(self) -> FloatArray:

@@ -14,7 +14,7 @@ import pytest
 from degenerate_pairs import PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
 
 from scan3d_twin.core.registration import register
-from scan3d_twin.core.registration.pose_prior import PosePrior
+from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior
 from scan3d_twin.core.registration.surfel_grid import extract_surfels
 
 UNDETERMINED = {
@@ -50,6 +50,25 @@ def test_exactly_the_undetermined_directions_are_reported(name: str, with_prior:
         error = cloud_scenes.point_error(points, result.T_target_source, pair.truth.matrix())
         assert error < 3 * result.predicted_rmse
         assert math.isfinite(result.predicted_rmse) == (with_prior or len(found) == 0)
+
+
+@pytest.mark.parametrize("name", ["cylinder", "sphere"])
+def test_round_bodies_have_the_stated_variance(name: str) -> None:
+    """Planes lie inside them, by how much depends on the noise: the same in both sweeps."""
+    errors, variances = [], []
+    for seed in range(30):
+        pair = take(name, seed)
+        result = register(pair.target, pair.source, init_T_target_source=pair.init)
+        points = pair.source.points[np.isfinite(pair.source.ranges)]
+        error, variance = cloud_scenes.compare_determined(
+            result, pair.truth.matrix(), pair.directions, points, PLANAR
+        )
+        errors.append(error)
+        variances.append(variance)
+    ratios = np.mean(np.square(errors), axis=0) / np.mean(variances, axis=0)
+    assert len(ratios) == 2
+    assert np.all(ratios < 2.0), ratios
+    assert np.all(ratios > 0.25), ratios
 
 
 def test_a_wall_that_the_range_of_the_lidar_ends_has_no_edge() -> None:
