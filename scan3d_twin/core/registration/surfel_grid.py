@@ -42,26 +42,36 @@ class Sample:
     """Every ``stride``-th surfel of a sweep, sorted by line.
 
     Attributes:
-        columns: Surfels by column (8, m), as in ``surfels``.
-        yaws: Yaw at which each was measured, relative to the middle of the sweep (m,) [rad].
-        lines: Line of each surfel (m,), ascending.
+        whole: Surfels and yaws of the whole sweep, as in ``SurfelGrid``: (n, 8) and (n,).
+        chosen: Row of each surfel of the sample among them (m,).
+        lines: Its line (m,), ascending.
         stride: Stride along lines and beams: each surfel represents ``stride`` squared readings.
         value: The sample as the engine takes it.
     """
 
-    columns: FloatArray
-    yaws: FloatArray
+    whole: tuple[FloatArray, FloatArray]
+    chosen: SmallIntArray
     lines: SmallIntArray
     stride: int
     value: native.Sample
+
+    @cached_property
+    def columns(self) -> FloatArray:
+        """The surfels by column (8, m), as in ``surfels``."""
+        return np.ascontiguousarray(self.whole[0][self.chosen].T)
 
     @property
     def rows(self) -> FloatArray:
         """The surfels (m, 8)."""
         return self.columns.T
 
+    @cached_property
+    def yaws(self) -> FloatArray:
+        """Yaw at which each was measured, relative to the middle of the sweep (m,) [rad]."""
+        return self.whole[1][self.chosen]
+
     def __len__(self) -> int:
-        return len(self.yaws)
+        return len(self.chosen)
 
 
 @dataclass(frozen=True)
@@ -153,12 +163,14 @@ class SurfelGrid:
 
     def _sample(self, stride: int) -> Sample:
         n_lines, n_beams = self.index.shape
-        room = min(self.count, (n_lines // stride + 1) * (n_beams // stride + 1))
-        columns, yaws, lines = np.empty((8, room)), np.empty(room), np.empty(room, np.int32)
-        value = native.Sample(stride=stride, room=room, columns=columns, yaws=yaws, lines=lines)
-        engine.sample_surfels(self.index, n_lines, n_beams, self.rows, self.yaws, value)
+        most = min(self.count, (n_lines // stride + 1) * (n_beams // stride + 1))
+        chosen, lines = np.empty(most, np.int32), np.empty(most, np.int32)
+        value = native.Sample(
+            stride=stride, rows=self.rows, yaws=self.yaws, chosen=chosen, lines=lines
+        )
+        engine.sample_surfels(self.index, n_lines, n_beams, value)
         n = value.count
-        return Sample(columns[:, :n], yaws[:n], lines[:n], stride, value)
+        return Sample((self.rows, self.yaws), chosen[:n], lines[:n], stride, value)
 
     @property
     def count(self) -> int:

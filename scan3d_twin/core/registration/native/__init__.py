@@ -179,8 +179,8 @@ class Sample(Value):
     """Every ``stride``-th surfel of a sweep along lines and beams."""
 
     _fields_ = (
-        ("count", c_int64), ("stride", c_int64), ("room", c_int64), ("columns", Doubles),
-        ("yaws", Doubles), ("lines", Ints),
+        ("count", c_int64), ("stride", c_int64), ("rows", Doubles), ("yaws", Doubles),
+        ("chosen", Ints), ("lines", Ints),
     )  # fmt: skip
 
 
@@ -261,7 +261,7 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "estimate_noise": (c_int64, Sweep, Flags, Doubles),
     "fit_surfels": (c_int64, Sweep, Flags, Flags, Doubles, Longs, c_int64, Doubles, Doubles, Ints),
     "extract_surfels": (c_int64, Sweep, Longs, Flags, ScanSurfels),
-    "sample_surfels": (None, Ints, c_int64, c_int64, Doubles, Doubles, Sample),
+    "sample_surfels": (None, Ints, c_int64, c_int64, Sample),
     "classify_rays": (c_int64, Ints, Flags, c_int64, c_int64, Bytes),
     "find_edges": (c_int64, Sweep, Doubles, Ints, Flags, c_double, Doubles, c_int64),
     "linearise_edges": (

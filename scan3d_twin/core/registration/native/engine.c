@@ -29,9 +29,8 @@ int64_t EXPORT(extract_surfels)(const Sweep *sweep, const int64_t *codes, const 
     return extract_surfels(sweep, codes, keep, out);
 }
 
-void EXPORT(sample_surfels)(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
-                            const double *of_rows, Sample *out) {
-    sample_surfels(index, n_lines, n_beams, rows, of_rows, out);
+void EXPORT(sample_surfels)(const int32_t *index, int64_t n_lines, int64_t n_beams, Sample *out) {
+    sample_surfels(index, n_lines, n_beams, out);
 }
 
 int64_t EXPORT(classify_rays)(const int32_t *index, const uint8_t *valid, int64_t n_lines,

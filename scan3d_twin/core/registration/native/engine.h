@@ -80,10 +80,10 @@ typedef struct {
 /* Every `stride`-th surfel of a sweep along lines and beams; each represents stride^2 of them. */
 typedef struct {
     int64_t count, stride;
-    int64_t room;           /* doubles from one column to the next */
-    double *columns;        /* surfels, column by column (SURFEL, room), sorted by line */
-    double *yaws;           /* per surfel */
-    int32_t *lines;         /* line of each surfel, ascending */
+    const double *rows;     /* all surfels of the sweep */
+    const double *yaws;     /* of all its surfels */
+    int32_t *chosen;        /* row of each surfel of the sample (count,) */
+    int32_t *lines;         /* its line, ascending (count,) */
 } Sample;
 
 /* The sweep that the iteration moves onto the target. */
