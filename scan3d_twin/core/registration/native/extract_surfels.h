@@ -34,12 +34,12 @@ typedef struct {
 static Extent mark_valid(const Sweep *sweep, const int64_t *codes, uint8_t *valid) {
     Extent extent = {sweep->n_lines, 0, sweep->n_beams, 0};
     for (int64_t i = 0; i < sweep->n_lines; i++) {
-        for (int64_t j = 0; j < sweep->n_beams; j++) {
-            int64_t at = i * sweep->stride + j;
-            double range = sweep->ranges[at];
-            valid[at] = (codes[at] == VALID) & (range > 0) & (range < INFINITY);
-        }
-        const uint8_t *line = valid + i * sweep->stride, *one = memchr(line, 1, (size_t)sweep->n_beams);
+        const double *restrict ranges = sweep->ranges + i * sweep->stride;
+        const int64_t *restrict code = codes + i * sweep->stride;
+        uint8_t *restrict line = valid + i * sweep->stride;
+        for (int64_t j = 0, n = sweep->n_beams; j < n; j++)
+            line[j] = (code[j] == VALID) & (ranges[j] > 0) & (ranges[j] < INFINITY);
+        const uint8_t *one = memchr(line, 1, (size_t)sweep->n_beams);
         if (!one) continue;
         int64_t first = one - line, end = sweep->n_beams;
         while (!line[end - 1]) end--;
