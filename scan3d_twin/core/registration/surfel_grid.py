@@ -249,7 +249,7 @@ def _check(image: RangeImage) -> None:
             )
     if min(shape) < 5:
         raise RegistrationError(f"a scan of {shape[0]} lines and {shape[1]} beams is too small")
-    if not math.isfinite(np.sum(image.yaws)):
+    if not math.isfinite(image.yaws.sum()):
         raise ConfigError("range image: yaws must be finite")
 
 
