@@ -18,6 +18,7 @@ from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, NOISE_UNKNOWN, 
 from scan3d_twin.core.registration.surfels import (
     UNKNOWN_RAY,
     Beams,
+    X,
     classify_rays,
     make_native_sweep,
 )
@@ -58,7 +59,12 @@ class Sample:
     @cached_property
     def columns(self) -> FloatArray:
         """The surfels by column (8, m), as in ``surfels``."""
-        return np.ascontiguousarray(self.whole[0][self.chosen].T)
+        return np.ascontiguousarray(self.whole[0].take(self.chosen, axis=0).T)
+
+    @property
+    def points(self) -> FloatArray:
+        """Their points (m, 3) [m]."""
+        return np.ascontiguousarray(self.whole[0].take(self.chosen, axis=0)[:, X])
 
     @property
     def rows(self) -> FloatArray:
@@ -68,7 +74,7 @@ class Sample:
     @cached_property
     def yaws(self) -> FloatArray:
         """Yaw at which each was measured, relative to the middle of the sweep (m,) [rad]."""
-        return self.whole[1][self.chosen]
+        return self.whole[1].take(self.chosen)
 
     def __len__(self) -> int:
         return len(self.chosen)
@@ -215,21 +221,20 @@ def extract_surfels(
 
 def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None) -> SurfelGrid:
     """Return the surfels and the noise of a sweep, by ``native/extract_surfels.h``."""
-    # Room for all readings: to count the valid ones takes longer, and it is memory where written.
-    most = image.codes.size if mask is None else np.count_nonzero(mask)
+    # Room for as many surfels as there are readings that want one.
+    sweep, valid = make_native_sweep(image), np.empty(image.ranges.shape, np.bool_)
+    codes = read_only(image.codes, np.int64)
+    most = engine.mark_valid(read_only(image.ranges), codes, codes.size, valid)
+    wanted = valid if mask is None else valid & mask
+    most = most if mask is None else np.count_nonzero(wanted)
     rows, yaws = np.empty((most, 8)), np.empty(most)
-    index, valid = np.empty(image.ranges.shape, np.int32), np.empty(image.ranges.shape, np.bool_)
+    index = np.empty(image.ranges.shape, np.int32)
 
     # Extract surfels and, if unknown, noise.
     own = NOISE_UNKNOWN if image.noise is None else read_only(image.noise)
     known = own if noise is None else noise.values
     found = native.ScanSurfels(rows=rows, yaws=yaws, index=index, valid=valid, noise=known)
-    if (
-        engine.extract_surfels(
-            make_native_sweep(image), read_only(image.codes, np.int64), mask, found
-        )
-        < 0
-    ):
+    if engine.extract_surfels(sweep, wanted, found) < 0:
         raise MemoryError
 
     # Keep what was written.

@@ -268,7 +268,8 @@ VALUES = (
 FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "estimate_noise": (c_int64, Sweep, Flags, Doubles),
     "fit_surfels": (c_int64, Sweep, Flags, Flags, Doubles, Longs, c_int64, Doubles, Doubles, Ints),
-    "extract_surfels": (c_int64, Sweep, Longs, Flags, ScanSurfels),
+    "mark_valid": (c_int64, Doubles, Longs, c_int64, Flags),
+    "extract_surfels": (c_int64, Sweep, Flags, ScanSurfels),
     "sample_surfels": (None, Ints, c_int64, c_int64, Sample),
     "classify_rays": (c_int64, Ints, Flags, c_int64, c_int64, Bytes),
     "find_edges": (c_int64, Sweep, Doubles, Ints, Flags, c_double, Doubles, c_int64),

@@ -45,10 +45,10 @@ typedef struct {
 
 /* The surfels of a sweep and its noise, written by `extract_surfels` into the caller's arrays. */
 typedef struct {
-    double *rows;           /* surfels, line by line, at most one per reading */
+    double *rows;           /* surfels, line by line, at most one per wanted reading */
     double *yaws;           /* yaw of each surfel's reading, relative to the middle of the sweep */
     int32_t *index;         /* per reading: row of its surfel, or -1 */
-    uint8_t *valid;         /* per reading: 1 where it is a distance */
+    const uint8_t *valid;   /* per reading: 1 where it is a distance */
     double noise[NOISES];
     double line_spacing;    /* typical angle between two lines */
     int64_t count;          /* number of surfels */
