@@ -14,6 +14,8 @@ from scan3d_twin.core.types import FloatArray, Pose2, read_only
 
 PLANAR = (0, 1, 5)
 """Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
+PLANAR_BLOCK = np.ix_(PLANAR, PLANAR)
+"""Index of their block in a matrix (6, 6)."""
 _PLANAR_PLACES = np.add.outer(6 * np.array(PLANAR), PLANAR)
 """Their places in a covariance (6, 6)."""
 SIGMA_Z = 0.001
