@@ -105,9 +105,9 @@ def check_options(options: Any, section: str = "") -> None:
             bounds.
     """
     where = f"{section}." if section else ""
-    for name, hint, bounds in _rules(type(options)):  # type: ignore[arg-type]
+    for name, key, hint, choices, bounds in _rules(type(options)):  # type: ignore[arg-type]
         _convert_number(options, name, hint)
-        _check(where + option_key(name), getattr(options, name), hint, bounds)
+        _check(where + key, getattr(options, name), hint, choices, bounds)
 
 
 def _convert_number(options: Any, name: str, hint: Any) -> None:
@@ -122,10 +122,16 @@ def _convert_number(options: Any, name: str, hint: Any) -> None:
 
 
 @cache
-def _rules(cls: Any) -> tuple[tuple[str, Any, Bounds | None], ...]:
-    """Return name, type and bounds of each field of ``cls``."""
+def _rules(cls: Any) -> tuple[tuple[str, str, Any, tuple[Any, ...], Bounds | None], ...]:
+    """Return name, key, type, choices (empty: any) and bounds of each field of ``cls``."""
     hints = get_type_hints(cls)
-    return tuple((f.name, hints[f.name], f.metadata.get("bounds")) for f in fields(cls))
+    choices = {
+        name: get_args(hint) if get_origin(hint) is Literal else () for name, hint in hints.items()
+    }
+    return tuple(
+        (f.name, option_key(f.name), hints[f.name], choices[f.name], f.metadata.get("bounds"))
+        for f in fields(cls)
+    )
 
 
 def repr_options(options: Any) -> str:
@@ -139,11 +145,13 @@ def repr_options(options: Any) -> str:
     return f"{type(options).__name__}({', '.join(changes)})"
 
 
-def _check(name: str, value: Any, hint: Any, bounds: Bounds | None) -> None:
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            choices = ", ".join(str(choice) for choice in get_args(hint))
-            raise ConfigError(f"{name} must be one of {choices}; got {value!r}")
+def _check(
+    name: str, value: Any, hint: Any, choices: tuple[Any, ...], bounds: Bounds | None
+) -> None:
+    if choices:
+        if value not in choices:
+            listed = ", ".join(str(choice) for choice in choices)
+            raise ConfigError(f"{name} must be one of {listed}; got {value!r}")
         return
     expected = (int, float) if hint is float else hint
     if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):

@@ -9,7 +9,9 @@ within a sweep; bumps and cliffs; skipped beams. A sweep takes milliseconds.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -130,9 +132,12 @@ class KinematicWorld:
 
     def base_pose(self, time: float) -> Pose2:
         """Return ``T_map_base`` at ``time`` [s], clamped to the first and last knot."""
-        knots = np.array(self._knots)
-        x, y, yaw = (float(np.interp(time, knots[:, 0], knots[:, k])) for k in (1, 2, 3))
-        return Pose2(x, y, yaw)
+        after = bisect_right(self._knots, time, key=itemgetter(0))
+        if after in (0, len(self._knots)):
+            return Pose2(*self._knots[max(after - 1, 0)][1:])
+        (start, *pose), (end, *next_pose) = self._knots[after - 1 : after + 1]
+        rates = [(b - a) / (end - start) for a, b in zip(pose, next_pose, strict=True)]
+        return Pose2(*(rate * (time - start) + a for rate, a in zip(rates, pose, strict=True)))
 
     def scene_qpos(self) -> FloatArray:
         """Return the positions of the scene's loose objects; empty when static."""

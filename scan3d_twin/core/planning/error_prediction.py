@@ -36,7 +36,12 @@ from scan3d_twin.core.registration.point_to_plane import (
     compute_jacobian,
     spurious_information,
 )
-from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, predict_rmse_of_moments
+from scan3d_twin.core.registration.pose_prior import (
+    PLANAR,
+    PLANAR_BLOCK,
+    Moments,
+    predict_rmse_of_moments,
+)
 from scan3d_twin.core.registration.surfel_grid import Sample
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, X
 from scan3d_twin.core.types import (
@@ -117,14 +122,15 @@ class ErrorPrediction:
         # Weigh them by noise and density
         again = self._sample.columns.take(seen.index, axis=1)
         a = again[:3] - np.array([[viewpoint.x], [viewpoint.y], [0.0]])
+        J = compute_jacobian(a, again[3:6])
         ratio = _compare_cosines(again[3:6], a, again[:3], t[2, 3])
         variance = again[VARIANCE] * (1.0 + ratio)
         w = self._area * seen.density / (variance * self.grid.inflation)
         w[again[NORMAL_VARIANCE] > MAX_NORMAL_VARIANCE] = 0.0
 
         # Predict covariance and displacement
-        equations = self._equations(seen, again, a, w)
-        pull = _pull_of_offset(again, a, w, t[2, 3])
+        equations = self._equations(seen, again, a, J, w)
+        pull = _pull_of_offset(again, a, J, w, t[2, 3])
         covariance = self._covariance(equations, viewpoint, sweep, pull)
         return config.planning.calibration * predict_rmse_of_moments(
             self._target.turned(viewpoint.yaw), covariance
@@ -163,6 +169,15 @@ class ErrorPrediction:
         return measure_ranges(self._rows, self.grid)
 
     @cached_property
+    def _reach(self) -> float:
+        """RMS range of the sample [m]."""
+        return float(np.sqrt(np.mean(self._ranges**2)))
+
+    @cached_property
+    def _known_motion(self) -> MotionModel:
+        return self.motion or MotionModel.of((), self.config)
+
+    @cached_property
     def _sampled_target(self) -> BoolArray:
         """Which of the surfels belong to the target."""
         first = self._stride // 2
@@ -175,7 +190,7 @@ class ErrorPrediction:
         return NextSweep.like(self.grid, sweep.width / 2 + sweep.margin)
 
     def _equations(
-        self, seen: Visible, again: FloatArray, a: FloatArray, w: FloatArray
+        self, seen: Visible, again: FloatArray, a: FloatArray, J: FloatArray, w: FloatArray
     ) -> Equations:
         """Return the normal equations of perfect pairs, whose gradient is 0.
 
@@ -186,11 +201,11 @@ class ErrorPrediction:
             seen: The surfels that O2 sees again.
             again: Their columns (8, k).
             a: Their lever arms (3, k) [m].
+            J: Their Jacobian (6, k).
             w: Their weights (k,).
         """
         # Sum up information, yaw scale included
         n, here = again[3:6], self._sample.yaws[seen.index]
-        J = compute_jacobian(a, n)
         swing = J[5]
         g = seen.yaws * swing - here * (n[1] * again[0] - n[0] * again[1])
         J = np.concatenate([J, g[None]])
@@ -234,17 +249,17 @@ class ErrorPrediction:
         H = marginalise(equations.information - equations.lost, prior)
 
         # Keep honestly determined directions
-        block = np.ix_(PLANAR, PLANAR)
-        reach = float(np.sqrt(np.mean(self._ranges**2)))
-        raw, spurious = equations.information[:6, :6][block], equations.spurious[block]
-        honest = find_determined(raw, INFORMATION_MARGIN * spurious, reach)[1]
+        raw, spurious = (
+            equations.information[:6, :6][PLANAR_BLOCK],
+            equations.spurious[PLANAR_BLOCK],
+        )
+        honest = find_determined(raw, INFORMATION_MARGIN * spurious, self._reach)[1]
 
         # Add edges and the prior
-        motion = self.motion or MotionModel.of((), self.config)
-        rest = self._edges(viewpoint, sweep)[block] + motion.spread(
+        rest = self._edges(viewpoint, sweep)[PLANAR_BLOCK] + self._known_motion.spread(
             viewpoint, SHARED_FACTOR
         ).information(PLANAR)
-        C = np.linalg.inv(honest @ H[block] @ honest.T + rest)
+        C = np.linalg.inv(honest @ H[PLANAR_BLOCK] @ honest.T + rest)
 
         # Add what a range error that both sweeps share displaces
         g = honest @ pull.gradient[list(PLANAR)]
@@ -253,7 +268,7 @@ class ErrorPrediction:
         known = max(pull.information - float(g @ off), 0.0)
         C += variance / (1.0 + known * variance) * np.outer(off, off)
         covariance = np.zeros((6, 6))
-        covariance[block] = C
+        covariance[PLANAR_BLOCK] = C
         return covariance
 
     def _edges(self, viewpoint: Pose2, sweep: NextSweep) -> FloatArray:
@@ -299,7 +314,9 @@ class _Pull(NamedTuple):
     information: float
 
 
-def _pull_of_offset(again: FloatArray, a: FloatArray, w: FloatArray, height: float) -> _Pull:
+def _pull_of_offset(
+    again: FloatArray, a: FloatArray, J: FloatArray, w: FloatArray, height: float
+) -> _Pull:
     """Return the equations of a range error that all readings of both sweeps share.
 
     It displaces every surface along the rays. As far as these differ between the two sweeps, as
@@ -308,6 +325,7 @@ def _pull_of_offset(again: FloatArray, a: FloatArray, w: FloatArray, height: flo
     Args:
         again: Columns (8, k) of the surfels that O2 sees again.
         a: Their lever arms (3, k) [m].
+        J: Their Jacobian (6, k).
         w: Their weights (k,).
         height: Height of the lidar [m].
     """
@@ -316,7 +334,7 @@ def _pull_of_offset(again: FloatArray, a: FloatArray, w: FloatArray, height: flo
     shift = np.sum(n * there, axis=0) / np.linalg.norm(there, axis=0)
     shift -= np.sum(n * here, axis=0) / np.linalg.norm(here, axis=0)
     weighted = w * shift
-    return _Pull(np.asarray(compute_jacobian(a, n) @ weighted), float(weighted @ shift))
+    return _Pull(np.asarray(J @ weighted), float(weighted @ shift))
 
 
 def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -62,9 +63,14 @@ class NextSweep:
         )
         return NextSweep(empty, Projection.of(empty, spacing))
 
+    @cached_property
+    def _every(self) -> BoolArray:
+        """That each reading counts (n_lines * n_beams,)."""
+        return np.ones(self.image.ranges.size, dtype=np.bool_)
+
     def cells(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return reading (n,), -1 for none, and cell (n,) of ``points`` (n, 3) in ``scan``."""
-        index = self.projection.lookup(points, np.ones(self.image.ranges.size, dtype=np.bool_))
+        index = self.projection.lookup(points, self._every)
         line, beam = np.divmod(index, self.image.spec.n_beams)
         wide = self.image.spec.n_beams // DEPTH_CELL[1] + 1
         return index, np.where(

@@ -33,7 +33,6 @@ from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.point_to_plane import combine_noise
 from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, PosePrior
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid
-from scan3d_twin.core.registration.surfels import X
 from scan3d_twin.core.registration.undetermined import with_infinite_variance
 from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
@@ -155,7 +154,7 @@ class Problem:
     @cached_property
     def moments(self) -> Moments:
         """Moments of the source's surfels that the first steps use."""
-        return Moments.of(np.ascontiguousarray(self.source.sample(2 * self.stride).rows[:, X]))
+        return Moments.of(self.source.sample(2 * self.stride).points)
 
     @property
     def reach(self) -> float:

@@ -90,7 +90,7 @@ def register_grids(
 def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
     if init is None:
         return np.eye(4) if prior is None else prior.T
-    if init.shape != (4, 4) or not np.all(np.isfinite(init)):
+    if init.shape != (4, 4) or not np.isfinite(init).all():
         raise ConfigError("init_T_target_source must be a finite (4, 4) transform")
     return init
 

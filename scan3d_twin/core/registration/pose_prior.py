@@ -14,7 +14,10 @@ from scan3d_twin.core.types import FloatArray, Pose2, read_only
 
 PLANAR = (0, 1, 5)
 """Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
-_PLANAR_ROWS, _PLANAR_COLUMNS = np.ix_(PLANAR, PLANAR)
+PLANAR_BLOCK = np.ix_(PLANAR, PLANAR)
+"""Index of their block in a matrix (6, 6)."""
+_PLANAR_PLACES = np.add.outer(6 * np.array(PLANAR), PLANAR)
+"""Their places in a covariance (6, 6)."""
 SIGMA_Z = 0.001
 """Height error of a robot on a floor [m]: the floor's unevenness under three wheels."""
 SIGMA_TILT = 0.002
@@ -39,7 +42,7 @@ class PosePrior:
     covariance: FloatArray
 
     def __post_init__(self) -> None:
-        if self.T.shape != (4, 4) or not math.isfinite(np.sum(self.T)):
+        if self.T.shape != (4, 4) or not math.isfinite(self.T.sum()):
             raise ConfigError("the prior's pose must be a finite (4, 4) transform")
         C = self.covariance
         if C.shape != (6, 6) or not is_positive_definite(C.tolist()):
@@ -58,7 +61,7 @@ class PosePrior:
         """Return the prior of a robot on a floor with the covariance (3, 3) of x, y and yaw."""
         full = np.zeros((6, 6))
         full[2, 2], full[3, 3], full[4, 4] = SIGMA_Z**2, SIGMA_TILT**2, SIGMA_TILT**2
-        full[_PLANAR_ROWS, _PLANAR_COLUMNS] = covariance
+        full.put(_PLANAR_PLACES, covariance)
         return PosePrior(read_only(pose.matrix()), read_only(full))
 
     def information(self, dims: tuple[int, ...]) -> FloatArray:

@@ -85,7 +85,7 @@ class ScanNoise:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             value = getattr(self, name)
-            if not (value >= 0 and math.isfinite(value)):
+            if not 0.0 <= value < math.inf:
                 raise ConfigError(f"{name} must be >= 0 and finite, got {value:g}")
         if self.range_sigma + self.range_sigma_per_metre == 0:
             raise ConfigError("range_sigma must be > 0 m: readings without noise have no weight")

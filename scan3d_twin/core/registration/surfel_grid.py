@@ -45,26 +45,41 @@ class Sample:
     """Every ``stride``-th surfel of a sweep, sorted by line.
 
     Attributes:
-        columns: Surfels by column (8, m), as in ``surfels``.
-        yaws: Yaw at which each was measured, relative to the middle of the sweep (m,) [rad].
-        lines: Line of each surfel (m,), ascending.
+        whole: Surfels and yaws of the whole sweep, as in ``SurfelGrid``: (n, 8) and (n,).
+        chosen: Row of each surfel of the sample among them (m,).
+        lines: Its line (m,), ascending.
         stride: Stride along lines and beams: each surfel represents ``stride`` squared readings.
         value: The sample as the engine takes it.
     """
 
-    columns: FloatArray
-    yaws: FloatArray
+    whole: tuple[FloatArray, FloatArray]
+    chosen: SmallIntArray
     lines: SmallIntArray
     stride: int
     value: native.Sample
+
+    @cached_property
+    def columns(self) -> FloatArray:
+        """The surfels by column (8, m), as in ``surfels``."""
+        return np.ascontiguousarray(self.whole[0].take(self.chosen, axis=0).T)
+
+    @property
+    def points(self) -> FloatArray:
+        """Their points (m, 3) [m]."""
+        return np.ascontiguousarray(self.whole[0].take(self.chosen, axis=0)[:, X])
 
     @property
     def rows(self) -> FloatArray:
         """The surfels (m, 8)."""
         return self.columns.T
 
+    @cached_property
+    def yaws(self) -> FloatArray:
+        """Yaw at which each was measured, relative to the middle of the sweep (m,) [rad]."""
+        return self.whole[1].take(self.chosen)
+
     def __len__(self) -> int:
-        return len(self.yaws)
+        return len(self.chosen)
 
 
 @dataclass(frozen=True)
@@ -156,12 +171,14 @@ class SurfelGrid:
 
     def _sample(self, stride: int) -> Sample:
         n_lines, n_beams = self.index.shape
-        room = min(self.count, (n_lines // stride + 1) * (n_beams // stride + 1))
-        columns, yaws, lines = np.empty((8, room)), np.empty(room), np.empty(room, np.int32)
-        value = native.Sample(stride=stride, room=room, columns=columns, yaws=yaws, lines=lines)
-        engine.sample_surfels(self.index, n_lines, n_beams, self.rows, self.yaws, value)
+        most = min(self.count, (n_lines // stride + 1) * (n_beams // stride + 1))
+        chosen, lines = np.empty(most, np.int32), np.empty(most, np.int32)
+        value = native.Sample(
+            stride=stride, rows=self.rows, yaws=self.yaws, chosen=chosen, lines=lines
+        )
+        engine.sample_surfels(self.index, n_lines, n_beams, value)
         n = value.count
-        return Sample(columns[:, :n], yaws[:n], lines[:n], stride, value)
+        return Sample((self.rows, self.yaws), chosen[:n], lines[:n], stride, value)
 
     @property
     def count(self) -> int:
@@ -228,21 +245,20 @@ def extract_pair(target: RangeImage, source: RangeImage) -> tuple[SurfelGrid, Su
 
 def _extract(image: RangeImage, mask: BoolArray | None, noise: ScanNoise | None) -> SurfelGrid:
     """Return the surfels and the noise of a sweep, by ``native/extract_surfels.h``."""
-    # Room for all readings: to count the valid ones takes longer, and it is memory where written.
-    most = image.codes.size if mask is None else np.count_nonzero(mask)
+    # Room for as many surfels as there are readings that want one.
+    sweep, valid = make_native_sweep(image), np.empty(image.ranges.shape, np.bool_)
+    codes = read_only(image.codes, np.int64)
+    most = engine.mark_valid(read_only(image.ranges), codes, codes.size, valid)
+    wanted = valid if mask is None else valid & mask
+    most = most if mask is None else np.count_nonzero(wanted)
     rows, yaws = np.empty((most, 8)), np.empty(most)
-    index, valid = np.empty(image.ranges.shape, np.int32), np.empty(image.ranges.shape, np.bool_)
+    index = np.empty(image.ranges.shape, np.int32)
 
     # Extract surfels and, if unknown, noise.
     own = NOISE_UNKNOWN if image.noise is None else read_only(image.noise)
     known = own if noise is None else noise.values
     found = native.ScanSurfels(rows=rows, yaws=yaws, index=index, valid=valid, noise=known)
-    if (
-        engine.extract_surfels(
-            make_native_sweep(image), read_only(image.codes, np.int64), mask, found
-        )
-        < 0
-    ):
+    if engine.extract_surfels(sweep, wanted, found) < 0:
         raise MemoryError
 
     # Keep what was written.
@@ -262,7 +278,7 @@ def _check(image: RangeImage) -> None:
             )
     if min(shape) < 5:
         raise RegistrationError(f"a scan of {shape[0]} lines and {shape[1]} beams is too small")
-    if not math.isfinite(np.sum(image.yaws)):
+    if not math.isfinite(image.yaws.sum()):
         raise ConfigError("range image: yaws must be finite")
 
 

@@ -58,7 +58,7 @@ from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfel
 from scan3d_twin.core.registration.surfels import Beams, fit_surfels, make_native_sweep
 from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.extrinsics import apply_mount
-from scan3d_twin.core.types import UNMEASURED, FloatArray, Pose2, RangeImage, read_only
+from scan3d_twin.core.types import UNMEASURED, VALID, FloatArray, Pose2, RangeImage, read_only
 
 FIRST, SECOND = Pose2(0.0, 0.15, -0.05), Pose2(0.02, -0.15, 0.10)
 MOVE = FIRST.inverse() @ SECOND
@@ -194,6 +194,16 @@ def test_noise_of_few_readings_is_the_usual() -> None:
     plain = reference.scan_noise.estimate_noise(sweep.ranges, sweep.yaws, few)
     assert np.array_equal(estimate_noise(sweep, few).values, plain)
     assert plain.tolist() == [0.004, 0.0009, 0.0, 1.0]
+
+
+def test_valid_readings() -> None:
+    ranges = np.tile([1.0, 0.0, -1.0, math.nan, math.inf, 0.02, 3.9], 31)
+    codes = np.where(np.arange(len(ranges)) % 5 == 0, 0, VALID)
+    valid = np.empty(len(ranges), np.bool_)
+    count = engine.mark_valid(ranges, codes, len(ranges), valid)
+    plain = (codes == VALID) & (ranges > 0) & np.isfinite(ranges)
+    assert np.array_equal(valid, plain)
+    assert count == np.count_nonzero(plain)
 
 
 def test_samples() -> None:

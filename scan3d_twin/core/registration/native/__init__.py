@@ -56,16 +56,21 @@ class Array(ctypes.c_void_p):
 
     @classmethod
     def from_param(cls, array: npt.NDArray[Any] | None) -> Array:
+        """Return ``array`` as an argument of a function; raise as ``locate`` does."""
+        return cls(cls.locate(array))
+
+    @classmethod
+    def locate(cls, array: npt.NDArray[Any] | None) -> int | None:
         """Return the address of ``array``.
 
         Raises:
             TypeError: The array is of another type or not contiguous.
         """
         if array is None:
-            return cls(None)
+            return None
         if array.dtype != cls.dtype or not array.flags.c_contiguous:
             raise TypeError(f"{cls.__name__} takes contiguous arrays of {cls.dtype}")
-        return cls(address_of(array))
+        return address_of(array)
 
 
 class Doubles(Array):
@@ -105,23 +110,26 @@ class Value(ctypes.Structure):
 
     def __init_subclass__(cls) -> None:
         cls.converters = {
-            name: kind.from_param if issubclass(kind, Array) else _filler_of(kind)
+            name: kind.locate if issubclass(kind, Array) else _filler_of(kind)
             for name, kind, *_ in cls._fields_
             if issubclass(kind, (Array, ctypes.Array))
         }
 
     def __init__(self, **fields: Any) -> None:
         """Set ``fields``: array arguments by address, fixed-size arrays by value."""
-        super().__init__()
+        converters = self.converters
+        super().__init__(
+            **{
+                name: converters[name](value) if name in converters else value
+                for name, value in fields.items()
+            }
+        )
         self.alive = fields
-        for name, value in fields.items():
-            convert = self.converters.get(name)
-            setattr(self, name, convert(value) if convert else value)
 
     def numbers(self, name: str, *shape: int) -> npt.NDArray[np.float64]:
-        """Return a copy of the first numbers of an array field, in ``shape``."""
-        field = getattr(self, name)
-        return np.frombuffer(field, np.float64, math.prod(shape)).reshape(shape).copy()
+        """Return a read-only copy of the first numbers of an array field, in ``shape``."""
+        field = bytes(getattr(self, name))
+        return np.frombuffer(field, np.float64, math.prod(shape)).reshape(shape)
 
 
 def _filler_of(kind: Any) -> Callable[[Any], Any]:
@@ -179,8 +187,8 @@ class Sample(Value):
     """Every ``stride``-th surfel of a sweep along lines and beams."""
 
     _fields_ = (
-        ("count", c_int64), ("stride", c_int64), ("room", c_int64), ("columns", Doubles),
-        ("yaws", Doubles), ("lines", Ints),
+        ("count", c_int64), ("stride", c_int64), ("rows", Doubles), ("yaws", Doubles),
+        ("chosen", Ints), ("lines", Ints),
     )  # fmt: skip
 
 
@@ -260,8 +268,9 @@ VALUES = (
 FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "estimate_noise": (c_int64, Sweep, Flags, Doubles),
     "fit_surfels": (c_int64, Sweep, Flags, Flags, Doubles, Longs, c_int64, Doubles, Doubles, Ints),
-    "extract_surfels": (c_int64, Sweep, Longs, Flags, ScanSurfels),
-    "sample_surfels": (None, Ints, c_int64, c_int64, Doubles, Doubles, Sample),
+    "mark_valid": (c_int64, Doubles, Longs, c_int64, Flags),
+    "extract_surfels": (c_int64, Sweep, Flags, ScanSurfels),
+    "sample_surfels": (None, Ints, c_int64, c_int64, Sample),
     "classify_rays": (c_int64, Ints, Flags, c_int64, c_int64, Bytes),
     "find_edges": (c_int64, Sweep, Doubles, Ints, Flags, c_double, Doubles, c_int64),
     "linearise_edges": (

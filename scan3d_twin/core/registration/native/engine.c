@@ -24,14 +24,16 @@ int64_t EXPORT(fit_surfels)(const Sweep *sweep, const uint8_t *valid, const uint
     return fit_surfels(sweep, valid, keep, noise, windows, rows, yaws, index);
 }
 
-int64_t EXPORT(extract_surfels)(const Sweep *sweep, const int64_t *codes, const uint8_t *keep,
-                                ScanSurfels *out) {
-    return extract_surfels(sweep, codes, keep, out);
+int64_t EXPORT(mark_valid)(const double *ranges, const int64_t *codes, int64_t n, uint8_t *valid) {
+    return mark_valid(ranges, codes, n, valid);
 }
 
-void EXPORT(sample_surfels)(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
-                            const double *of_rows, Sample *out) {
-    sample_surfels(index, n_lines, n_beams, rows, of_rows, out);
+int64_t EXPORT(extract_surfels)(const Sweep *sweep, const uint8_t *wanted, ScanSurfels *out) {
+    return extract_surfels(sweep, wanted, out);
+}
+
+void EXPORT(sample_surfels)(const int32_t *index, int64_t n_lines, int64_t n_beams, Sample *out) {
+    sample_surfels(index, n_lines, n_beams, out);
 }
 
 int64_t EXPORT(classify_rays)(const int32_t *index, const uint8_t *valid, int64_t n_lines,

@@ -45,10 +45,10 @@ typedef struct {
 
 /* The surfels of a sweep and its noise, written by `extract_surfels` into the caller's arrays. */
 typedef struct {
-    double *rows;           /* surfels, line by line, at most one per reading */
+    double *rows;           /* surfels, line by line, at most one per wanted reading */
     double *yaws;           /* yaw of each surfel's reading, relative to the middle of the sweep */
     int32_t *index;         /* per reading: row of its surfel, or -1 */
-    uint8_t *valid;         /* per reading: 1 where it is a distance */
+    const uint8_t *valid;   /* per reading: 1 where it is a distance */
     double noise[NOISES];
     double line_spacing;    /* typical angle between two lines */
     int64_t count;          /* number of surfels */
@@ -80,10 +80,10 @@ typedef struct {
 /* Every `stride`-th surfel of a sweep along lines and beams; each represents stride^2 of them. */
 typedef struct {
     int64_t count, stride;
-    int64_t room;           /* doubles from one column to the next */
-    double *columns;        /* surfels, column by column (SURFEL, room), sorted by line */
-    double *yaws;           /* per surfel */
-    int32_t *lines;         /* line of each surfel, ascending */
+    const double *rows;     /* all surfels of the sweep */
+    const double *yaws;     /* of all its surfels */
+    int32_t *chosen;        /* row of each surfel of the sample (count,) */
+    int32_t *lines;         /* its line, ascending (count,) */
 } Sample;
 
 /* The sweep that the iteration moves onto the target. */

@@ -30,15 +30,19 @@ typedef struct {
     int64_t first_line, end_line, first_beam, end_beam;
 } Extent;
 
-/* Mark the readings that are distances; return their extent. */
-static Extent mark_valid(const Sweep *sweep, const int64_t *codes, uint8_t *valid) {
+/* Mark the readings that are distances (n,); return their number. */
+static int64_t mark_valid(const double *restrict ranges, const int64_t *restrict codes, int64_t n,
+                          uint8_t *restrict valid) {
+    int64_t count = 0;
+    for (int64_t k = 0; k < n; k++) valid[k] = (codes[k] == VALID) & (ranges[k] > 0) & (ranges[k] < INFINITY);
+    for (int64_t k = 0; k < n; k++) count += valid[k];
+    return count;
+}
+
+/* Return the extent of the valid readings. */
+static Extent find_extent(const Sweep *sweep, const uint8_t *valid) {
     Extent extent = {sweep->n_lines, 0, sweep->n_beams, 0};
     for (int64_t i = 0; i < sweep->n_lines; i++) {
-        for (int64_t j = 0; j < sweep->n_beams; j++) {
-            int64_t at = i * sweep->stride + j;
-            double range = sweep->ranges[at];
-            valid[at] = (codes[at] == VALID) & (range > 0) & (range < INFINITY);
-        }
         const uint8_t *line = valid + i * sweep->stride, *one = memchr(line, 1, (size_t)sweep->n_beams);
         if (!one) continue;
         int64_t first = one - line, end = sweep->n_beams;
@@ -63,19 +67,16 @@ static Sweep crop_sweep(const Sweep *sweep, Extent extent) {
     return part;
 }
 
-/* Write the surfels and the noise of a sweep. Readings outside `keep` get no surfel (NULL: all do); where
- * `noise` is NaN it is estimated. Return 0, or -1 if memory runs out. */
-static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8_t *keep,
-                           ScanSurfels *out) {
-    size_t readings = (size_t)(sweep->n_lines * sweep->stride);
-    uint8_t *wanted = malloc(readings);
+/* Write the surfels and the noise of a sweep, whose valid readings are marked. Those that are `wanted`, too, get
+ * a surfel; where `noise` is NaN it is estimated. Return 0, or -1 if memory runs out. */
+static int extract_surfels(const Sweep *sweep, const uint8_t *wanted, ScanSurfels *out) {
     double *spacings = malloc(sizeof *spacings * (size_t)sweep->n_lines);
-    out->count = wanted && spacings ? 0 : -1;
-    memset(out->index, 0xff, sizeof *out->index * readings);
-    if (out->count < 0) goto done;
+    out->count = spacings ? 0 : -1;
+    memset(out->index, 0xff, sizeof *out->index * (size_t)(sweep->n_lines * sweep->stride));
+    if (out->count < 0) return -1;
 
-    /* valid readings and their extent */
-    Extent extent = mark_valid(sweep, codes, out->valid);
+    /* extent of the valid readings */
+    Extent extent = find_extent(sweep, out->valid);
     out->line_spacing = typical_line_spacing(sweep, spacings);
     if (extent.end_line == 0) {
         const double usual[NOISES] = {DEFAULT_SIGMA, DEFAULT_GROWTH, 0, 1};
@@ -83,10 +84,9 @@ static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8
             out->noise[k] = isnan(out->noise[k]) ? usual[k] : out->noise[k];
         goto done;
     }
-    for (size_t at = 0; keep && at < readings; at++) wanted[at] = out->valid[at] & keep[at];
     Sweep part = crop_sweep(sweep, extent);
     int64_t offset = part.ranges - sweep->ranges;
-    const uint8_t *valid = out->valid + offset, *wanted_part = (keep ? wanted : out->valid) + offset;
+    const uint8_t *valid = out->valid + offset;
     int32_t *index = out->index + offset;
 
     /* noise and windows */
@@ -102,7 +102,7 @@ static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8
     }
     Windows windows = {WINDOWS, (const int64_t (*)[2])half};
 
-    out->count = fit_surfels(&part, valid, wanted_part, out->noise, windows, out->rows, out->yaws, index);
+    out->count = fit_surfels(&part, valid, wanted + offset, out->noise, windows, out->rows, out->yaws, index);
 
     /* yaws relative to the middle of the sweep */
     double mean = 0;
@@ -111,7 +111,6 @@ static int extract_surfels(const Sweep *sweep, const int64_t *codes, const uint8
     mean /= (double)sweep->n_lines;
     for (int64_t k = 0; k < out->count; k++) out->yaws[k] -= mean;
 done:
-    free(wanted);
     free(spacings);
     return out->count < 0 ? -1 : 0;
 }

@@ -20,8 +20,7 @@ static Violations sum_violations(const Target *target, const uint8_t *known, con
     Violations sum = {0, 0};
     const Projection *p = &target->projection;
     for (int64_t m = 0; m < sample->count; m++) {
-        double row[SURFEL];
-        for (int c = 0; c < SURFEL; c++) row[c] = sample->columns[c * sample->room + m];
+        const double *row = sample->rows + SURFEL * sample->chosen[m];
         double x = T[0] * row[X] + T[1] * row[Y] + T[2] * row[Z] + T[3];
         double y = T[4] * row[X] + T[5] * row[Y] + T[6] * row[Z] + T[7];
         double z = T[8] * row[X] + T[9] * row[Y] + T[10] * row[Z] + T[11];

@@ -9,6 +9,7 @@
 enum { LANES = 8 };
 
 typedef double Lanes __attribute__((vector_size(8 * LANES)));
+typedef int64_t LaneBits __attribute__((vector_size(8 * LANES)));
 
 static inline Lanes load(const double *from) {
     Lanes v;
@@ -20,6 +21,11 @@ static inline double total(Lanes v) {
     return ((v[0] + v[4]) + (v[1] + v[5])) + ((v[2] + v[6]) + (v[3] + v[7]));
 }
 
+/* Return `v`, 0 where `known` is NaN. */
+static inline Lanes where_known(Lanes known, Lanes v) {
+    return (Lanes)((LaneBits)v & (LaneBits)(known == known));
+}
+
 static inline int64_t whole_lanes(int64_t n) {
     return (n + LANES - 1) / LANES * LANES;
 }
@@ -27,8 +33,7 @@ static inline int64_t whole_lanes(int64_t n) {
 #ifdef __clang__
 #define SHUFFLED(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
 #else
-typedef int64_t Order __attribute__((vector_size(8 * LANES)));
-#define SHUFFLED(a, b, ...) __builtin_shuffle(a, b, (Order){__VA_ARGS__})
+#define SHUFFLED(a, b, ...) __builtin_shuffle(a, b, (LaneBits){__VA_ARGS__})
 #endif
 
 /* Transpose LANES rows of LANES numbers in place. */

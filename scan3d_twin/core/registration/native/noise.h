@@ -226,96 +226,113 @@ typedef struct {
     double sums[2 * LANES], counts[2 * LANES];
 } Lagged;
 
-/* Add the products of `n` differences, NaN where there is none. All lags of a beam are added at once, each sum
- * in the order of the beams. */
-static void add_products(const double *restrict difference, int64_t n, Lagged *restrict lagged) {
+/* Add the products of `n` differences, NaN where there is none and for 2 LANES after the last. All lags of a
+ * beam are added at once, each sum in the order of the beams. */
+static void add_products(const double *difference, int64_t n, Lagged *lagged) {
+    const Lanes one = {1, 1, 1, 1, 1, 1, 1, 1};
+    Lanes sums[2] = {load(lagged->sums), load(lagged->sums + LANES)};
+    Lanes counts[2] = {load(lagged->counts), load(lagged->counts + LANES)};
     for (int64_t j = 0; j < n; j++) {
-        double here = difference[j], beyond[2 * LANES];
-        const double *others = difference + j;
-        if (isnan(here)) continue;
-        if (n - j < 2 * LANES) {    /* nothing beyond the last beam */
-            for (int lag = 0; lag < 2 * LANES; lag++) beyond[lag] = lag < n - j ? others[lag] : NAN;
-            others = beyond;
-        }
-        for (int lag = 0; lag < 2 * LANES; lag++) {
-            double product = here * others[lag];
-            lagged->sums[lag] += isnan(product) ? 0 : product;
-            lagged->counts[lag] += isnan(product) ? 0 : 1;
+        if (isnan(difference[j])) continue;
+        for (int half = 0; half < 2; half++) {
+            Lanes product = difference[j] * load(difference + j + half * LANES);
+            sums[half] += where_known(product, product), counts[half] += where_known(product, one);
         }
     }
+    for (int half = 0; half < 2; half++) {
+        store(lagged->sums + half * LANES, sums[half]);
+        store(lagged->counts + half * LANES, counts[half]);
+    }
+}
+
+/* Add the products of line i, in standard deviations; `standard` has room for its differences and 2 LANES more. */
+static void add_line_products(const Sweep *sweep, int64_t i, const double noise[2],
+                              const double *restrict difference, double *restrict standard, Lagged *lagged) {
+    const double *restrict ranges = sweep->ranges + i * sweep->stride;
+    const double at_zero = noise[0], growth = noise[1];
+    for (int64_t j = 0; j < sweep->n_beams; j++) {
+        double z = difference[j] / (sqrt(SQUARES) * (at_zero + growth * ranges[j]));
+        standard[j] = fabs(z) <= MAX_DEVIATION ? z : NAN;
+    }
+    for (int64_t j = sweep->n_beams; j < sweep->n_beams + 2 * LANES; j++) standard[j] = NAN;
+    add_products(standard, sweep->n_beams, lagged);
 }
 
 /* Return the factor on the variance of a mean along a line for the noise's correlation between beams:
  * 1 + 2 sum rho_k. What beams FAR_LAG apart have in common is the yaw error of their lines. */
-static double estimate_correlation(const Sweep *sweep, const uint8_t *valid, const double noise[2],
-                                   InverseRanges inverse, Across line) {
+static double find_correlation(const Lagged *lagged) {
     _Static_assert(FAR_LAG < 2 * LANES, "lags fit into two vectors");
-    Lagged lagged = {0};
-    int64_t n_beams = sweep->n_beams, step = sweep->n_lines * n_beams / (16 * MAX_READINGS);
-    for (int64_t i = REACH; i < sweep->n_lines - REACH; i += step > 1 ? step : 1) {
-        difference_line(sweep, valid, i, &inverse, line);
-        for (int64_t j = 0; j < n_beams; j++) {
-            double r = sweep->ranges[i * sweep->stride + j];
-            double z = line.difference[j] / (sqrt(SQUARES) * (noise[0] + noise[1] * r));
-            line.difference[j] = fabs(z) <= MAX_DEVIATION ? z : NAN;
-        }
-        add_products(line.difference, n_beams, &lagged);
-    }
-    const double *sums = lagged.sums, *counts = lagged.counts;
+    const double *sums = lagged->sums, *counts = lagged->counts;
     if (counts[FAR_LAG] < MIN_READINGS) return 1;
     double common = sums[FAR_LAG] / counts[FAR_LAG], factor = 1, own = sums[0] / counts[0] - common;
     for (int lag = 1; lag < LAGS; lag++) factor += 2 * (sums[lag] / counts[lag] - common) / own;
     return factor > 1 ? factor < MAX_CORRELATION ? factor : MAX_CORRELATION : 1;
 }
 
-/* Return the yaw jitter of the lines, a standard deviation: see scan_noise.py. `lines` has room for the
- * differences and slopes of 2 REACH + 1 lines, `square` for 2 numbers per line. */
-static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, const double noise[3],
-                                  InverseRanges inverse, Across *lines, double *square) {
-    enum { N = 2 * REACH + 1 };
-    double *expected = square + sweep->n_lines;
-    double found = 0, assumed = 0;  /* variance of the sums that follow, by what is left and by the noise */
-    int64_t n = 0;
-    for (int64_t i = REACH; i < sweep->n_lines - REACH; i++) {
-        difference_line(sweep, valid, i, &inverse, lines[i % N]);
-        int64_t at = i - REACH;     /* the line in work: its neighbours' slopes are known */
-        if (at < 2 * REACH) continue;
+/* Regressions of the lines' differences on their slopes. */
+typedef struct {
+    int64_t n;
+    double *square;         /* per line: square of the turn found, by what yaw errors of unit size give */
+    double *own, *gain;     /* per line: weight of its slopes, and what yaw errors of unit size give */
+    double found, assumed;  /* variance of the lines' sums, by what the regressions leave and by the noise */
+} Regressions;
 
-        /* regression of the line's differences on the slope, and what each line's error adds to it */
-        double onto = 0, own = 0, shared[N] = {0}, by_noise = 0, by_both = 0, by_yaw = 0;
-        const double *difference = lines[at % N].difference, *slope = lines[at % N].slope;
-        for (int64_t j = 0; j < sweep->n_beams; j++) {
-            double sigma = noise[0] + noise[1] * sweep->ranges[at * sweep->stride + j];
-            double limit = sqrt(SQUARES) * (MAX_DEVIATION * sigma
-                         + 3 * EXPECTED_JITTER * fabs(slope[j]));
-            double steepest = MAX_INCIDENCE * sweep->ranges[at * sweep->stride + j];
-            if (!(fabs(difference[j]) < limit) || !(fabs(slope[j]) > MIN_SLOPE)) continue;
-            if (fabs(slope[j]) > steepest) continue;
-            double w = 1 / (sigma * sigma), products[N];
-            int whole = 1;
-            for (int k = 0; k < N; k++) {
-                products[k] = w * slope[j] * lines[(at + k - REACH) % N].slope[j];
-                whole &= !isnan(products[k]);
-            }
-            if (!whole) continue;
-            double score = w * slope[j] * difference[j], weight = w * slope[j] * slope[j];
-            onto += score, own += weight;
-            by_noise += score * score, by_both += score * weight, by_yaw += weight * weight;
-            for (int k = 0; k < N; k++) shared[k] += products[k];
-        }
-        if (!(own > 0)) continue;
-        double gain = 0;
-        for (int k = 0; k < N; k++)
-            gain += SIXTH[k] * SIXTH[k] * (shared[k] / own) * (shared[k] / own);
-        double turn = onto / own;
-        found += by_noise - 2 * turn * by_both + turn * turn * by_yaw, assumed += SQUARES * own;
-        square[n] = turn * turn / gain;
-        expected[n++] = SQUARES * noise[2] / own / gain;
+/* Write the weight of each beam of line i in its regression, 0 where it takes no part: what differs by more
+ * than noise and jitter do is an edge. `slopes` are those of the line and its neighbours, all known where it
+ * takes part. */
+static void weigh_beams(const Sweep *sweep, int64_t i, const double noise[2],
+                        const double *restrict difference, const double *const slopes[2 * REACH + 1],
+                        double *restrict weights) {
+    const double *restrict slope = slopes[REACH], *restrict ranges = sweep->ranges + i * sweep->stride;
+    const double at_zero = noise[0], growth = noise[1];
+    for (int64_t j = 0; j < sweep->n_beams; j++) {
+        double sigma = at_zero + growth * ranges[j], steep = fabs(slope[j]), known = 0;
+        double limit = sqrt(SQUARES) * (MAX_DEVIATION * sigma + 3 * EXPECTED_JITTER * steep);
+        for (int k = 0; k <= 2 * REACH; k++) known += slopes[k][j];
+        int counts = (fabs(difference[j]) < limit) & (steep > MIN_SLOPE)
+                   & (steep <= MAX_INCIDENCE * ranges[j]) & !isnan(known);
+        weights[j] = counts ? 1 / (sigma * sigma) : 0;
     }
+}
+
+/* Add the regression of line i. `lines` are differences and slopes, line i in row i modulo their number;
+ * `weights` has room for a number per beam. */
+static void add_regression(const Sweep *sweep, int64_t i, const double noise[2], const Across *lines,
+                           double *weights, Regressions *out) {
+    enum { N = 2 * REACH + 1 };
+    const double *slopes[N], *difference = lines[i % N].difference;
+    for (int k = 0; k < N; k++) slopes[k] = lines[(i + k - REACH) % N].slope;
+    weigh_beams(sweep, i, noise, difference, slopes, weights);
+
+    /* sums over the beams, and what each line's error adds to them */
+    double onto = 0, own = 0, shared[N] = {0}, by_noise = 0, by_both = 0, by_yaw = 0;
+    for (int64_t j = 0; j < sweep->n_beams; j++) {
+        double w = weights[j], slope = slopes[REACH][j];
+        if (w == 0) continue;
+        double score = w * slope * difference[j], weight = w * slope * slope;
+        onto += score, own += weight;
+        by_noise += score * score, by_both += score * weight, by_yaw += weight * weight;
+        for (int k = 0; k < N; k++) shared[k] += w * slope * slopes[k][j];
+    }
+    if (!(own > 0)) return;
+    double gain = 0;
+    for (int k = 0; k < N; k++) gain += SIXTH[k] * SIXTH[k] * (shared[k] / own) * (shared[k] / own);
+    double turn = onto / own;
+    out->found += by_noise - 2 * turn * by_both + turn * turn * by_yaw, out->assumed += SQUARES * own;
+    out->square[out->n] = turn * turn / gain;
+    out->own[out->n] = own, out->gain[out->n++] = gain;
+}
+
+/* Return the yaw jitter of the lines, a standard deviation: see scan_noise.py. */
+static double find_yaw_jitter(const Regressions *lines, double correlation) {
+    const int64_t n = lines->n;
+    const double *square = lines->square;
+    double *expected = lines->own;  /* of `square`, by range noise */
 
     /* noise where slopes are large: incidence makes it larger than elsewhere */
-    double larger = assumed > 0 && found > assumed ? found / assumed : 1;
-    for (int64_t k = 0; k < n; k++) expected[k] *= larger;
+    double larger = lines->assumed > 0 && lines->found > lines->assumed ? lines->found / lines->assumed : 1;
+    for (int64_t k = 0; k < n; k++)
+        expected[k] = SQUARES * correlation / lines->own[k] / lines->gain[k] * larger;
 
     /* excess over range noise, reweighted */
     double jitter = EXPECTED_JITTER * EXPECTED_JITTER, excess = 0, error = 0;
@@ -340,17 +357,30 @@ static double estimate_yaw_jitter(const Sweep *sweep, const uint8_t *valid, cons
  * correlated beams and the sigma of a line's yaw. Return 0, or -1 if memory runs out. */
 static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise[NOISES]) {
     enum { N = 2 * REACH + 1 };
-    size_t beams = (size_t)sweep->n_beams;
-    double *room = malloc(sizeof *room * (3 * N * beams + 2 * (size_t)sweep->n_lines));
+    const int correlated = isnan(noise[CORRELATION]), jittery = isnan(noise[YAW_SIGMA]);
+    const size_t beams = (size_t)sweep->n_beams, n_lines = (size_t)sweep->n_lines;
+    double *room = malloc(sizeof *room * ((3 * N + 1) * beams + 2 * LANES + 3 * n_lines));
     if (!room) return -1;
+    if (isnan(noise[RANGE_SIGMA])) estimate_range_noise(sweep, valid, noise);
+
+    /* products and regressions of the lines' differences */
     Across lines[N];
     for (size_t k = 0; k < N; k++) lines[k] = (Across){room + 2 * k * beams, room + (2 * k + 1) * beams};
-    const InverseRanges inverse = {room + 2 * N * beams, 0};
-    if (isnan(noise[RANGE_SIGMA])) estimate_range_noise(sweep, valid, noise);
-    if (isnan(noise[CORRELATION])) noise[CORRELATION] = estimate_correlation(sweep, valid, noise, inverse, lines[0]);
-    const double known[3] = {noise[RANGE_SIGMA], noise[RANGE_GROWTH], noise[CORRELATION]};
-    if (isnan(noise[YAW_SIGMA]))
-        noise[YAW_SIGMA] = estimate_yaw_jitter(sweep, valid, known, inverse, lines, room + 3 * N * beams);
+    InverseRanges inverse = {room + 2 * N * beams, 0};
+    double *scratch = room + 3 * N * beams, *square = scratch + beams + 2 * LANES;
+    Lagged lagged = {0};
+    Regressions regressions = {0, square, square + n_lines, square + 2 * n_lines, 0, 0};
+    int64_t step = sweep->n_lines * sweep->n_beams / (16 * MAX_READINGS);
+    for (int64_t i = REACH; i < sweep->n_lines - REACH; i++) {
+        int multiplied = correlated && (i - REACH) % (step > 1 ? step : 1) == 0;
+        if (!multiplied && !jittery) continue;
+        difference_line(sweep, valid, i, &inverse, lines[i % N]);
+        if (multiplied) add_line_products(sweep, i, noise, lines[i % N].difference, scratch, &lagged);
+        if (jittery && i >= 3 * REACH)  /* the slopes of the neighbours on both sides are known */
+            add_regression(sweep, i - REACH, noise, lines, scratch, &regressions);
+    }
+    if (correlated) noise[CORRELATION] = find_correlation(&lagged);
+    if (jittery) noise[YAW_SIGMA] = find_yaw_jitter(&regressions, noise[CORRELATION]);
     free(room);
     return 0;
 }

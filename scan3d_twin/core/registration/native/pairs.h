@@ -13,6 +13,7 @@
 enum { CHUNK = 256 };
 
 typedef struct {
+    double source[SURFEL][CHUNK], source_yaw[CHUNK];
     double elevation[CHUNK], yaw[CHUNK], rate[CHUNK];
     int32_t row[CHUNK];                             /* of the paired surfel of the target, or -1 */
     double target[SURFEL][CHUNK], target_yaw[CHUNK];
@@ -21,10 +22,25 @@ typedef struct {
     double a[3][CHUNK];                             /* lever arms */
 } Chunk;
 
+/* Copy `n` surfels by their rows to columns, and their yaws; the first surfel where a row is -1. */
+static void gather(const double *rows, const double *yaws, const int32_t *chosen, int64_t n,
+                   double (*restrict columns)[CHUNK], double *restrict of_columns) {
+    for (int64_t k = 0; k < n; k += LANES) {
+        Lanes surfels[LANES];
+        for (int i = 0; i < LANES; i++) {
+            int32_t row = k + i < n && chosen[k + i] > 0 ? chosen[k + i] : 0;
+            surfels[i] = load(rows + SURFEL * row);
+            of_columns[k + i] = yaws[row];
+        }
+        transpose(surfels);
+        for (int m = 0; m < SURFEL; m++) store(columns[m] + k, surfels[m]);
+    }
+}
+
 /* Pair each of `n` source points at T with the target's surfel on the reading that sees it, or -1. */
-static void associate(const Target *target, const double *restrict xs, const double *restrict ys,
-                      const double *restrict zs, int64_t n, const double *T, Chunk *restrict w) {
+static void associate(const Target *target, int64_t n, const double *T, Chunk *restrict w) {
     const Projection *p = &target->projection;
+    const double *restrict xs = w->source[X], *restrict ys = w->source[Y], *restrict zs = w->source[Z];
     double mount[14];
     memcpy(mount, p->mount, sizeof mount);
     const double t0 = T[0], t1 = T[1], t2 = T[2], t3 = T[3], t4 = T[4], t5 = T[5];
@@ -53,29 +69,19 @@ static void associate(const Target *target, const double *restrict xs, const dou
     }
 }
 
-/* Copy the paired surfels of the target to the columns; the first surfel where there is no pair. */
-static void gather(const Target *target, int64_t n, Chunk *w) {
-    for (int64_t k = n; k < whole_lanes(n); k++) w->row[k] = -1;
-    for (int64_t k = 0; k < n; k += LANES) {
-        Lanes rows[LANES];
-        for (int i = 0; i < LANES; i++) {
-            int32_t row = w->row[k + i] > 0 ? w->row[k + i] : 0;
-            rows[i] = load(target->rows + SURFEL * row);
-            w->target_yaw[k + i] = target->yaws[row];
-        }
-        transpose(rows);
-        for (int m = 0; m < SURFEL; m++) store(w->target[m] + k, rows[m]);
-    }
+/* Copy a sample's surfels from `first` on, and those of the target that they are paired with at T. */
+static void gather_pairs(const Target *target, const Sample *sample, int64_t first, int64_t n, const double *T,
+                         Chunk *w) {
+    gather(sample->rows, sample->yaws, sample->chosen + first, n, w->source, w->source_yaw);
+    associate(target, n, T, w);
+    gather(target->rows, target->yaws, w->row, n, w->target, w->target_yaw);
 }
 
 /* Write Jacobian, residuals and weights of `n` pairs; the weight of a pair outside the gate is 0. Add the
  * others to the equations' pairs and square. */
-static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, const double *T,
-                            const double *nuisances, Gate gate, const PairNoise *noise,
-                            Chunk *restrict w, Equations *sums) {
-    const double *restrict source[SURFEL], *restrict yaws = sample->yaws + first;
-    for (int m = 0; m < SURFEL; m++) source[m] = sample->columns + m * sample->room + first;
-    const double area = (double)(sample->stride * sample->stride);
+static void linearise_pairs(int64_t n, int64_t stride, const double *T, const double *nuisances, Gate gate,
+                            const PairNoise *noise, Chunk *restrict w, Equations *sums) {
+    const double area = (double)(stride * stride);
     const double c2 = gate.robust * gate.robust, distance = gate.distance;
     const double farthest = MAX_GATES_ALONG_RAY * distance * MAX_GATES_ALONG_RAY * distance;
     const double jitter = noise->jitter, target_jitter = noise->target_jitter;
@@ -84,8 +90,8 @@ static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, cons
     const double t0 = T[0], t1 = T[1], t2 = T[2], t3 = T[3], t4 = T[4], t5 = T[5];
     const double t6 = T[6], t7 = T[7], t8 = T[8], t9 = T[9], t10 = T[10], t11 = T[11];
     for (int64_t k = 0; k < n; k++) {
-        double px = source[X][k], py = source[Y][k], pz = source[Z][k];
-        double sx = source[NX][k], sy = source[NY][k], sz = source[NZ][k];
+        double px = w->source[X][k], py = w->source[Y][k], pz = w->source[Z][k];
+        double sx = w->source[NX][k], sy = w->source[NY][k], sz = w->source[NZ][k];
         double qx = w->target[X][k], qy = w->target[Y][k], qz = w->target[Z][k];
         double mx = w->target[NX][k], my = w->target[NY][k], mz = w->target[NZ][k];
 
@@ -104,11 +110,11 @@ static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, cons
         /* residual */
         double ux = ax + t3 - qx, uy = ay + t7 - qy, uz = az + t11 - qz;
         double swing = ny * ax - nx * ay, turn = ny * qx - nx * qy;
-        double g = yaws[k] * swing - w->target_yaw[k] * turn;
+        double g = w->source_yaw[k] * swing - w->target_yaw[k] * turn;
         double e = nx * ux + ny * uy + nz * uz + g * yaw_scale;
 
         /* weight */
-        double variance = source[VARIANCE][k] + w->target[VARIANCE][k];
+        double variance = w->source[VARIANCE][k] + w->target[VARIANCE][k];
         double crossing = fabs(nx * ax + ny * ay) * (qx * qx + qy * qy);
         double crossed = fabs(nx * qx + ny * qy) * (ax * ax + ay * ay);
         double lines = density * crossing / (crossed > 1e-9 ? crossed : 1e-9);
@@ -126,7 +132,7 @@ static void linearise_pairs(const Sample *sample, int64_t first, int64_t n, cons
         w->J[6][k] = g;
         w->e[k] = counts ? e : 0, w->weight[k] = weight;
         w->normal_weight[k] =
-            weight * ((source[NORMAL_VARIANCE][k] + w->target[NORMAL_VARIANCE][k]) / 4 + tilt);
+            weight * ((w->source[NORMAL_VARIANCE][k] + w->target[NORMAL_VARIANCE][k]) / 4 + tilt);
         w->a[0][k] = ax, w->a[1][k] = ay, w->a[2][k] = az;
         w->line_error[k] = swing < 0 ? -line_error : line_error;
     }
@@ -264,12 +270,10 @@ static void build_equations(const Target *target, const Sample *sample, const do
 
     for (int64_t first = 0; first < sample->count; first += CHUNK) {
         int64_t n = sample->count - first < CHUNK ? sample->count - first : CHUNK;
-        const double *points = sample->columns + first;
 
         /* correspondences, residuals and weights */
-        associate(target, points, points + sample->room, points + 2 * sample->room, n, T, w);
-        gather(target, n, w);
-        linearise_pairs(sample, first, n, T, nuisances, gate, noise, w, sums);
+        gather_pairs(target, sample, first, n, T, w);
+        linearise_pairs(n, sample->stride, T, nuisances, gate, noise, w, sums);
         clear_rest(n, w);
 
         /* sums */

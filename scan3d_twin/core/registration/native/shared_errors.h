@@ -66,9 +66,8 @@ static int number_patches(const Sample *sample, const PairNoise *noise, int *row
     int n = 0;
     for (int k = 0; k < COLUMNS * BANDS; k++) row_of[k] = -1;
     for (int64_t k = 0; k < sample->count; k++) {
-        const double *p = sample->columns + k;
-        Ray ray = ray_to(p[X * sample->room], p[Y * sample->room], p[Z * sample->room], noise->ahead,
-                         noise->up);
+        const double *p = sample->rows + SURFEL * sample->chosen[k];
+        Ray ray = ray_to(p[X], p[Y], p[Z], noise->ahead, noise->up);
         int patch = place_of(&ray).patch;
         if (row_of[patch] < 0) row_of[patch] = PATCH_ERRORS * n++;
     }
@@ -143,8 +142,6 @@ static void add_chunk(const Target *target, const Sample *sample, int64_t first,
                       const double *T, const int *columns, const PairNoise *noise, const Chunk *w,
                       Sums *s) {
     const double *mount = target->projection.mount;
-    const double *points[3] = {sample->columns + first, sample->columns + sample->room + first,
-                               sample->columns + 2 * sample->room + first};
     for (int64_t k = 0; k < n; k++) {
         if (w->weight[k] == 0) continue;
         if (sample->lines[first + k] != s->line) {
@@ -154,7 +151,7 @@ static void add_chunk(const Target *target, const Sample *sample, int64_t first,
 
         /* incidence on both rays */
         const double normal[3] = {w->J[0][k], w->J[1][k], w->J[2][k]};
-        Ray own = ray_to(points[0][k], points[1][k], points[2][k], noise->ahead, noise->up);
+        Ray own = ray_to(w->source[X][k], w->source[Y][k], w->source[Z][k], noise->ahead, noise->up);
         Ray other = ray_to(w->target[X][k], w->target[Y][k], w->target[Z][k], mount[5], mount[7]);
         double by_own = 0, by_other = 0;
         for (int i = 0; i < 3; i++) {
@@ -288,10 +285,8 @@ static int sum_shared_errors(const Target *target, const Sample *sample, const d
     plain->size = pose + 1;
     for (int64_t first = 0; first < sample->count; first += CHUNK) {
         int64_t n = sample->count - first < CHUNK ? sample->count - first : CHUNK;
-        const double *points = sample->columns + first;
-        associate(target, points, points + sample->room, points + 2 * sample->room, n, T, w);
-        gather(target, n, w);
-        linearise_pairs(sample, first, n, T, nuisances, gate, &single, w, plain);
+        gather_pairs(target, sample, first, n, T, w);
+        linearise_pairs(n, sample->stride, T, nuisances, gate, &single, w, plain);
         clear_rest(n, w);
         add_pairs(n, pose + 1, pose, columns, w, plain);
         sum_levers(n, 0, w, &swing);

@@ -309,19 +309,14 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
     return count;
 }
 
-/* Write every `stride`-th surfel along lines and beams, beginning half a stride from the corner. */
-static void sample_surfels(const int32_t *index, int64_t n_lines, int64_t n_beams, const double *rows,
-                           const double *of_rows, Sample *out) {
-    const int64_t stride = out->stride, room = out->room;
-    double *restrict columns = out->columns, *restrict yaws = out->yaws;
-    int32_t *restrict lines = out->lines;
+/* Choose every `stride`-th surfel along lines and beams, beginning half a stride from the corner. */
+static void sample_surfels(const int32_t *index, int64_t n_lines, int64_t n_beams, Sample *out) {
+    const int64_t stride = out->stride;
     int64_t n = 0;
     for (int64_t i = stride / 2; i < n_lines; i += stride)
         for (int64_t j = stride / 2; j < n_beams; j += stride) {
             int32_t row = index[i * n_beams + j];
-            if (row < 0) continue;
-            for (int m = 0; m < SURFEL; m++) columns[m * room + n] = rows[SURFEL * row + m];
-            yaws[n] = of_rows[row], lines[n++] = (int32_t)i;
+            if (row >= 0) out->chosen[n] = row, out->lines[n++] = (int32_t)i;
         }
     out->count = n;
 }
