@@ -51,6 +51,7 @@ from scan3d_twin.core.registration.gauss_newton import (
 from scan3d_twin.core.registration.kd_tree import Tree, is_near
 from scan3d_twin.core.registration.multistart import spread_starts
 from scan3d_twin.core.registration.native import Engine, engine
+from scan3d_twin.core.registration.native.arguments import Doubles, address_of
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displace, predict_rmse
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
@@ -788,7 +789,7 @@ def test_the_noise_of_each_reading_can_be_handed_in() -> None:
     grid = extract_surfels(image(1), noise=ScanNoise(SIGMA, 0.0))
     sweep = make_native_sweep(grid.image)
     sigmas = np.full(grid.image.ranges.shape, 2 * SIGMA)
-    sweep.sigmas = native.Doubles.from_param(sigmas)
+    sweep.sigmas = Doubles.from_param(sigmas)
     windows = np.array([[4, 6], [1, 1]], dtype=np.int64)
     noise = np.array([SIGMA, 0.0, 0.0, 1.0])
     own, _, index = fit_surfels(sweep, grid.valid, grid.valid, noise, windows)
@@ -860,7 +861,7 @@ def test_both_sides_agree_on_the_values() -> None:
 def test_the_address_of_an_array_is_that_of_its_first_number() -> None:
     numbers = np.arange(12.0).reshape(3, 4)
     for array in (numbers, numbers[1:], read_only(numbers), np.zeros(0), np.zeros(3, np.bool_)):
-        assert native.address_of(array) == array.ctypes.data
+        assert address_of(array) == array.ctypes.data
 
 
 def test_arrays_of_another_type_or_layout_are_refused() -> None:
