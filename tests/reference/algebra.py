@@ -99,7 +99,7 @@ def eliminated(state: State, k: int) -> tuple[FloatArray, FloatArray, FloatArray
 
 def determined(
     H: FloatArray, spurious: FloatArray, reach: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return the directions that the scans determine and those that are degenerate.
 
     Args:
@@ -109,8 +109,8 @@ def determined(
 
     Returns:
         The projector K (k, k) such that K H K^T and K g keep the determined directions, the same
-        with each shortened by the root of the share that is not spurious (k, k), and the others as
-        unit rows (j, k).
+        with each shortened by the root of the share that is not spurious (k, k), the others as unit
+        rows (j, k), and the least information of a direction per spurious information.
     """
     k = len(H)
     unit = np.ones(k)
@@ -120,10 +120,13 @@ def determined(
         scaled[i] = H[i] * unit[i] * unit
     values, vectors = np.linalg.eigh(scaled)
     kept, honest, dropped, n = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), 0
+    least = math.inf
     for m in range(k):
         direction = vectors[:, m] * unit
         noise = quadratic(spurious, direction)
-        if values[m] > 0 and values[m] >= SIGNAL * max(noise, 1e-12 * values[-1]):
+        floor = max(noise, 1e-12 * values[-1])
+        least = min(least, values[m] / floor if values[m] > 0 else 0.0)
+        if values[m] > 0 and values[m] >= SIGNAL * floor:
             share = math.sqrt(1.0 - noise / values[m])
             for i in range(k):
                 onto = vectors[i, m] / unit[i] * direction
@@ -132,7 +135,7 @@ def determined(
         else:
             dropped[n] = direction / math.sqrt(np.sum(direction * direction))
             n += 1
-    return kept, honest, dropped[:n].copy()
+    return kept, honest, dropped[:n].copy(), least
 
 
 def quadratic(M: FloatArray, v: FloatArray) -> float:

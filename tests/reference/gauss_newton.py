@@ -24,6 +24,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from reference.algebra import (
+    SIGNAL,
     State,
     block,
     determined,
@@ -50,6 +51,7 @@ from reference.pose_prior import (
 )
 from reference.scan_arrays import Sample, Target
 from reference.shared_errors import shared_errors, state_prior, state_spread
+from reference.stretched_windows import MOST_STRETCH, stretched
 from scan3d_twin.core.types import FloatArray, read_only
 
 Dof = Literal["planar", "se3"]
@@ -333,7 +335,13 @@ def solve(
         spurious, pairs = equations.spurious, equations.pairs
 
     # degenerate directions and nuisances
-    kept, honest, dropped = determined(tested, spurious, reach(scans.moments))
+    kept, honest, dropped, least = determined(tested, spurious, reach(scans.moments))
+    if least < MOST_STRETCH * SIGNAL:
+        both = scans.both
+        if shared:
+            both = both._replace(share=1.0 / both.correlation, tilt=0.0)
+        spurious = spurious + stretched(*at[:-2], both, rows)
+        kept, honest, dropped, _ = determined(tested, spurious, reach(scans.moments))
     data = without_directions(data, dropped)
     data = with_prior(data, k, prior.yaw_scale, state.scale)
     H, g, by, constant = eliminated(data, k)

@@ -117,6 +117,8 @@ class Pairs(NamedTuple):
         w: Weights (n,) [1/m2].
         own: Error by the yaw of the source line per its sigma (n,) [m].
         nu: Variance of the mean normal (n,) [rad2].
+        nu_s: Variance of the source's normal (n,) [rad2].
+        nu_t: Variance of the target's normal (n,) [rad2].
         a: Lever arms (n, 3) [m].
         p: Source points, in the source's frame (n, 3) [m].
         q: Target points (n, 3) [m].
@@ -128,6 +130,8 @@ class Pairs(NamedTuple):
     w: FloatArray
     own: FloatArray
     nu: FloatArray
+    nu_s: FloatArray
+    nu_t: FloatArray
     a: FloatArray
     p: FloatArray
     q: FloatArray
@@ -161,9 +165,10 @@ def linearised(
     k = _lines_per_line(n, a, q, both.density)
     own = np.sqrt(both.jitter * swing**2 + both.target_jitter * k * turn**2) * np.sign(swing)
     w = both.share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
-    nu = (rows[paired, NORMAL_VARIANCE] + met[paired, NORMAL_VARIANCE]) / 4 + both.tilt
+    nu_s, nu_t = rows[paired, NORMAL_VARIANCE], met[paired, NORMAL_VARIANCE]
+    nu = (nu_s + nu_t) / 4 + both.tilt
     J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
-    return Pairs(J, e, w, own, nu, a, rows[paired, X], q, sample.lines[paired])
+    return Pairs(J, e, w, own, nu, nu_s, nu_t, a, rows[paired, X], q, sample.lines[paired])
 
 
 def normal_equations(

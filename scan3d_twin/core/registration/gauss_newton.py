@@ -7,10 +7,11 @@ tightened from step to step, the odometry as a prior about the viewpoint, and ve
 
 Degeneracy: H_kept holds those eigenvectors v of the scans' information matrix H whose information
 is at least twice what noise of the normals adds, v^T H v >= 2 v^T H_spurious v, that is, as much
-signal as noise (Hatleskog and Alexis, arXiv 2410.10784). The other directions, such as a slide
-along a wall, are left to prior and edges. The covariance is the inverse of the left side, less the
-spurious information and what is lost to yaw jitter; for point-to-plane residuals that is sound
-(Bonnabel et al., arXiv 1410.7632).
+signal as noise (Hatleskog and Alexis, arXiv 2410.10784). A direction in doubt is tested once more
+with the shape of the windows (``point_to_plane``). The other directions, such as a slide along a
+wall, are left to prior and edges. The covariance is the inverse of the left side, less the spurious
+information and what is lost to yaw jitter; for point-to-plane residuals that is sound (Bonnabel et
+al., arXiv 1410.7632).
 
 The yaw scale is a nuisance parameter, eliminated by its Schur complement; along degenerate
 directions the scans say nothing of it, either. Once the iteration has converged, a last step uses

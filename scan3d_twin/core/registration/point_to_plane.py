@@ -21,6 +21,16 @@ h h^T / (1 + sum w c^2) from J^T W J, with h = sum w c J, and a matching term fr
 Spurious information: noise of the normals, of variance nu, and tilts by a range error that changes
 along the surface add w nu (B B^T - J J^T), B = (I, [a]x), in directions that the surface leaves
 free (Hatleskog and Alexis, arXiv 2410.10784). ``native/pairs.h`` computes all of this.
+
+Stretched windows: nu is the mean over both tangents. A window that a ray d meets at an incidence of
+cosine b is 1 / b times as long along the ray's trace as across it, so that the normal varies by
+2 nu / (1 + b^2) about the trace, at most twice the mean, and by b^2 times that across it. Where a
+direction has less than four times its spurious information, this decides whether it is determined:
+a floor far ahead fakes twice as much of a turn. There each of a pair's two normals adds
+
+    w nu / (4 (1 + b^2)) (J_v J_v^T - J_u J_u^T),   u = d - (n . d) n,  v = n x d,  J_x = (x, a x x)
+
+to the spurious information (``native/stretched_windows.h``).
 """
 
 from __future__ import annotations

@@ -52,6 +52,15 @@ def test_exactly_the_undetermined_directions_are_reported(name: str, with_prior:
         assert math.isfinite(result.predicted_rmse) == (with_prior or len(found) == 0)
 
 
+def test_a_bare_floor_determines_nothing() -> None:
+    """The turn is the hardest: normals of a floor err most about the trace of the ray."""
+    for seed in range(10):
+        pair = take("floor", seed)
+        result = register(pair.target, pair.source, init_T_target_source=pair.init)
+        assert len(result.degenerate_directions) == 3, seed
+        assert not result.converged
+
+
 @pytest.mark.parametrize("name", ["cylinder", "sphere"])
 def test_round_bodies_have_the_stated_variance(name: str) -> None:
     """Planes lie inside them, by how much depends on the noise: the same in both sweeps."""

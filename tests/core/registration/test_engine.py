@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import degenerate_pairs
 import numpy as np
 import pytest
 import reference.algebra
@@ -344,6 +345,25 @@ def test_the_iteration_on_a_wall(dof: str) -> None:
     own = align(problem, guess)
     assert len(own.degenerate) > 0
     assert_same(own, plain_align(problem, guess))
+
+
+@pytest.mark.parametrize("dof", ["planar", "se3"])
+@pytest.mark.parametrize("bias", [0.0, 0.002])
+def test_the_iteration_on_a_floor(dof: str, bias: float) -> None:
+    """Where directions are in doubt, the spurious information allows for stretched windows."""
+    pair = degenerate_pairs.draw_pair("floor", 2)
+    noise = ScanNoise(SIGMA, 0.0, 0.001, bias_sigma=bias, linearity_sigma=0.004, offset_sigma=0.003)
+    # No line on the border of two patches, where rounding decides.
+    sweeps = (
+        replace(each, yaws=read_only(each.yaws + 0.001), T_base_lidar=image(1).T_base_lidar)
+        for each in (pair.target, pair.source)
+    )
+    target, source = (extract_surfels(sweep, noise=noise) for sweep in sweeps)
+    prior = PosePrior.planar(pair.init, 0.02, 0.035)
+    problem = Problem(target, source, prior, dof)  # type: ignore[arg-type]
+    own = align(problem, prior.T)
+    assert len(own.degenerate) == 3
+    assert_same(own, plain_align(problem, prior.T))
 
 
 def test_the_iteration_without_prior() -> None:

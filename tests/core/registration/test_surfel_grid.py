@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cloud_scenes
+import degenerate_pairs
 import numpy as np
 import pytest
 import synthetic
@@ -11,7 +13,7 @@ import synthetic
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
 from scan3d_twin.core.registration.surfel_grid import extract_surfels
-from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N
+from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N, X
 from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
 
 WALL = (synthetic.Box((1.0, -3.0, 0.0), (1.5, 3.0, 2.0)),)
@@ -45,6 +47,25 @@ def test_normals_have_no_bias_and_the_stated_variance() -> None:
     lean = rows[:, 4]
     assert abs(lean.mean()) < 0.012
     assert lean.std() == pytest.approx(np.sqrt(rows[:, NORMAL_VARIANCE].mean()), rel=0.3)
+
+
+def test_normals_vary_more_across_the_ray_than_along_it() -> None:
+    """By 2 / (1 + b^2) and 2 b^2 / (1 + b^2) of the stated mean, at an incidence of cosine b."""
+    rng, floor = np.random.default_rng(0), cloud_scenes.DEGENERATE["floor"].bodies
+    sweeps = [degenerate_pairs.sweep(floor, Pose2(), 2.6, rng) for _ in range(4)]
+    known = ScanNoise(degenerate_pairs.SIGMA, 0.0)
+    rows = np.concatenate([extract_surfels(sweep, noise=known).rows for sweep in sweeps])
+    ray = rows[:, X] - degenerate_pairs.MOUNT[:3, 3]
+    b = -ray[:, 2] / np.linalg.norm(ray, axis=1)
+    trace = ray[:, :2] / np.linalg.norm(ray[:, :2], axis=1)[:, None]
+    along = np.sum(rows[:, 3:5] * trace, axis=1)
+    across = rows[:, 4] * trace[:, 0] - rows[:, 3] * trace[:, 1]
+    for low, high in ((0.1, 0.2), (0.2, 0.4), (0.4, 0.8)):
+        part = (b > low) & (b < high)
+        mean, own = rows[part, NORMAL_VARIANCE], b[part] ** 2
+        by_across, by_along = np.mean(2 / (1 + own)), np.mean(2 * own / (1 + own))
+        assert np.mean(across[part] ** 2 / mean) == pytest.approx(by_across, rel=0.2)
+        assert np.mean(along[part] ** 2 / mean) == pytest.approx(by_along, rel=0.5)
 
 
 def test_smoothing_leaves_a_fraction_of_the_noise() -> None:

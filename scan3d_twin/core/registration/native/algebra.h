@@ -101,11 +101,11 @@ typedef struct {
     double honest[STATE * STATE];   /* K, each direction times the root of its share that is no noise */
     double dropped[POSE][STATE];    /* the degenerate directions, as unit rows */
     int n_dropped;
+    double least_signal;            /* least information of a direction, per spurious one */
 } Determined;
 
 /* Test each eigenvector of H for degeneracy against the information that noise alone gives; `reach`
  * makes rotations comparable with translations. */
-
 static void find_determined(const double *H, const double *spurious, const int64_t *entries, int n,
                             double reach, Determined *out) {
     double unit[STATE], scaled[STATE * STATE] = {0}, values[STATE], V[STATE * STATE];
@@ -116,6 +116,7 @@ static void find_determined(const double *H, const double *spurious, const int64
         for (int j = 0; j < n; j++) scaled[STATE * i + j] = H[STATE * i + j] * unit[i] * unit[j];
     find_eigen(scaled, n, values, V);
     memset(out, 0, sizeof *out);
+    out->least_signal = INFINITY;
     for (int m = 0; m < n; m++) {
         double direction[STATE], square = 0;
         for (int i = 0; i < n; i++) {
@@ -125,8 +126,10 @@ static void find_determined(const double *H, const double *spurious, const int64
 
         /* drop what noise could give */
         double noise = quadratic(spurious, direction, n);
-        double floor = 1e-12 * values[n - 1], least = MIN_SIGNAL_RATIO * (noise > floor ? noise : floor);
-        if (!(values[m] > 0 && values[m] >= least)) {
+        double floor = 1e-12 * values[n - 1], least = noise > floor ? noise : floor;
+        double signal = values[m] > 0 ? values[m] / least : 0;
+        out->least_signal = signal < out->least_signal ? signal : out->least_signal;
+        if (!(values[m] > 0 && values[m] >= MIN_SIGNAL_RATIO * least)) {
             for (int i = 0; i < n; i++) out->dropped[out->n_dropped][i] = direction[i] / sqrt(square);
             out->n_dropped++;
             continue;

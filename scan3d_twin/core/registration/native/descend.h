@@ -1,7 +1,7 @@
 /* The Gauss-Newton iteration: gauss_newton.py describes the method. */
 #pragma once
 
-#include "shared_errors.h"
+#include "stretched_windows.h"
 
 #define GATE_FACTOR 0.7         /* of gate and kernel from one step to the next */
 #define FINAL_GATE 0.03         /* least gate [m]: a few times the range noise */
@@ -121,6 +121,12 @@ static int solve(const Target *target, const Source *source, const PairNoise *no
     if (sum_pairs(target, sample, T, nuisances, gate, noise, prior, shared, scratch, &out->equations,
                   &state, tested, &sums) < 0) return -1;
     find_determined(tested, out->equations.spurious, entries, n, find_reach(source), &out->determined);
+    if (out->determined.least_signal < MAX_STRETCH * MIN_SIGNAL_RATIO) {
+        const PairNoise single = noise_of_readings(noise);
+        add_stretched_windows(target, sample, T, nuisances, gate, shared ? &single : noise, prior, scratch,
+                              out->equations.spurious);
+        find_determined(tested, out->equations.spurious, entries, n, find_reach(source), &out->determined);
+    }
     drop_directions(&out->determined, n, &state);
     Wide known = {.size = state.size};
     add_nuisance_priors(prior, noise, nuisances, shared, &state);

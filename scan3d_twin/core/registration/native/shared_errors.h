@@ -256,6 +256,13 @@ static double measure_state_spread(Wide *known, const Wide *equations, const dou
     return sqrt(square / count);
 }
 
+/* Return the noise of pairs whose patches have errors of their own. */
+static PairNoise noise_of_readings(const PairNoise *noise) {
+    PairNoise single = *noise;
+    single.share = 1 / noise->correlation, single.tilt = 0;
+    return single;
+}
+
 /* Write the normal equations of the whole pose, yaw scale and curve, with the patches' and the lines' errors
  * marginalised; also the pairs and the spurious information in `plain`,
  * and all sums in `sums`, to be freed. Return 0, or -1 if memory runs out. */
@@ -278,8 +285,7 @@ static int sum_shared_errors(const Target *target, const Sample *sample, const d
     for (int k = 0; k < s.state; k++) s.H[(size_t)k * room + (size_t)k] = 1;
 
     /* pairs, without what the patches account for */
-    PairNoise single = *noise;
-    single.share = 1 / noise->correlation, single.tilt = 0;
+    const PairNoise single = noise_of_readings(noise);
     LeverSums swing = {0};
     memset(plain, 0, sizeof *plain);
     plain->size = pose + 1;
