@@ -35,8 +35,8 @@ RESAMPLES = 2000
 def register(data: Pair) -> tuple[float, float]:
     """Return error [m], infinite if it fails, and CPU time [s] of the registration of a pair."""
     prior, began = PosePrior.planar(data.init, PRIOR_XY, PRIOR_YAW), time.thread_time()
-    grids = extract_surfels(data.target), extract_surfels(data.source)
     try:
+        grids = extract_surfels(data.target), extract_surfels(data.source)
         result = register_grids(
             *grids, init_T_target_source=data.init.matrix(), prior=prior, starts=1
         )
@@ -48,11 +48,17 @@ def register(data: Pair) -> tuple[float, float]:
 
 
 def compare_medians(errors: np.ndarray, usual: np.ndarray) -> tuple[float, float, float]:
-    """Return the ratio of the medians of paired errors (n,), and its 95 % interval."""
+    """Return the ratio of the medians of paired errors (n,), and its 95 % interval.
+
+    Raises:
+        SystemExit: So many pairs failed that a median is infinite.
+    """
+    if not (np.isfinite(np.median(errors)) and np.isfinite(np.median(usual))):
+        sys.exit("half of the registrations failed: there is no ratio of medians")
     rng = np.random.default_rng(0)
     drawn = rng.integers(len(errors), size=(RESAMPLES, len(errors)))
     ratios = np.median(errors[drawn], axis=1) / np.median(usual[drawn], axis=1)
-    low, high = np.quantile(ratios, (0.025, 0.975))
+    low, high = np.quantile(ratios[np.isfinite(ratios)], (0.025, 0.975))
     return float(np.median(errors) / np.median(usual)), float(low), float(high)
 
 

@@ -64,7 +64,7 @@ class Stage:
         self._colouring: Colouring = "view"
         self._heights = (math.inf, -math.inf)
         self._aim: tuple[FloatArray, FloatArray] | None = None
-        # A page that comes while the camera is aimed is not yet known, and has begun without it.
+        # A page that connects meanwhile is no client yet, and has taken the camera of before.
         server.on_client_connect(self._aim_page)
         server.scene.set_up_direction("+z")
         server.scene.add_grid("/floor", 12.0, 12.0, cell_color=CELL, section_color=SECTION)
@@ -310,14 +310,14 @@ class Stage:
         camera = choose_camera(np.concatenate([hint, *seen]), poses)
         a, e, d = camera.azimuth, camera.elevation + math.radians(12.0), 1.1 * camera.distance
         ray = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
-        self._aim = (camera.middle, d * ray)
-        self._server.initial_camera.look_at = camera.middle
-        self._server.initial_camera.position = camera.middle + d * ray
+        self._aim = middle, offset = camera.middle, d * ray
+        self._server.initial_camera.look_at = middle
+        self._server.initial_camera.position = middle + offset
         for page in self._server.get_clients().values() if client is None else [client]:
             self._aim_page(page)
 
     def _aim_page(self, page: viser.ClientHandle) -> None:
-        """Point the camera of ``page`` at what the others look at."""
+        """Point the camera of ``page`` at what was aimed at last, if anything."""
         if self._aim is None:
             return
         middle, offset = self._aim

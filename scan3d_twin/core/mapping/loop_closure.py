@@ -53,9 +53,9 @@ UNKNOWN_XY, UNKNOWN_YAW = 1.0, 1.0
 """Information on such a view besides its registrations [m], [rad]: only to keep the graph
 determined."""
 
-Points = Callable[[int], FloatArray] | None
-"""Returns the points (n, 3) [m] by which a view is registered where it or the other has no surface;
-None to leave out such pairs."""
+PointsOf = Callable[[int], FloatArray]
+"""Returns the points (n, 3) [m] by which a view is registered where it or the other has no
+surface."""
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def align_grids(
     first: Pose2 | None = None,
     starts: int = 4,
     min_overlap: float = 0.15,
-    points: Points = None,
+    points: PointsOf | None = None,
 ) -> tuple[list[Edge], Solution]:
     """Return the registered pairs of scans, and the solution of their pose graph.
 
@@ -274,7 +274,7 @@ def align_grids(
         first: Pose of the first scan; the origin by default.
         starts: Number of starting poses of each registration.
         min_overlap: Share of the smaller scan that must overlap for two scans to be registered.
-        points: Points of each scan, for those without a surface.
+        points: Points of each scan, for those without a surface; None leaves these out.
     """
     # Chain the odometry
     poses = [first or Pose2()]
@@ -301,7 +301,7 @@ def align_grids(
 
 
 def register_pair(
-    grids: Grids, i: int, j: int, prior: PosePrior, starts: int, points: Points
+    grids: Grids, i: int, j: int, prior: PosePrior, starts: int, points: PointsOf | None
 ) -> Edge | None:
     """Return the edge between the scans i and j; None where they do not overlap.
 
@@ -313,7 +313,7 @@ def register_pair(
         j: Index of the scan that is registered.
         prior: Prior of scan j in i.
         starts: Number of starting poses.
-        points: Points of each scan, for those without a surface.
+        points: Points of each scan, for those without a surface; None leaves these out.
     """
     target, source = grids[i], grids[j]
     try:

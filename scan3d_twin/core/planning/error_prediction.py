@@ -174,7 +174,8 @@ class ErrorPrediction:
         return float(np.sqrt(np.mean(self._ranges**2)))
 
     @cached_property
-    def _known_motion(self) -> MotionModel:
+    def _motion_model(self) -> MotionModel:
+        """The motion model of the run, or the configured one."""
         return self.motion or MotionModel.of((), self.config)
 
     @cached_property
@@ -256,7 +257,7 @@ class ErrorPrediction:
         honest = find_determined(raw, INFORMATION_MARGIN * spurious, self._reach)[1]
 
         # Add edges and the prior
-        rest = self._edges(viewpoint, sweep)[PLANAR_BLOCK] + self._known_motion.spread(
+        rest = self._edges(viewpoint, sweep)[PLANAR_BLOCK] + self._motion_model.spread(
             viewpoint, SHARED_FACTOR
         ).information(PLANAR)
         C = np.linalg.inv(honest @ H[PLANAR_BLOCK] @ honest.T + rest)

@@ -64,13 +64,13 @@ class NextSweep:
         return NextSweep(empty, Projection.of(empty, spacing))
 
     @cached_property
-    def _every(self) -> BoolArray:
-        """That each reading counts (n_lines * n_beams,)."""
+    def _all_readings(self) -> BoolArray:
+        """A mask that keeps every reading (n_lines * n_beams,)."""
         return np.ones(self.image.ranges.size, dtype=np.bool_)
 
     def cells(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return reading (n,), -1 for none, and cell (n,) of ``points`` (n, 3) in ``scan``."""
-        index = self.projection.lookup(points, self._every)
+        index = self.projection.lookup(points, self._all_readings)
         line, beam = np.divmod(index, self.image.spec.n_beams)
         wide = self.image.spec.n_beams // DEPTH_CELL[1] + 1
         return index, np.where(

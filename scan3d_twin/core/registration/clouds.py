@@ -27,7 +27,7 @@ from scan3d_twin.core.registration.gauss_newton import (
     Dof,
     distance_between,
 )
-from scan3d_twin.core.registration.multistart import spread_normal
+from scan3d_twin.core.registration.multistart import first_guess, spread_normal
 from scan3d_twin.core.registration.pose_prior import PosePrior, displace
 from scan3d_twin.core.types import FloatArray, RegistrationResult
 
@@ -77,7 +77,7 @@ def register_clouds(
         raise ConfigError(f"dof must be planar or se3, got {dof!r}")
     if starts < 1:
         raise ConfigError(f"starts must be >= 1, got {starts}")
-    init = _first_guess(init_T_target_source, prior)
+    init = first_guess(init_T_target_source, prior)
     alignment = CloudAlignment(_as_cloud(target), _as_cloud(source), prior, dof, criteria)
     if alignment.finest > alignment.coarsest:
         raise RegistrationError(
@@ -105,14 +105,6 @@ def register_clouds(
 
 def _as_cloud(cloud: Cloud | FloatArray) -> Cloud:
     return cloud if isinstance(cloud, Cloud) else prepare_cloud(cloud)
-
-
-def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
-    if init is None:
-        return np.eye(4) if prior is None else prior.T
-    if init.shape != (4, 4) or not np.all(np.isfinite(init)):
-        raise ConfigError("init_T_target_source must be a finite (4, 4) transform")
-    return init
 
 
 @dataclass(frozen=True)

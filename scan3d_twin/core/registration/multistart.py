@@ -82,12 +82,17 @@ def register_grids(
         RegistrationError: The scans do not overlap.
     """
     problem = Problem(target, source, prior, dof, criteria or Criteria())
-    init = _first_guess(init_T_target_source, prior)
+    init = first_guess(init_T_target_source, prior)
     basin, gap = search_basins(problem, init, starts)
     return make_result(problem, basin.outcome, gap)
 
 
-def _first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
+def first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
+    """Return where a registration begins: at ``init`` (4, 4), else at the prior's mean.
+
+    Raises:
+        ConfigError: It is no finite transform.
+    """
     if init is None:
         return np.eye(4) if prior is None else prior.T
     if init.shape != (4, 4) or not np.isfinite(init).all():

@@ -16,8 +16,6 @@ PLANAR = (0, 1, 5)
 """Rows of x, y and rz in a 6-vector ordered x y z rx ry rz."""
 PLANAR_BLOCK = np.ix_(PLANAR, PLANAR)
 """Index of their block in a matrix (6, 6)."""
-_PLANAR_PLACES = np.add.outer(6 * np.array(PLANAR), PLANAR)
-"""Their places in a covariance (6, 6)."""
 SIGMA_Z = 0.001
 """Height error of a robot on a floor [m]: the floor's unevenness under three wheels."""
 SIGMA_TILT = 0.002
@@ -61,7 +59,7 @@ class PosePrior:
         """Return the prior of a robot on a floor with the covariance (3, 3) of x, y and yaw."""
         full = np.zeros((6, 6))
         full[2, 2], full[3, 3], full[4, 4] = SIGMA_Z**2, SIGMA_TILT**2, SIGMA_TILT**2
-        full.put(_PLANAR_PLACES, covariance)
+        full[PLANAR_BLOCK] = covariance
         return PosePrior(read_only(pose.matrix()), read_only(full))
 
     def information(self, dims: tuple[int, ...]) -> FloatArray:

@@ -37,7 +37,7 @@ MIN_SURFELS = 50
 MIN_SAMPLE = 200
 """Least number of surfels in a thinned sample of a sweep that has this many."""
 MAX_NOISE_RATIO = 1.5
-"""Largest ratio of the range noises that two sweeps of one lidar show: it scatters by 4 to 8 %."""
+"""Ratio of their range noises above which two sweeps keep their own (assumption)."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Sample:
     @property
     def points(self) -> FloatArray:
         """Their points (m, 3) [m]."""
-        return np.ascontiguousarray(self.whole[0].take(self.chosen, axis=0)[:, X])
+        return np.ascontiguousarray(self.whole[0][:, X].take(self.chosen, axis=0))
 
     @property
     def rows(self) -> FloatArray:
@@ -222,12 +222,11 @@ def extract_surfels(
 
 
 def extract_pair(target: RangeImage, source: RangeImage) -> tuple[SurfelGrid, SurfelGrid]:
-    """Return the surfels of two sweeps, by the larger range noise of those that they show.
+    """Return the surfels of two sweeps, both extracted with the larger of their two range noises.
 
-    The noise decides how large a window may be, and larger planes lie deeper inside a round body:
-    1.1 mm inside a radius of 0.4 m at 5 mm noise. What either sweep shows of the noise scatters by
-    4 %, which would shift such bodies against each other by 0.3 mm. Where the two differ by more
-    than ``MAX_NOISE_RATIO``, each keeps its own.
+    The noise decides how large a window may be, and larger planes lie deeper inside a round body,
+    so that two estimates of one noise would shift it (docs/registration.md). Noises that differ by
+    more than ``MAX_NOISE_RATIO`` are of two lidars.
 
     Raises:
         RegistrationError: A sweep is empty or shows no surface.
@@ -236,10 +235,10 @@ def extract_pair(target: RangeImage, source: RangeImage) -> tuple[SurfelGrid, Su
     first, second = extract_surfels(target), extract_surfels(source)
     distance = float(np.mean(np.linalg.norm(first.rows[:, X], axis=1)))
     ratio = first.noise.range_sigma_at(distance) / second.noise.range_sigma_at(distance)
-    if 1 <= ratio <= MAX_NOISE_RATIO:
-        second = extract_surfels(source, noise=second.noise.with_range_noise_of(first.noise))
+    if 1 < ratio <= MAX_NOISE_RATIO:
+        second = extract_surfels(second.image, noise=second.noise.with_range_noise_of(first.noise))
     elif 1 / MAX_NOISE_RATIO <= ratio < 1:
-        first = extract_surfels(target, noise=first.noise.with_range_noise_of(second.noise))
+        first = extract_surfels(first.image, noise=first.noise.with_range_noise_of(second.noise))
     return first, second
 
 

@@ -173,9 +173,9 @@ class CreateBase:
             return
 
         # Take in the readings
-        before, away = self.hazards(), now - self._receiver.latest
+        before, away = self.hazards(), now - self._receiver.read_at
         if self._moving and away > UNSERVICED:
-            self._readings.drive(self._receiver.latest + min(away, GUARD_TIMEOUT), 0, 0)
+            self._readings.drive(self._receiver.read_at + min(away, GUARD_TIMEOUT), 0, 0)
         fresh = self._receiver.receive(now, self._sent)
         self._heartbeat.beat(self._moving)
         hung = max(away, self._heartbeat.take_longest())
@@ -203,7 +203,7 @@ class CreateBase:
             self._inquiry.return_to_baud()
             self._transport.write(FAREWELL)
         self._sent = (0, 0)
-        self._heartbeat.end()
+        self._heartbeat.report_standing()
 
     @property
     def _moving(self) -> bool:
@@ -250,7 +250,7 @@ class CreateBase:
         Raises:
             HazardError, LinkError: See ``service``.
         """
-        if self._moving or self._clock.now() - self._receiver.latest <= UNSERVICED:
+        if self._moving or self._clock.now() - self._receiver.read_at <= UNSERVICED:
             return
         before = self._readings.latest
         self.service(self._clock.now())

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 
 @dataclass
 class Outputs:
-    """What the base shows, plays and switches: the data bytes last commanded; None is off.
+    """What the base shows, plays and switches.
+
+    Fields of bytes are the data last commanded; None is off.
 
     Attributes:
         song: Number of the song that plays, or was the last to play.
@@ -26,7 +28,7 @@ class Outputs:
     song_ends: float = 0.0
 
     def store_song(self, data: bytes, most: int) -> None:
-        """Store the song of the command with ``data``, if it is one of ``most``, by number."""
+        """Store the song of the command with ``data``, if its number is below ``most``."""
         number, length = data[:2]
         if number < most and 1 <= length <= 16:
             self.songs[number] = data[2:]

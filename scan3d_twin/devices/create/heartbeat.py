@@ -32,6 +32,6 @@ class Heartbeat:
         """Leave out the time until the next heartbeat, as the base cannot drive meanwhile."""
         self._was_moving = False
 
-    def end(self) -> None:
+    def report_standing(self) -> None:
         """Tell the guard that the base stands."""
         self._guard.beat(False)

@@ -19,7 +19,7 @@ class Receiver:
     """Takes what has arrived from a base over into its readings.
 
     Attributes:
-        latest: When the port was last read [s].
+        read_at: When the port was last read [s].
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Receiver:
 
         Its packets have been requested.
         """
-        self.latest = started
+        self.read_at = started
         self._transport, self._inquiry, self._readings = transport, inquiry, readings
         latency = inquiry.transfer_time(oi.frame_size(inquiry.packets))
         self._times = SampleTimes(period, latency)
@@ -48,7 +48,7 @@ class Receiver:
             sent: Wheel speeds (right, left) last commanded [mm/s].
         """
         # Discard stale bytes
-        away = now - self.latest
+        away = now - self.read_at
         if away > (STALE_IF_NOISY if self._readings.filter.is_noisy(now) else STALE):
             self._transport.discard_input()
             if away > STALE and sent == (0, 0):
@@ -56,7 +56,7 @@ class Receiver:
 
         # Count only the time spent listening as silence
         self._inquiry.note_deaf(max(0.0, away - LISTENING), now)
-        self.latest = now
+        self.read_at = now
 
         # Read, timestamp and take in
         readings = self._inquiry.read(now)
@@ -70,5 +70,5 @@ class Receiver:
 
     def resume(self, now: float) -> None:
         """Listen again from ``now`` [s] on, after the base was unplugged."""
-        self._inquiry.heard = self.latest = now
+        self._inquiry.heard = self.read_at = now
         self._gap = True

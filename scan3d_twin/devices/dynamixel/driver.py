@@ -320,4 +320,4 @@ class Xl330Turntable:
             return
         reason, cure = explain_errors(bits)
         self._hazard = f"the turntable has switched its torque off: {reason}; {cure}, then go on"
-        self._motion.end()
+        self._motion.note_torque_off()

@@ -77,7 +77,7 @@ class OrderedMotion:
         is_at_work = self._rest_since is None or not is_on
         self.is_pending = self.order is not None and is_at_work
 
-    def end(self) -> None:
+    def note_torque_off(self) -> None:
         """Note that the servo has switched its torque off."""
         self.is_on = self.is_pending = False
 

@@ -1,4 +1,4 @@
-"""What compiled functions take: contiguous arrays, by address, and structures of such.
+"""What compiled functions take: contiguous arrays, by address, and structures that hold them.
 
 ``ctypes`` checks neither type nor layout of an array that is passed by address; these do.
 """

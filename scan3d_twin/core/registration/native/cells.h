@@ -1,4 +1,5 @@
-/* Cells of a point cloud, the planes through the points around each, and their pairs: see clouds.py.
+/* Cells of a point cloud, the planes through the points around each, and their pairs: see cloud_patches.py
+ * and cloud_pairs.py.
  *
  * The moments of a cell are its number of points, their sum and the sums of their products: CELL_MOMENTS doubles. */
 #pragma once

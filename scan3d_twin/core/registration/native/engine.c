@@ -159,7 +159,7 @@ double EXPORT(expect_displacement)(const double *first, const double *second,
     return expect_displacement(first, second, wide);
 }
 
-/* clouds.py */
+/* kd_tree.py, cloud_patches.py and cloud_pairs.py */
 
 void EXPORT(build_tree)(const double *points, int64_t n, double *sorted, int32_t *order, uint8_t *axes) {
     Tree tree = {n, sorted, order, axes};

@@ -1,4 +1,4 @@
-/* Fixed-radius neighbour test on a grid of cubes: see clouds.py. */
+/* Fixed-radius neighbour test on a grid of cubes: see kd_tree.py. */
 #pragma once
 
 #include "clouds.h"

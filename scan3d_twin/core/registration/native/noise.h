@@ -169,7 +169,7 @@ static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i,
 
 /* Write the range sigma at 0 m and its growth per metre. */
 static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, double noise[2]) {
-    noise[0] = DEFAULT_SIGMA, noise[1] = DEFAULT_GROWTH;
+    noise[RANGE_SIGMA] = DEFAULT_SIGMA, noise[RANGE_GROWTH] = DEFAULT_GROWTH;
     int64_t n_lines = sweep->n_lines, n_beams = sweep->n_beams, whole = 0;
     for (int64_t i = REACH; i < n_lines - REACH; i++)
         for (int64_t j = 0; j < n_beams; j++) whole += valid[i * sweep->stride + j];
@@ -217,7 +217,7 @@ static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, doubl
     slope = spread > MIN_RANGE_VARIANCE ? slope / spread : 0;
     slope = slope > y_mean / x_mean ? y_mean / x_mean : slope < 0 ? 0 : slope;
     double at_zero = y_mean - slope * x_mean;
-    noise[0] = at_zero > MIN_SIGMA ? at_zero : MIN_SIGMA, noise[1] = slope;
+    noise[RANGE_SIGMA] = at_zero > MIN_SIGMA ? at_zero : MIN_SIGMA, noise[RANGE_GROWTH] = slope;
 }
 
 /* Products of a line's differences with those of beams farther on: their sums and numbers by the number of
@@ -249,7 +249,7 @@ static void add_products(const double *difference, int64_t n, Lagged *lagged) {
 static void add_line_products(const Sweep *sweep, int64_t i, const double noise[2],
                               const double *restrict difference, double *restrict standard, Lagged *lagged) {
     const double *restrict ranges = sweep->ranges + i * sweep->stride;
-    const double at_zero = noise[0], growth = noise[1];
+    const double at_zero = noise[RANGE_SIGMA], growth = noise[RANGE_GROWTH];
     for (int64_t j = 0; j < sweep->n_beams; j++) {
         double z = difference[j] / (sqrt(SQUARES) * (at_zero + growth * ranges[j]));
         standard[j] = fabs(z) <= MAX_DEVIATION ? z : NAN;
@@ -284,7 +284,7 @@ static void weigh_beams(const Sweep *sweep, int64_t i, const double noise[2],
                         const double *restrict difference, const double *const slopes[2 * REACH + 1],
                         double *restrict weights) {
     const double *restrict slope = slopes[REACH], *restrict ranges = sweep->ranges + i * sweep->stride;
-    const double at_zero = noise[0], growth = noise[1];
+    const double at_zero = noise[RANGE_SIGMA], growth = noise[RANGE_GROWTH];
     for (int64_t j = 0; j < sweep->n_beams; j++) {
         double sigma = at_zero + growth * ranges[j], steep = fabs(slope[j]), known = 0;
         double limit = sqrt(SQUARES) * (MAX_DEVIATION * sigma + 3 * EXPECTED_JITTER * steep);

@@ -1,7 +1,7 @@
 /* Correspondences of two sweeps and their normal equations: point_to_plane.py describes the method.
  *
- * Surfels are processed CHUNK at a time, as columns in scratch memory that fits the first-level cache, by
- * loops without branches. */
+ * Surfels are processed CHUNK at a time, as columns in scratch memory that fits the second-level cache,
+ * by loops without branches. */
 #pragma once
 
 #include "projection.h"
