@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -80,7 +81,9 @@ SCENES: dict[str, Callable[[], Scene]] = {
 PERIODIC = "sine8"
 
 
+@cache
 def config() -> Config:
+    """Return the options, built once: a run has them before it plans."""
     paper = Config.preset("paper")
     return replace(
         paper,
