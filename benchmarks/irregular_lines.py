@@ -51,14 +51,14 @@ def compare_medians(errors: np.ndarray, usual: np.ndarray) -> tuple[float, float
     """Return the ratio of the medians of paired errors (n,), and its 95 % interval.
 
     Raises:
-        SystemExit: So many pairs failed that a median is infinite.
+        SystemExit: So many pairs failed that the median of some resampling is infinite.
     """
-    if not (np.isfinite(np.median(errors)) and np.isfinite(np.median(usual))):
-        sys.exit("half of the registrations failed: there is no ratio of medians")
     rng = np.random.default_rng(0)
     drawn = rng.integers(len(errors), size=(RESAMPLES, len(errors)))
-    ratios = np.median(errors[drawn], axis=1) / np.median(usual[drawn], axis=1)
-    low, high = np.quantile(ratios[np.isfinite(ratios)], (0.025, 0.975))
+    medians = np.median(errors[drawn], axis=1), np.median(usual[drawn], axis=1)
+    if not np.isfinite(medians).all():
+        sys.exit("about half of the registrations failed: there is no ratio of medians")
+    low, high = np.quantile(medians[0] / medians[1], (0.025, 0.975))
     return float(np.median(errors) / np.median(usual)), float(low), float(high)
 
 

@@ -234,10 +234,10 @@ def extract_pair(target: RangeImage, source: RangeImage) -> tuple[SurfelGrid, Su
     """
     first, second = extract_surfels(target), extract_surfels(source)
     distance = float(np.mean(np.linalg.norm(first.rows[:, X], axis=1)))
-    ratio = first.noise.range_sigma_at(distance) / second.noise.range_sigma_at(distance)
-    if 1 < ratio <= MAX_NOISE_RATIO:
+    one, other = (grid.noise.range_sigma_at(distance) for grid in (first, second))
+    if other < one <= MAX_NOISE_RATIO * other:
         second = extract_surfels(second.image, noise=second.noise.with_range_noise_of(first.noise))
-    elif 1 / MAX_NOISE_RATIO <= ratio < 1:
+    elif one < other <= MAX_NOISE_RATIO * one:
         first = extract_surfels(first.image, noise=first.noise.with_range_noise_of(second.noise))
     return first, second
 

@@ -12,7 +12,7 @@ import synthetic
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
-from scan3d_twin.core.registration.surfel_grid import extract_surfels
+from scan3d_twin.core.registration.surfel_grid import MAX_NOISE_RATIO, extract_pair, extract_surfels
 from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N, X
 from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
 
@@ -146,3 +146,19 @@ def test_filled_gaps_are_no_readings() -> None:
     assert (grid.index[:, 300:340] < 0).all()
     assert not grid.at(np.s_[:, 300:340]).any()
     assert VALID not in codes[:, 300:340]
+
+
+@pytest.mark.parametrize("order", [1, -1], ids=["target has more", "source has more"])
+@pytest.mark.parametrize(
+    ("ratio", "kept"), [(1.2, False), (1.01 * MAX_NOISE_RATIO, True)], ids=["one", "two lidars"]
+)
+def test_two_sweeps_share_the_larger_noise_unless_they_are_of_two_lidars(
+    order: int, ratio: float, kept: bool
+) -> None:
+    stated = [
+        replace(wall(0.004, seed), noise=read_only([sigma, 0.0, 0.001, 1.0]))
+        for seed, sigma in enumerate((0.004 * ratio, 0.004))
+    ]
+    first, second = extract_pair(*stated[::order])
+    found = [first.noise.range_sigma, second.noise.range_sigma][::order]
+    assert found == pytest.approx([0.004 * ratio, 0.004 if kept else 0.004 * ratio])
