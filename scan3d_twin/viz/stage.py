@@ -40,6 +40,8 @@ PATH, PATH_HEIGHT = (124, 94, 180), 0.01
 PRECISION: Final = "float32"
 """Precision in which points reach the page: viser's default, float16, has steps of 2 mm from 2 m on
 and of 4 mm from 4 m on."""
+SAME_PLACE = 1e-3
+"""Distance within which a page's camera, in single precision, stands where it was sent [m]."""
 GREY, DARK, RED, CHOSEN = (150, 158, 168), (60, 66, 74), (235, 50, 50), (11, 98, 196)
 ORANGE, PALE, CELL, SECTION = (230, 120, 20), (190, 196, 204), (222, 226, 231), (196, 203, 211)
 
@@ -65,7 +67,7 @@ class Stage:
         self._heights = (math.inf, -math.inf)
         self._aim: tuple[FloatArray, FloatArray] | None = None
         # A page that connects meanwhile is no client yet, and has taken the camera of before.
-        server.on_client_connect(self._aim_page)
+        server.on_client_connect(self._meet_page)
         server.scene.set_up_direction("+z")
         server.scene.add_grid("/floor", 12.0, 12.0, cell_color=CELL, section_color=SECTION)
         self._robot = self._build_robot()
@@ -314,6 +316,22 @@ class Stage:
         self._server.initial_camera.look_at = middle
         self._server.initial_camera.position = middle + offset
         for page in self._server.get_clients().values() if client is None else [client]:
+            self._aim_page(page)
+
+    def _meet_page(self, page: viser.ClientHandle) -> None:
+        """Aim the camera of a new ``page``, and again whenever it returns to the initial camera.
+
+        Viser's page goes there some time after its first message, so that it may undo what it was
+        told meanwhile, and when its user chooses "Reset View".
+        """
+        self._aim_page(page)
+        page.camera.on_update(lambda _: self._aim_returned(page))
+
+    def _aim_returned(self, page: viser.ClientHandle) -> None:
+        """Aim the camera of ``page`` if it stands at the initial camera."""
+        initial, camera = self._server.initial_camera, page.camera
+        wanted = [initial.position, initial.look_at]
+        if np.allclose([camera.position, camera.look_at], wanted, atol=SAME_PLACE):
             self._aim_page(page)
 
     def _aim_page(self, page: viser.ClientHandle) -> None:
