@@ -32,7 +32,8 @@ from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.session_start import begin_session, tune_config
 from scan3d_twin.core.stand import StandPlanner
-from scan3d_twin.core.types import FloatArray, Observation, Plan, Pose2
+from scan3d_twin.core.target_growth import extend_targets, gather_known_target
+from scan3d_twin.core.types import Observation, Plan, Pose2
 
 DEFAULT_CONFIG = Config()
 """The preset ``best``."""
@@ -237,14 +238,14 @@ def integrate(session: Session, observation: Observation) -> Session:
 
     # Extract the target
     points = extract_points(image, config)
-    known = prior.inverse().apply(_gather_known_target(session))
+    known = prior.inverse().apply(gather_known_target(session))
     target = extract_target(image, points, known, config.target)
 
     # Register on the previous view
     view = View(observation, image, target, points, prior, None, turns)
     if session.views:
         view = match_to_previous(view, session.views, config, motion, session.workspace)
-    return align_on_loop_closure(session.with_view(view))
+    return align_on_loop_closure(extend_targets(session.with_view(view)))
 
 
 def conclude_session(session: Session, observer: Observer) -> Session:
@@ -257,12 +258,6 @@ def conclude_session(session: Session, observer: Observer) -> Session:
     for k in result.misfits:
         observer.on_event(f"view {k} does not fit the others")
     return result
-
-
-def _gather_known_target(session: Session) -> FloatArray:
-    """Return the top view (n, 2) in ``world`` of all known points of the target."""
-    seen = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
-    return np.concatenate([session.hint, *seen])
 
 
 def _plan(

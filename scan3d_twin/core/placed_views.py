@@ -29,8 +29,8 @@ from scan3d_twin.core.scanning.target_extraction import extract_points, extract_
 from scan3d_twin.core.scanning.target_selection import find_target
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.target_growth import extend_targets, gather_known_target
 from scan3d_twin.core.types import (
-    FloatArray,
     Observation,
     Plan,
     Pose2,
@@ -93,7 +93,7 @@ def integrate_placed(session: Session, observation: Observation) -> Session:
 
     # Extract the target there, and align all views
     view = replace(view, target=_extract_target(view, session))
-    session = session.with_view(view)
+    session = extend_targets(session.with_view(view))
     aligned = session.config.alignment.mode != "off" and len(session.views) > 1
     return align(session) if aligned else session
 
@@ -132,9 +132,7 @@ def _extract_target(view: View, session: Session) -> Scan3D:
     config = session.config
     if config.target.extraction == "everything":
         return extract_everything(view.image, config)
-    seen = [each.T_world_scan.apply(each.target.points[:, :2]) for each in session.views]
-    known: FloatArray = np.concatenate([session.hint, *seen])
-    known = view.T_world_scan.inverse().apply(known)
+    known = view.T_world_scan.inverse().apply(gather_known_target(session))
     return extract_target(view.image, view.sweep, known, config.target)
 
 

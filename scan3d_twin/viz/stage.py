@@ -55,8 +55,9 @@ class Stage:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._views: list[Any] = []
-        self._targets: list[tuple[Any, FloatArray]] = []
-        self._backgrounds: list[Any] = []
+        self._targets: dict[int, tuple[Any, FloatArray]] = {}
+        self._backgrounds: dict[int, Any] = {}
+        self._sizes: dict[int, int] = {}
         self._plan: list[Any] = []
         self._line: Any = None
         self._sweep: Any = None
@@ -108,10 +109,12 @@ class Stage:
             self._line.visible = False
 
     def show_views(self, session: Session) -> None:
-        """Show all views of ``session``; views shown before move to their new poses."""
+        """Show all views of ``session``; those shown before move, and show more of the target."""
         for index, view in enumerate(session.views):
             if index == len(self._views):
                 self._add_view(index, view)
+            elif len(view.target) != self._sizes[index]:
+                self._show_points(index, view)
             self._views[index].position = (view.T_world_scan.x, view.T_world_scan.y, 0.0)
             self._views[index].wxyz = _turn(view.T_world_scan)
         self._upto = len(session.views)
@@ -119,26 +122,27 @@ class Stage:
 
     def _add_view(self, index: int, view: View) -> None:
         """Add the points of a view below a frame that is its frame ``scan``."""
-        # Add the thinned target
-        scene, name, colour = (
-            self._server.scene,
-            f"/views/{index:03d}",
-            view_colours_rgb(np.array([index]))[0],
-        )
+        # Add the frame and what is in it
+        scene, name = self._server.scene, f"/views/{index:03d}"
         self._views.append(scene.add_frame(name, show_axes=False))
-        target = thin_target(view)
-        self._widen_heights(target)
-        colours = self._colours(target, index)
-        self._targets.append((self._cloud(f"{name}/target", target, colours, POINT_SIZE), target))
-
-        # Add the thinned background
-        around = thin_by_voxel(points_off_target(view), BACKGROUND_VOXEL)
-        self._backgrounds.append(self._cloud(f"{name}/background", around, PALE, 0.6 * POINT_SIZE))
+        self._show_points(index, view)
 
         # Add the viewpoint's number
-        place = (0.0, 0.0, LIDAR_HEIGHT)
+        place, colour = (0.0, 0.0, LIDAR_HEIGHT), view_colours_rgb(np.array([index]))[0]
         scene.add_icosphere(f"{name}/place", 0.03, colour, subdivisions=2, position=place)
         scene.add_label(f"{name}/number", f"{index}", position=(0.0, 0.0, LIDAR_HEIGHT + 0.06))
+
+    def _show_points(self, index: int, view: View) -> None:
+        """Show the points of a view, on the target and off it, in place of any shown before."""
+        # Show the thinned target
+        name, target = f"/views/{index:03d}", thin_target(view)
+        self._widen_heights(target)
+        cloud = self._cloud(f"{name}/target", target, self._colours(target, index), POINT_SIZE)
+        self._targets[index], self._sizes[index] = (cloud, target), len(view.target)
+
+        # Show the thinned background
+        around = thin_by_voxel(points_off_target(view), BACKGROUND_VOXEL)
+        self._backgrounds[index] = self._cloud(f"{name}/background", around, PALE, 0.6 * POINT_SIZE)
 
     def _cloud(self, name: str, points: FloatArray, colour: Any, size: float) -> Any:
         """Return a cloud of round points (n, 3) [m] of ``size`` [m]."""
@@ -227,7 +231,7 @@ class Stage:
         self._colour()
 
     def _colour(self) -> None:
-        for index, (handle, points) in enumerate(self._targets):
+        for index, (handle, points) in self._targets.items():
             handle.colors = self._colours(points, index)
 
     def _colours(self, points: FloatArray, index: int) -> npt.NDArray[np.uint8]:

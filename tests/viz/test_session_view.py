@@ -113,6 +113,19 @@ def test_the_lines_of_a_panorama_are_shown_as_they_were_read(moved):
         assert counts[2] == 0
 
 
+def test_a_view_whose_target_has_grown_shows_more_of_it(session):
+    grown = session.views[0]
+    small = replace(grown, target=grown.target.select(grown.target.lines < 40))
+    with open_server(LOOPBACK, 0, "boxes") as (server, _):
+        stage = Stage(server)
+        stage.show_views(replace(session, views=(small, *session.views[1:])))
+        stage.show_background(False)
+        before = len(shown_points(server, "/views/000/target"))
+        stage.show_views(session)
+        assert 0 < before < len(shown_points(server, "/views/000/target"))
+        assert len(shown_points(server, "/views/000/background")) == 0
+
+
 def test_the_points_are_coloured_by_height(session):
     with open_server(LOOPBACK, 0, "boxes") as (server, _):
         stage = Stage(server)

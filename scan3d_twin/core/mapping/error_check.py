@@ -25,7 +25,7 @@ import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.motion_model import MotionModel
-from scan3d_twin.core.mapping.scan_matching import surfels_of
+from scan3d_twin.core.mapping.scan_matching import select_scope, surfels_of
 from scan3d_twin.core.registration.reading_noise import measure_reading_noise
 from scan3d_twin.core.session import Session, View
 
@@ -123,17 +123,18 @@ def check_errors(session: Session) -> ErrorCheck:
 
 
 def _measure_noise(session: Session, view: View) -> float:
-    """Return the noise of the readings of a ``view`` seen frontally [m], measured once."""
+    """Return the noise of the readings of a ``view`` seen frontally [m], measured once a scope."""
     if session.config.registration.reading_sigma == 0.0:
         return math.nan
     results = session.workspace.results_of(view.observation.image)
-    if measure_reading_noise not in results:
+    key = measure_reading_noise, len(select_scope(view, session.config.registration.scope))
+    if key not in results:
         try:
             noise = measure_reading_noise(surfels_of(view, session.config, session.workspace))
         except RegistrationError:
             noise = math.nan
-        results[measure_reading_noise] = noise
-    return float(results[measure_reading_noise])
+        results[key] = noise
+    return float(results[key])
 
 
 def _log_score(ratio: float, mean: float, sigma: float) -> float:

@@ -113,7 +113,7 @@ def _register_sweeps(
 
 def select_points(view: View, config: Config) -> FloatArray:
     """Return the points (n, 3) [m] of a view's readings in ``registration.scope``."""
-    return _clear_of_floor(_select_scope(view, config.registration.scope), config).points
+    return _clear_of_floor(select_scope(view, config.registration.scope), config).points
 
 
 def register_points(target: FloatArray, source: FloatArray, prior: PosePrior) -> RegistrationResult:
@@ -151,7 +151,7 @@ def surfels_of(view: View, config: Config, workspace: Workspace | None = None) -
         workspace: Holds those that ``keep_surfels`` has kept; None to compute them.
     """
     # Recall or extract them
-    image, scope = view.measured_image, _select_scope(view, config.registration.scope)
+    image, scope = view.measured_image, select_scope(view, config.registration.scope)
     results = None if workspace is None else workspace.results_of(view.observation.image)
     kept = None if results is None else results.get(SurfelGrid)
     if kept is not None and kept[0] is scope:
@@ -180,7 +180,7 @@ def keep_surfels(view: View, config: Config, workspace: Workspace) -> SurfelGrid
     """Return ``surfels_of`` a view and keep them in the ``workspace``."""
     grid = surfels_of(view, config, workspace)
     workspace.results_of(view.observation.image)[SurfelGrid] = (
-        _select_scope(view, config.registration.scope),
+        select_scope(view, config.registration.scope),
         grid.noise, grid.rows, grid.yaws, grid.index, grid.valid, grid.line_spacing,
     )  # fmt: skip
     return grid
@@ -211,7 +211,7 @@ def _register_by_icp(view: View, previous: View, config: Config) -> Registration
     """Register ``view`` on ``previous`` where, by odometry, they are expected to overlap."""
     # Select the lines expected to overlap
     init = previous.T_world_scan.inverse() @ view.T_world_scan
-    target, source = (_select_scope(v, config.registration.scope) for v in (previous, view))
+    target, source = (select_scope(v, config.registration.scope) for v in (previous, view))
     source = icp.select_overlapping_lines(target, source, init)
     if len(target) == 0 or len(source) == 0:
         return icp.register(target.points, source.points, init_T_target_source=init)
@@ -229,6 +229,6 @@ def _register_by_icp(view: View, previous: View, config: Config) -> Registration
     )
 
 
-def _select_scope(view: View, scope: str) -> Scan3D:
+def select_scope(view: View, scope: str) -> Scan3D:
     """Return the points of ``view`` that ``registration.scope`` selects."""
     return view.target if scope == "target" else view.sweep

@@ -236,9 +236,9 @@ class HiddenSurface:
 def _recall_profiles(view: View, workspace: Workspace) -> list[Profile]:
     """Return the profiles of ``view``, one for each slice, from ``workspace`` if they are there."""
     results = workspace.results_of(view.image)
-    if Profile not in results:
-        results[Profile] = Profile.through(view, SLICE_HEIGHTS, SLICE_THICKNESS)
-    profiles: list[Profile] = results[Profile]
+    if Profile not in results or results[Profile][0] is not view.target:
+        results[Profile] = view.target, Profile.through(view, SLICE_HEIGHTS, SLICE_THICKNESS)
+    profiles: list[Profile] = results[Profile][1]
     return profiles
 
 
