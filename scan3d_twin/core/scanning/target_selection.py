@@ -123,9 +123,11 @@ def _find_groups(panorama: Observation, config: Config) -> list[_Group]:
             "start the robot nearer to the target"
         )
 
-    # Find what is foremost, but for single glints
-    solid = sweep.select(measure_pieces(image, sweep) >= least)
-    foremost = _find_nearest_per_line(solid.points, solid.lines, image.n_lines)
+    # Leave out stray points
+    sweep = sweep.select(measure_pieces(image, sweep) >= least)
+    if len(sweep) == 0:
+        raise SceneError("no target: the panorama shows only stray points")
+    foremost = _find_nearest_per_line(sweep.points, sweep.lines, image.n_lines)
 
     # Separate the walls
     top, limit = sweep.points[:, :2], config.target.max_range
@@ -155,8 +157,6 @@ def _find_groups(panorama: Observation, config: Config) -> list[_Group]:
         _Group(top[on_wall], _measure_salience(image, sweep.points[on_wall]))
         for on_wall in walls.values()
     ]
-    if not groups:
-        raise SceneError("no target: the panorama shows only stray points")
     return groups
 
 

@@ -64,6 +64,26 @@ def test_a_thing_at_a_wall_is_preferred_to_the_wall(y: float) -> None:
     assert hint[:, 1].max() == pytest.approx(0.35, abs=0.07)
 
 
+def test_readings_scattered_in_the_air_are_no_thing() -> None:
+    """As the floor leaves them, where the mount is off; a thing at a wall is the target."""
+    thing = Box((0.0, -0.35, 0.0), (0.4, 0.35, 0.7))
+    wall = Box((0.4, -3.0, 0.0), (0.5, 3.0, 2.5))
+    seen = look((thing, wall), room=False, spawn=Pose2(-1.7, 0.0, 0.0))
+    whole = find_target(seen, None, CONFIG)
+
+    # Twelve readings, each farther than a depth edge from its neighbours
+    image = seen.image
+    ranges, codes = image.ranges.copy(), image.codes.copy()
+    line = int(np.argmin(np.abs(image.yaws[:, 384] - math.radians(70.0))))
+    for k in range(12):
+        at = line + k // 4, 330 + 2 * (k % 4)
+        ranges[at], codes[at] = 0.8 + 0.15 * (k % 3), VALID
+    scattered = replace(
+        seen, image=replace(image, ranges=read_only(ranges), codes=read_only(codes))
+    )
+    assert np.array_equal(find_target(scattered, None, CONFIG), whole)
+
+
 def test_what_an_uneven_wall_leaves_is_no_thing_at_it() -> None:
     ledge = Box((0.3, -0.35, 0.0), (0.4, 0.35, 0.7))
     wall = Box((0.4, -3.0, 0.0), (0.5, 3.0, 2.5))
