@@ -12,8 +12,9 @@ means: as much signal as noise. Along the rest the data say nothing of the nuisa
 covariance is the inverse of the left side, less what is spurious and what yaw jitter hides; for
 point to plane that is sound (Bonnabel et al., arXiv 1410.7632).
 
-The last step has the errors that readings share as unknowns: see ``shared_errors``. Where the
-patches' turn out larger than assumed, it is solved once more with all of them enlarged.
+The last step has the errors that readings share as unknowns: see ``shared_errors``. It is solved
+once more with those of the patches as large as they turn out, and the others enlarged where they
+turn out larger than usual.
 """
 
 from __future__ import annotations
@@ -70,8 +71,8 @@ FIRST_ROBUST = 4.0
 """The kernel of the first step [sigma]."""
 SAME_BASIN = 0.010
 """Poses that displace the source by less than this from each other are one basin [m]."""
-USUAL_PATCH_SPREAD, USUAL_SPREAD = 0.60, 0.77
-"""Of the errors of patches and of those that all readings share, in assumed ones."""
+USUAL_SPREAD = 0.77
+"""Of the errors that all readings share, in assumed ones."""
 MOST_SPREAD = 1.4
 """Of these errors, in usual ones, that is no larger than usual."""
 EDGE_ROBUST = 2.0
@@ -148,8 +149,8 @@ class Solution(NamedTuple):
         dropped: Directions (j, k) that the surfels do not determine.
         edges: Information of the edges (k, k).
         pairs: Number of correspondences.
-        patch_spread: Of the patches' errors, in usual ones; NaN if not estimated.
-        spread: Of the errors that all readings share, likewise.
+        patch_spread: Of the patches' errors, in assumed ones; NaN if not estimated.
+        spread: Of the errors that all readings share, in usual ones.
     """
 
     step: FloatArray
@@ -289,16 +290,16 @@ def solve_step(
     """Return the step at ``state``; the ``last`` with the errors that readings share."""
     shared = last and max(scans.both.patch, scans.both.linearity, scans.both.offset) > 0
     solution = solve(scans, prior, beforehand, state, sample, gate, shared=shared)
-    spreads = solution.patch_spread, solution.spread
-    j, k = (excess(spread) for spread in spreads)
-    if max(j, k) <= 1.0:
+    if not shared:
         return solution
+    spreads = solution.patch_spread, solution.spread
+    j, k = max(spreads[0], spreads[0] ** 2), excess(spreads[1])
     both = scans.both
-    larger = both._replace(
+    found = both._replace(
         patch=j * both.patch, linearity=k * both.linearity, offset=k * both.offset,
         height=k * both.height, lean=k * both.lean,
     )  # fmt: skip
-    scans = scans._replace(both=larger)
+    scans = scans._replace(both=found)
     solution = solve(scans, prior, beforehand, state, sample, gate, shared=shared)
     return solution._replace(patch_spread=spreads[0], spread=spreads[1])
 
@@ -363,7 +364,7 @@ def solve(
     information = projected(honest, H) + H_edges + beforehand
     patch_spread = spread = math.nan
     if shared:
-        patch_spread = found.spread(np.concatenate([small, rest])) / USUAL_PATCH_SPREAD
+        patch_spread = found.spread(np.concatenate([small, rest]))
         known = State(state_prior(scans.both, rows), np.zeros(len(data.g)))
         known = with_prior(known, k, prior.yaw_scale, state.scale)
         values = rest + np.eye(len(rest))[0] * state.scale

@@ -54,9 +54,9 @@ from scan3d_twin.core.types import FloatArray, Observation, Pose2, RegistrationR
 MIN_SIGMA_XY, MIN_SIGMA_YAW = 0.003, math.radians(0.2)
 """Standard deviations of a move of no length [m], [rad]: play of the wheels and the turning
 centre."""
-PLAY_XY, PLAY_YAW = 0.0015, math.radians(0.1)
-"""The same where the constants of the robot are learned [m], [rad]: twice what is left of the
-errors with its constants fitted, 0.6 mm and 0.05 deg by benchmarks/motion_error.py."""
+PLAY_XY, PLAY_YAW = 0.0006, math.radians(0.05)
+"""The same where the constants of the robot are learned [m], [rad]: what is left of the errors with
+its constants fitted, by benchmarks/motion_error.py."""
 PRIOR_INNOVATIONS = 6.0
 """Weight of the configured motion error in degrees of freedom: those of two moves."""
 MIN_VARIANCE_REDUCTION = 0.5

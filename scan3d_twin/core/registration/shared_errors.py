@@ -43,11 +43,13 @@ the patches is the root of
 
 in which the assumption counts like four errors, and that of curve, floor and yaw scale is the same
 of their values y with the prior information P: y^T P y, and the share of each that the scans
-determine. Usual are 0.60 and 0.77 (medians of 105 pairs of random scenes in the world ``typical``),
-less than 1, as the assumptions hold for worse floors, too; the world ``harsh``, with errors twice
-as large, has 0.82 and 1.08. If a spread exceeds 1.4 usual ones, the step is solved once more with
-these standard deviations multiplied by its squared ratio to the usual one: the four assumed errors
-hide half of what is in excess.
+determine. The step is then solved once more. The patches' standard deviation is multiplied by their
+spread, as a sweep has many of them: by 0.60 in usual ones (median of 105 pairs of random scenes in
+the world ``typical``); above 1 by its square, as the four assumed errors hide half of what is in
+excess. The other errors are few, and their assumption holds for worse floors, too: their spread is
+0.77 in the same pairs and 1.08 in the world ``harsh``, whose errors are twice as large. Where it
+exceeds 1.4 usual ones, their standard deviations are multiplied by its squared ratio to the usual
+one; they are never made smaller.
 
 ``native/shared_errors.h`` and ``native/descend.h`` compute this.
 """

@@ -70,6 +70,12 @@ def registered(
     return replace(result, converged=True)
 
 
+def draw_robot(rng: np.random.Generator) -> FloatArray:
+    """Return the errors of a robot as configured."""
+    planning = CONFIG.planning
+    return rng.standard_normal(3) * [planning.lambda_, planning.drift, planning.gamma]
+
+
 def drive(
     moves: tuple[Legs, ...],
     robot: FloatArray = ROBOT,
@@ -127,6 +133,22 @@ def test_the_next_move_is_predicted_from_those_before() -> None:
     assert errors[2] < 0.2 * errors[0]
     assert spreads[2] < 0.3 * spreads[0]
     assert spreads[1] < spreads[0]
+
+
+def test_the_prior_of_a_learned_robot_is_no_wider_than_its_moves_scatter() -> None:
+    """Moves scatter by 0.6 mm and 0.05 deg about what the robot's constants make of them."""
+    squares = []
+    for seed in range(60):
+        rng = np.random.default_rng([33, seed])
+        robot, play = draw_robot(rng), rng.standard_normal(3) * [6e-4, 6e-4, math.radians(0.05)]
+        prior = MotionModel.of(drive(MOVES[:4], robot), CONFIG).prior(follow(MOVES[4]), MOVES[4])
+        true = follow(MOVES[4], robot)
+        true = Pose2(true.x + play[0], true.y + play[1], true.yaw + play[2])
+        off = prior.deviation(true.matrix())[list(PLANAR)]
+        C = prior.covariance[np.ix_(PLANAR, PLANAR)]
+        squares.append(float(off @ np.linalg.solve(C, off)))
+    assert 0.7 < np.median(squares) < 2.4
+    assert np.mean(np.array(squares) > 7.81) < 0.05
 
 
 def test_turns_the_long_way_round_err_more() -> None:

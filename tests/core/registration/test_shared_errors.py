@@ -114,6 +114,14 @@ def test_errors_larger_than_assumed_widen_the_covariance() -> None:
     assert predicted[4 * PATCH] > 1.3 * predicted[PATCH / 2]
 
 
+def test_errors_of_patches_smaller_than_assumed_narrow_the_covariance() -> None:
+    found = {}
+    for patch in (0.0, PATCH):
+        pairs = [sweeps(seed, patch) for seed in range(1000, 1010)]
+        found[patch] = np.median([register(pair, ALONE)[1] for pair in pairs])
+    assert found[0.0] < 0.8 * found[PATCH]
+
+
 def test_a_nuisance_does_not_take_up_the_error_of_the_prior() -> None:
     """A wall leaves the slide along it to the prior; the yaw scale is what the wall says alone."""
     rng, noise = np.random.default_rng(5), ScanNoise(SIGMA, yaw_scale_sigma=0.02)

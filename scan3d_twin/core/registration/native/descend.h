@@ -8,9 +8,8 @@
 #define FIRST_KERNEL 4.0        /* robust kernel c of the first step [sigma] */
 #define FINAL_KERNEL 1.5        /* least kernel [sigma] */
 #define SAME_BASIN 0.010        /* poses that displace the source by less are one basin [m] */
-#define USUAL_PATCH_SPREAD 0.60 /* of the errors of patches, in assumed ones: median of 105 pairs of sweeps of */
-#define USUAL_SPREAD 0.77       /* random scenes, and of those that all readings share */
-#define MAX_SPREAD 1.4          /* of shared errors, in usual ones, that fewer than 10 % of such pairs exceed */
+#define USUAL_SPREAD 0.77       /* of errors that all readings share, in assumed ones: median of 105 pairs of sweeps */
+#define MAX_SPREAD 1.4          /* of these, in usual ones, that fewer than 10 % of pairs of random scenes exceed */
 #define EDGE_KERNEL_FACTOR 2.0  /* kernel of edges per kernel of surfels: their errors are uniform */
 
 enum {
@@ -23,7 +22,8 @@ typedef struct {
     double step[POSE], nuisance_step[NUISANCES];
     double information[STATE * STATE];  /* left side of the equation, less the spurious share */
     double edges[STATE * STATE];        /* information of the edges */
-    double patch_spread, spread;        /* of errors that a patch and that all readings share, in usual ones */
+    double patch_spread, spread;        /* of errors of patches, in assumed ones, and of those that all readings
+                                         * share, in usual ones */
     Determined determined;
     Equations equations;
 } Solution;
@@ -74,14 +74,16 @@ static double least_share(const Prior *prior) {
 }
 
 /* Write the normal equations of the sample at T with their nuisances: the errors that readings share by
- * the model of shared_errors.py if `shared`, else by a factor. Write the information by which directions
- * are tested, too. Return 0, or -1 if memory runs out. */
+ * the model of shared_errors.py if `shared`, else by a factor. Errors of patches are `patch_factor` times as large
+ * as assumed, and `sums` are those of an earlier call at T with these nuisances, or empty. Write the information by
+ * which directions are tested, too. Return 0, or -1 if memory runs out. */
 static int sum_pairs(const Target *target, const Sample *sample, const double *T, const double *nuisances,
-                     Gate gate, const PairNoise *noise, const Prior *prior, int shared, Chunk *scratch,
-                     Equations *equations, Wide *state, double *tested, Sums *sums) {
+                     Gate gate, const PairNoise *noise, const Prior *prior, int shared, double patch_factor,
+                     Chunk *scratch, Equations *equations, Wide *state, double *tested, Sums *sums) {
     if (shared) {
-        if (sum_shared_errors(target, sample, T, nuisances, gate, noise, prior, scratch, equations,
-                              state, sums) < 0) return -1;
+        if (!sums->H && sum_shared_errors(target, sample, T, nuisances, gate, noise, prior, scratch, equations,
+                                          sums) < 0) return -1;
+        eliminate_patches(sums, patch_factor, state);
         for (int i = 0; i < prior->n_entries; i++)
             for (int j = 0; j < prior->n_entries; j++) tested[STATE * i + j] = state->H[WIDE * i + j];
         return 0;
@@ -106,26 +108,27 @@ static void add_nuisance_priors(const Prior *prior, const PairNoise *noise, cons
     if (shared) add_shared_prior(noise, prior, state);
 }
 
-/* Write the Gauss-Newton step at T by the equation of gauss_newton.py, with the prior information L0.
- * Return 0, or -1 if memory runs out. */
+/* Write the Gauss-Newton step at T by the equation of gauss_newton.py, with the prior information L0;
+ * `patch_factor` and `sums` as of sum_pairs. Return 0, or -1 if memory runs out. */
 static int solve(const Target *target, const Source *source, const PairNoise *noise,
                  const Prior *prior, const double *L0, const double *T, const double *nuisances,
-                 const Sample *sample, Gate gate, int shared, Chunk *scratch, Solution *out) {
+                 const Sample *sample, Gate gate, int shared, double patch_factor, Sums *sums,
+                 Chunk *scratch, Solution *out) {
     int n = (int)prior->n_entries;
     const int64_t *entries = prior->entries;
 
     /* surfels, without degenerate directions and nuisances */
     Wide state;
-    Sums sums = {0};
-    double tested[STATE * STATE];
-    if (sum_pairs(target, sample, T, nuisances, gate, noise, prior, shared, scratch, &out->equations,
-                  &state, tested, &sums) < 0) return -1;
-    find_determined(tested, out->equations.spurious, entries, n, find_reach(source), &out->determined);
+    double tested[STATE * STATE], spurious[STATE * STATE];
+    if (sum_pairs(target, sample, T, nuisances, gate, noise, prior, shared, patch_factor, scratch,
+                  &out->equations, &state, tested, sums) < 0) return -1;
+    memcpy(spurious, out->equations.spurious, sizeof spurious);
+    find_determined(tested, spurious, entries, n, find_reach(source), &out->determined);
     if (out->determined.least_signal < MAX_STRETCH * MIN_SIGNAL_RATIO) {
         const PairNoise single = noise_of_readings(noise);
         add_stretched_windows(target, sample, T, nuisances, gate, shared ? &single : noise, prior, scratch,
-                              out->equations.spurious);
-        find_determined(tested, out->equations.spurious, entries, n, find_reach(source), &out->determined);
+                              spurious);
+        find_determined(tested, spurious, entries, n, find_reach(source), &out->determined);
     }
     drop_directions(&out->determined, n, &state);
     Wide known = {.size = state.size};
@@ -169,35 +172,39 @@ static int solve(const Target *target, const Source *source, const PairNoise *no
     /* are the errors that readings share as large as assumed? */
     out->patch_spread = out->spread = NAN;
     if (shared) {
-        out->patch_spread = measure_patch_spread(&sums, step) / USUAL_PATCH_SPREAD;
+        out->patch_spread = measure_patch_spread(sums, step);
         add_nuisance_priors(prior, noise, nuisances, 1, &known);
         for (int k = 0; k < prior->n_nuisances; k++) step[n + k] += nuisances[k];
         out->spread = measure_state_spread(&known, &state, step, n) / USUAL_SPREAD;
     }
-    free_sums(&sums);
     return 0;
 }
 
-/* Return the factor by which errors are larger than assumed, whose spread is `ratio` times the usual one; 1 if
- * usual sweeps have such a spread. That the assumption counts, too, halves the excess. */
+/* Return the factor by which errors that all readings share are larger than assumed, whose spread is `ratio`
+ * times the usual one; 1 if usual sweeps have such a spread. That the assumption counts, too, halves the excess. */
 static double find_excess(double ratio) { return ratio > MAX_SPREAD ? ratio * ratio : 1; }
 
-/* Solve as `solve` does; in the last step with the errors that readings share, once more where they turn
- * out larger than assumed. */
+/* Return the factor that makes the assumed errors of patches as large as they are found, given their spread in
+ * assumed ones. The assumption counts, too, which hides half of an excess. */
+static double find_patch_factor(double spread) { return spread > 1 ? spread * spread : spread; }
+
+/* Solve as `solve` does; in the last step with the errors that readings share, first as large as assumed, then
+ * as large as they turn out. */
 static int solve_step(const Target *target, const Source *source, const PairNoise *noise,
                       const Prior *prior, const double *L0, const double *T, const double *nuisances,
                       const Sample *sample, Gate gate, int64_t last, Chunk *scratch, Solution *out) {
     int shared = last && (noise->patch > 0 || noise->linearity > 0 || noise->offset > 0);
-    if (solve(target, source, noise, prior, L0, T, nuisances, sample, gate, shared, scratch, out) < 0)
-        return -1;
-    double patch_spread = out->patch_spread, spread = out->spread;
-    double patch_excess = find_excess(patch_spread), excess = find_excess(spread);
-    if (patch_excess <= 1 && excess <= 1) return 0;
-    PairNoise larger = *noise;
-    larger.patch *= patch_excess, larger.linearity *= excess, larger.offset *= excess;
-    larger.height *= excess, larger.lean *= excess;
-    int failed = solve(target, source, &larger, prior, L0, T, nuisances, sample, gate, shared, scratch, out);
-    out->patch_spread = patch_spread, out->spread = spread;
+    Sums sums = {0};
+    int failed = solve(target, source, noise, prior, L0, T, nuisances, sample, gate, shared, 1, &sums, scratch, out);
+    if (!failed && shared) {
+        double patch_spread = out->patch_spread, spread = out->spread, excess = find_excess(spread);
+        PairNoise found = *noise;
+        found.linearity *= excess, found.offset *= excess, found.height *= excess, found.lean *= excess;
+        failed = solve(target, source, &found, prior, L0, T, nuisances, sample, gate, shared,
+                       find_patch_factor(patch_spread), &sums, scratch, out);
+        out->patch_spread = patch_spread, out->spread = spread;
+    }
+    free_sums(&sums);
     return failed;
 }
 

@@ -25,6 +25,7 @@ typedef struct {
     int size, state;            /* unknowns, and the first of the state */
     int row_of[COLUMNS * BANDS];
     double *H, *g;
+    double *whole;              /* `H` and `g` before anything was eliminated */
     double *h, residual, square;    /* of the line in work: sums for its yaw error */
     int *touched, n_touched, line;  /* unknowns that the line depends on */
     int *seen_on;                   /* per unknown: last line that depended on it */
@@ -263,24 +264,40 @@ static PairNoise noise_of_readings(const PairNoise *noise) {
     return single;
 }
 
-/* Write the normal equations of the whole pose, yaw scale and curve, with the patches' and the lines' errors
- * marginalised; also the pairs and the spurious information in `plain`,
- * and all sums in `sums`, to be freed. Return 0, or -1 if memory runs out. */
+/* Write the normal equations of the whole pose, yaw scale and curve, with the errors of patches, `factor` times as
+ * large as assumed, eliminated from the sums. */
+static void eliminate_patches(Sums *s, double factor, Wide *out) {
+    size_t room = (size_t)s->size;
+    memcpy(s->H, s->whole, sizeof *s->H * room * (room + 1));
+    for (int k = 0; k < s->state; k++) s->H[(size_t)k * room + (size_t)k] += 1 / (factor * factor) - 1;
+    eliminate_first(s, s->h + room);
+    out->size = POSE + 1 + KNOTS;
+    for (int i = 0; i < out->size; i++) {
+        out->g[i] = s->g[s->state + i];
+        for (int j = 0; j <= i; j++)
+            out->H[WIDE * i + j] = out->H[WIDE * j + i] =
+                s->H[(size_t)(s->state + i) * room + (size_t)(s->state + j)];
+    }
+}
+
+/* Sum up the normal equations of patches, pose, yaw scale and curve, with the lines' errors marginalised, in
+ * `sums`, to be freed; also write the pairs and the spurious information to `plain`. Return 0, or -1 if memory
+ * runs out. */
 static int sum_shared_errors(const Target *target, const Sample *sample, const double *T,
                              const double *nuisances, Gate gate, const PairNoise *noise,
-                             const Prior *prior, Chunk *w, Equations *plain, Wide *out, Sums *sums) {
+                             const Prior *prior, Chunk *w, Equations *plain, Sums *sums) {
     int columns[POSE + 1], pose = (int)prior->n_entries;
     order_columns(prior, columns);
     Sums s = {.line = -1};
     s.state = PATCH_ERRORS * number_patches(sample, noise, s.row_of);
     s.size = s.state + POSE + 1 + KNOTS;
     size_t room = (size_t)s.size;
-    s.H = calloc(room * (room + 3), sizeof *s.H), s.touched = malloc(sizeof *s.touched * 2 * room);
+    s.H = calloc(room * (2 * room + 4), sizeof *s.H), s.touched = malloc(sizeof *s.touched * 2 * room);
     if (!s.H || !s.touched) {
         free_sums(&s);
         return -1;
     }
-    s.g = s.H + room * room, s.h = s.g + room, s.seen_on = s.touched + room;
+    s.g = s.H + room * room, s.h = s.g + room, s.whole = s.h + 2 * room, s.seen_on = s.touched + room;
     for (size_t k = 0; k < room; k++) s.seen_on[k] = -1;
     for (int k = 0; k < s.state; k++) s.H[(size_t)k * room + (size_t)k] = 1;
 
@@ -303,15 +320,7 @@ static int sum_shared_errors(const Target *target, const Sample *sample, const d
     mirror(plain->information, plain->size);
     mirror(plain->spurious, pose);
 
-    /* the state's equations */
-    eliminate_first(&s, s.h + room);
-    out->size = POSE + 1 + KNOTS;
-    for (int i = 0; i < out->size; i++) {
-        out->g[i] = s.g[s.state + i];
-        for (int j = 0; j <= i; j++)
-            out->H[WIDE * i + j] = out->H[WIDE * j + i] =
-                s.H[(size_t)(s.state + i) * room + (size_t)(s.state + j)];
-    }
+    memcpy(s.whole, s.H, sizeof *s.H * room * (room + 1));
     *sums = s;
     return 0;
 }
