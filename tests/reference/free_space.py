@@ -40,3 +40,20 @@ def violations(
     hit = np.where(e < -margin, 0.0, np.minimum(1.0, (e / margin) ** 2))
     cost = np.where(state == SURFACE, hit, np.where(state == EMPTY, 1.0, 0.0))
     return float(cost.sum()), int(np.count_nonzero(state != UNKNOWN))
+
+
+def share_in_front(target: Target, rows: FloatArray, T: FloatArray) -> float:
+    """Return the share of surfels in front of what the target met on their rays, 0..1.
+
+    Args:
+        target: The scan that is asked.
+        rows: Surfels of the other scan (m, 8).
+        T: ``T_target_source`` (4, 4).
+    """
+    points = rows[:, X] @ T[:3, :3].T + T[:3, 3]
+    at = lookup(target.projection, points, target.row_of >= 0)
+    seen = (at >= 0) & (target.row_of[at] >= 0)
+    met = target.rows[target.row_of[at]]
+    e = np.sum(met[:, N] * (points - met[:, X]), axis=1)
+    margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + met[:, VARIANCE]))
+    return float(np.mean(e[seen] >= margin[seen])) if seen.any() else 0.0

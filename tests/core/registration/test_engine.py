@@ -41,7 +41,7 @@ from scan3d_twin.core.registration.algebra import find_determined, invert_inform
 from scan3d_twin.core.registration.cloud_pairs import PAIR
 from scan3d_twin.core.registration.cloud_patches import WINDOW_RADII, prepare_cloud
 from scan3d_twin.core.registration.edges import Edges, linearise_edges
-from scan3d_twin.core.registration.free_space import _sum_violations
+from scan3d_twin.core.registration.free_space import _sum_violations, find_contradicted_share
 from scan3d_twin.core.registration.gauss_newton import (
     Criteria,
     Problem,
@@ -419,6 +419,21 @@ def test_violations() -> None:
     )
     assert own[1] == plain[1] > 100
     assert own[0] == pytest.approx(plain[0])
+
+
+def test_contradicted_share() -> None:
+    target, source = grids()
+    for shift, least, most in ((0.0, 0.0, 0.01), (-0.03, 0.1, 1.0), (0.03, 0.1, 1.0)):
+        T = (Pose2(shift) @ MOVE).matrix()
+        own = find_contradicted_share(target, source, T, 4)
+        plain = [
+            reference.free_space.share_in_front(plain_target(a), b.sample(4).rows, pose)
+            for a, b, pose in ((target, source, T), (source, target, np.linalg.inv(T)))
+        ]
+        assert own == pytest.approx(max(plain))
+        assert least <= own <= most
+    away = Pose2(0.0, 0.0, math.pi).matrix()
+    assert find_contradicted_share(target, source, away, 4) == 0.0
 
 
 def test_algebra() -> None:

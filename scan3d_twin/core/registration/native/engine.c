@@ -101,6 +101,11 @@ double EXPORT(sum_violations)(const Target *target, const uint8_t *known, const 
     return sum.cost;
 }
 
+double EXPORT(find_contradicted_share)(const Target *target, const Sample *of_target,
+                                       const Target *source, const Sample *of_source, const double *T) {
+    return find_contradicted_share(target, of_target, source, of_source, T);
+}
+
 /* algebra.py and pose_prior.py: their matrices are dense, those of the engine have rows of STATE */
 
 static void spread_rows(const double *dense, int n, double *out) {
