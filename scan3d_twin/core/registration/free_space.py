@@ -1,9 +1,10 @@
 """Free-space violations between two sweeps: no surface can stand where the other sweep saw through.
 
 Each surfel of one sweep is projected into the other. In front of the surface measured there, or on
-an empty ray, it is a violation; near that surface it counts by its squared distance; behind it, it
-is occluded and counts nothing. Both directions are summed: a periodic surface registered one period
-off fits along the surface but protrudes at its ends. ``native/free_space.h`` computes it.
+an empty ray within the lidar's range, it is a violation; near that surface it counts by its squared
+distance; behind it, it is occluded and counts nothing. Both directions are summed: a periodic
+surface registered one period off fits along the surface but protrudes at its ends.
+``native/free_space.h`` computes it.
 
 A single pose is judged by what lies in front of a measured surface. An empty ray may have failed
 (out of range, too flat, too dark), but one that met a surface has passed through all that is in
@@ -69,5 +70,6 @@ def _sum_violations(grid: SurfelGrid, sample: Sample, T: FloatArray) -> tuple[fl
     """Return the sum of the violations and the number of surfels on rays that are not unknown."""
     seen = np.zeros(1, dtype=np.int64)
     T = np.ascontiguousarray(T)
-    cost = engine.sum_violations(grid.target, grid.ray_states, sample.value, T, seen)
+    reach = grid.image.spec.max_range
+    cost = engine.sum_violations(grid.target, grid.ray_states, reach, sample.value, T, seen)
     return float(cost), int(seen[0])

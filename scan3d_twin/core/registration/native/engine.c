@@ -94,9 +94,9 @@ int64_t EXPORT(follow_starts)(const Target *target, const Source *source, const 
 
 /* free_space.py */
 
-double EXPORT(sum_violations)(const Target *target, const uint8_t *known, const Sample *sample,
-                          const double *T, int64_t *seen) {
-    Violations sum = sum_violations(target, known, sample, T);
+double EXPORT(sum_violations)(const Target *target, const uint8_t *known, double max_range,
+                              const Sample *sample, const double *T, int64_t *seen) {
+    Violations sum = sum_violations(target, known, max_range, sample, T);
     *seen = sum.seen;
     return sum.cost;
 }

@@ -14,11 +14,14 @@ typedef struct {
     int64_t seen;
 } Violations;
 
-/* Sum the violations of a sample at T, and count its surfels on rays that are not unknown. */
-static Violations sum_violations(const Target *target, const uint8_t *known, const Sample *sample,
-                                 const double *T) {
+/* Sum the violations of a sample at T, and count its surfels on rays that are not unknown. An empty ray knows
+ * nothing of what is out of the lidar's range. */
+static Violations sum_violations(const Target *target, const uint8_t *known, double max_range,
+                                 const Sample *sample, const double *T) {
     Violations sum = {0, 0};
     const Projection *p = &target->projection;
+    const double *lidar = p->mount + 5;
+    const double reach = MAX_RANGE_SHARE * max_range - sqrt(lidar[0] * lidar[0] + lidar[1] * lidar[1]);
     for (int64_t m = 0; m < sample->count; m++) {
         const double *row = sample->rows + SURFEL * sample->chosen[m];
         double x = T[0] * row[X] + T[1] * row[Y] + T[2] * row[Z] + T[3];
@@ -29,11 +32,13 @@ static Violations sum_violations(const Target *target, const uint8_t *known, con
         if (at < 0 || known[at] == UNKNOWN_RAY) continue;
 
         /* score against the ray */
-        sum.seen++;
         if (known[at] == EMPTY_RAY) {
-            sum.cost += 1;
+            double up = z - lidar[2];
+            int within = x * x + y * y + up * up < reach * reach;
+            sum.seen += within, sum.cost += within;
             continue;
         }
+        sum.seen++;
         const double *met = target->rows + SURFEL * target->index[at];
         double e = met[NX] * (x - met[X]) + met[NY] * (y - met[Y]) + met[NZ] * (z - met[Z]);
         double margin = VIOLATION_SIGMAS * sqrt(row[VARIANCE] + met[VARIANCE]);
