@@ -7,7 +7,8 @@ runs}}, for each case of ``tests/degenerate_pairs.py`` and with and without a pr
   10 deg (of ``disjoint``: that are refused, not converged or ambiguous);
 * ``unreported_...``: share with an error beyond three predicted ones that nothing reports;
 * ``variance_low_...``, ``variance_high_...``: least and largest ratio of the reported variance and
-  the mean square error of a determined direction.
+  the mean square error of a determined direction, over the results that have converged;
+* ``not_converged_...``: share of the tries that have not, or were refused.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class Tally:
 
     right: int = 0
     unreported: int = 0
+    not_converged: int = 0
     errors: list[FloatArray] = field(default_factory=list)
     variances: list[FloatArray] = field(default_factory=list)
 
@@ -58,6 +60,7 @@ def count(name: str, pairs: list[SweepPair], with_prior: bool) -> Tally:
             result = register(pair.target, pair.source, prior=prior, init_T_target_source=pair.init)
         except RegistrationError:
             tally.right += name == "disjoint"
+            tally.not_converged += 1
             continue
         points = pair.source.points[np.isfinite(pair.source.ranges)]
         reach = math.sqrt(np.mean(np.sum(points**2, axis=1)))
@@ -66,6 +69,7 @@ def count(name: str, pairs: list[SweepPair], with_prior: bool) -> Tally:
         truth = pair.truth.matrix()
         error = cloud_scenes.point_error(points, result.T_target_source, truth)
         reported = not result.converged or result.ambiguity_gap < MIN_GAP
+        tally.not_converged += not result.converged
         tally.unreported += error > max(3 * result.predicted_rmse, 1e-6) and not reported
         if name == "disjoint":
             tally.right += reported or not math.isfinite(result.predicted_rmse)
@@ -73,6 +77,8 @@ def count(name: str, pairs: list[SweepPair], with_prior: bool) -> Tally:
         tally.right += cloud_scenes.spans_agree(
             result.degenerate_directions, pair.directions, reach
         )
+        if not result.converged:
+            continue
         error, variance = cloud_scenes.compare_determined(
             result, truth, pair.directions, points, PLANAR
         )
@@ -103,6 +109,7 @@ def main() -> None:
             label = name.replace(" ", "_") + ("_prior" if with_prior else "")
             add(f"directions_{label}", tally.right / arguments.tries, "share", "by hand")
             add(f"unreported_{label}", tally.unreported / arguments.tries, "share", "truth")
+            add(f"not_converged_{label}", tally.not_converged / arguments.tries, "share", "truth")
             if name != "identical" and np.size(tally.errors):
                 ratios = np.mean(tally.variances, axis=0) / np.mean(np.square(tally.errors), axis=0)
                 add(f"variance_low_{label}", float(ratios.min()), "ratio", "Monte Carlo")

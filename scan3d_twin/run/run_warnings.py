@@ -112,7 +112,8 @@ def _check_registrations(session: Session) -> Iterator[str]:
         if result is None:
             continue
         if not result.converged:
-            why = "they do not overlap" if result.num_inliers == 0 else "it did not converge"
+            apart = "they do not overlap or contradict each other"
+            why = apart if result.num_inliers == 0 else "it did not converge"
             yield f"View {k} is not registered ({why}): its pose is that of the odometry alone."
             continue
         if result.ambiguity_gap < MIN_AMBIGUITY_GAP:

@@ -19,24 +19,47 @@ MARGIN = 0.02
 """Distance in front of a surface that is a full violation [m] ..."""
 SIGMAS = 3.0
 """... or in standard deviations, whichever is larger."""
+RANGE_SHARE = 0.95
+"""Share of the lidar's range within which an empty ray misses what a surface would have shown."""
 
 
 def violations(
-    target: Target, known: SmallIntArray, rows: FloatArray, T: FloatArray
+    target: Target, known: SmallIntArray, max_range: float, rows: FloatArray, T: FloatArray
 ) -> tuple[float, int]:
     """Return the sum of the violations, and how many surfels a reading says something of.
 
     Args:
         target: The scan that is asked.
         known: What each of its readings says of its ray (n,).
+        max_range: Range of its lidar [m]; what may be farther off is not missed by an empty ray.
         rows: Surfels of the other scan (m, 8).
         T: ``T_target_source`` (4, 4).
     """
     points = rows[:, X] @ T[:3, :3].T + T[:3, 3]
     at = lookup(target.projection, points, known != UNKNOWN)
     state, met = np.where(at >= 0, known[at], UNKNOWN), target.rows[target.row_of[at]]
+    lidar = target.projection.mount[5:8]
+    far = np.linalg.norm(points - [0, 0, lidar[2]], axis=1) + np.hypot(*lidar[:2])
+    state = np.where((state == EMPTY) & (far >= RANGE_SHARE * max_range), UNKNOWN, state)
     e = np.sum(met[:, N] * (points - met[:, X]), axis=1)
     margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + met[:, VARIANCE]))
     hit = np.where(e < -margin, 0.0, np.minimum(1.0, (e / margin) ** 2))
     cost = np.where(state == SURFACE, hit, np.where(state == EMPTY, 1.0, 0.0))
     return float(cost.sum()), int(np.count_nonzero(state != UNKNOWN))
+
+
+def share_in_front(target: Target, rows: FloatArray, T: FloatArray) -> float:
+    """Return the share of surfels in front of what the target met on their rays, 0..1.
+
+    Args:
+        target: The scan that is asked.
+        rows: Surfels of the other scan (m, 8).
+        T: ``T_target_source`` (4, 4).
+    """
+    points = rows[:, X] @ T[:3, :3].T + T[:3, 3]
+    at = lookup(target.projection, points, target.row_of >= 0)
+    seen = (at >= 0) & (target.row_of[at] >= 0)
+    met = target.rows[target.row_of[at]]
+    e = np.sum(met[:, N] * (points - met[:, X]), axis=1)
+    margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + met[:, VARIANCE]))
+    return float(np.mean(e[seen] >= margin[seen])) if seen.any() else 0.0

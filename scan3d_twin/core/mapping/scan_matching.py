@@ -101,14 +101,17 @@ def _register_sweeps(
     """Return the registration of ``view`` on ``previous`` by surfels, else by their points.
 
     Raises:
-        RegistrationError: The views do not overlap, or their points contradict each other.
+        RegistrationError: The views do not overlap, or they contradict each other.
     """
     try:
         target = surfels_of(previous, config, workspace)
         source = keep_surfels(view, config, workspace)
     except RegistrationError:
         return register_points(select_points(previous, config), select_points(view, config), prior)
-    return register(target, source, prior=prior, starts=config.registration.starts)
+    result = register(target, source, prior=prior, starts=config.registration.starts)
+    if not result.converged:
+        raise RegistrationError("the two views contradict each other")
+    return result
 
 
 def select_points(view: View, config: Config) -> FloatArray:

@@ -106,7 +106,8 @@ class SimulatedRegistration:
         """Return the error [m] of draw ``k``, over ``points`` (n, 3) in the frame of O2.
 
         The points are those of the latest view, as the next view shows about as much at a similar
-        distance. Scans that cannot be registered keep the pose by odometry.
+        distance. Scans that cannot be registered keep the pose by odometry. Whether free space
+        contradicts the pose is not asked: what the latest view did not see hides nothing here.
         """
         # Draw the motion
         truth = prior.T

@@ -60,9 +60,10 @@ def register(
             source finds no place on the target.
 
     Returns:
-        Pose, covariance, degenerate directions and the ambiguity gap between basins. Where clouds
+        Pose, covariance, degenerate directions and the ambiguity gap between basins. Where scans
         without a prior leave a direction undetermined, its variance and ``predicted_rmse`` are
-        infinite, and where they determine none, or contradict each other, ``converged`` is False.
+        infinite. Where they determine none, or contradict each other (one shows surface where the
+        other saw through), ``converged`` is False.
 
     Raises:
         ConfigError: A pose, an option or an array's shape is wrong.

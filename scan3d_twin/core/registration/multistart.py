@@ -2,21 +2,25 @@
 
 A periodic surface fits equally well one period off. The contradiction of each basin with free space
 separates them. If it does not, a small ambiguity gap says so, and the basin nearest to the prior is
-taken.
+taken. A pose that free space contradicts, whichever start led there, has not converged.
 """
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from statistics import NormalDist
 
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.free_space import measure_contradiction
+from scan3d_twin.core.registration.free_space import (
+    MAX_CONTRADICTION,
+    find_contradicted_share,
+    measure_contradiction,
+)
 from scan3d_twin.core.registration.gauss_newton import (
     SAME_BASIN,
     Criteria,
@@ -84,7 +88,11 @@ def register_grids(
     problem = Problem(target, source, prior, dof, criteria or Criteria())
     init = first_guess(init_T_target_source, prior)
     basin, gap = search_basins(problem, init, starts)
-    return make_result(problem, basin.outcome, gap)
+    result = make_result(problem, basin.outcome, gap)
+
+    # Distrust a match with another surface
+    share = find_contradicted_share(target, source, basin.T, 2 * problem.stride)
+    return replace(result, converged=False) if share > MAX_CONTRADICTION else result
 
 
 def first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:

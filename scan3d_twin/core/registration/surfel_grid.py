@@ -66,7 +66,7 @@ class Sample:
     @property
     def points(self) -> FloatArray:
         """Their points (m, 3) [m]."""
-        return np.ascontiguousarray(self.whole[0][:, X].take(self.chosen, axis=0))
+        return np.ascontiguousarray(self.whole[0].take(self.chosen, axis=0)[:, X])
 
     @property
     def rows(self) -> FloatArray:

@@ -118,6 +118,19 @@ def test_views_without_overlap_keep_the_odometry() -> None:
     assert view.T_world_scan == Pose2(true.x + 0.01, true.y - 0.03, true.yaw + 0.03)
 
 
+def test_a_match_that_free_space_contradicts_keeps_the_odometry() -> None:
+    """By odometry the robot stands one period of a short row of pilasters farther on."""
+    row, wrong = PILASTERS[2:7], Pose2(0.0, 0.3, 0.0)
+    view = observe(Pose2(0.0, -0.1), row, sigma=0.004, rng=np.random.default_rng(5))
+    session = session_at(row, config("sweep"), room=True)
+    session = integrate(session, Observation(view.image, wrong))
+    result = session.views[-1].registration
+    assert result is not None
+    assert not result.converged
+    assert result.predicted_rmse > 0.05
+    assert session.views[-1].T_world_scan == wrong
+
+
 def test_the_room_helps_where_the_target_does_not() -> None:
     """The bare wall stands in a room: with the whole sweep its corner fixes the slide."""
     wall = (Box((1.0, ROOM[1][0], 0.0), (1.2, 1.0, 1.5)),)

@@ -52,6 +52,28 @@ def test_exactly_the_undetermined_directions_are_reported(name: str, with_prior:
         assert math.isfinite(result.predicted_rmse) == (with_prior or len(found) == 0)
 
 
+@pytest.mark.parametrize("with_prior", [False, True])
+def test_sweeps_of_opposite_sides_are_not_taken_for_one(with_prior: bool) -> None:
+    """They match, as rooms are symmetric; what stands in them does not."""
+    for seed in range(10):
+        pair = take("disjoint", seed)
+        prior = PosePrior.planar(pair.init, PRIOR_XY, PRIOR_YAW) if with_prior else None
+        result = register(pair.target, pair.source, prior=prior, init_T_target_source=pair.init)
+        assert not result.converged, seed
+
+
+@pytest.mark.parametrize(("seed", "is_right"), [(0, True), (1, True), (71, False), (95, False)])
+def test_pillars_on_others_are_not_believed(seed: int, is_right: bool) -> None:
+    """The guess of two pairs is so far off that some pillars are laid on their neighbours."""
+    pair = take("pillars", seed)
+    prior = PosePrior.planar(pair.init, PRIOR_XY, PRIOR_YAW)
+    result = register(pair.target, pair.source, prior=prior)
+    points = pair.source.points[np.isfinite(pair.source.ranges)]
+    error = cloud_scenes.point_error(points, result.T_target_source, pair.truth.matrix())
+    assert (error < 0.002) == is_right
+    assert result.converged == is_right
+
+
 def test_a_bare_floor_determines_nothing() -> None:
     """The turn is the hardest: normals of a floor err most about the trace of the ray."""
     for seed in range(10):

@@ -41,7 +41,7 @@ from scan3d_twin.core.registration.algebra import find_determined, invert_inform
 from scan3d_twin.core.registration.cloud_pairs import PAIR
 from scan3d_twin.core.registration.cloud_patches import WINDOW_RADII, prepare_cloud
 from scan3d_twin.core.registration.edges import Edges, linearise_edges
-from scan3d_twin.core.registration.free_space import _sum_violations
+from scan3d_twin.core.registration.free_space import _sum_violations, find_contradicted_share
 from scan3d_twin.core.registration.gauss_newton import (
     Criteria,
     Problem,
@@ -57,7 +57,12 @@ from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displace, predict_rmse
 from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
-from scan3d_twin.core.registration.surfels import Beams, fit_surfels, make_native_sweep
+from scan3d_twin.core.registration.surfels import (
+    EMPTY_RAY,
+    Beams,
+    fit_surfels,
+    make_native_sweep,
+)
 from scan3d_twin.core.registration.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.extrinsics import apply_mount
 from scan3d_twin.core.types import UNMEASURED, VALID, FloatArray, Pose2, RangeImage, read_only
@@ -411,14 +416,35 @@ def test_starts_that_meet_are_one() -> None:
 
 
 def test_violations() -> None:
-    target, source = grids()
-    T = MOVE.matrix()
-    own = _sum_violations(target, source.sample(4), T)
-    plain = reference.free_space.violations(
-        plain_target(target), target.ray_states, source.sample(4).rows, T
+    wall = (synthetic.Box((3.2, -6.0, 0.0), (3.4, 6.0, 2.5)),)
+    far, near = (
+        extract_surfels(synthetic.observe(Pose2(x), wall, room=False, width=2.0).image)
+        for x in (0.0, 1.0)
     )
-    assert own[1] == plain[1] > 100
-    assert own[0] == pytest.approx(plain[0])
+    for target, source, move in ((*grids(), MOVE), (far, near, Pose2(1.0)), (near, far, Pose2(-1))):
+        own = _sum_violations(target, source.sample(4), move.matrix())
+        plain = reference.free_space.violations(
+            plain_target(target), target.ray_states, 4.0, source.sample(4).rows, move.matrix()
+        )
+        assert target.image.spec.max_range == 4.0
+        assert own[1] == plain[1] > 100
+        assert own[0] == pytest.approx(plain[0])
+    assert np.count_nonzero(far.ray_states == EMPTY_RAY) > 1000
+
+
+def test_contradicted_share() -> None:
+    target, source = grids()
+    for shift, least, most in ((0.0, 0.0, 0.01), (-0.03, 0.1, 1.0), (0.03, 0.1, 1.0)):
+        T = (Pose2(shift) @ MOVE).matrix()
+        own = find_contradicted_share(target, source, T, 4)
+        plain = [
+            reference.free_space.share_in_front(plain_target(a), b.sample(4).rows, pose)
+            for a, b, pose in ((target, source, T), (source, target, np.linalg.inv(T)))
+        ]
+        assert own == pytest.approx(max(plain))
+        assert least <= own <= most
+    away = Pose2(0.0, 0.0, math.pi).matrix()
+    assert find_contradicted_share(target, source, away, 4) == 0.0
 
 
 def test_algebra() -> None:

@@ -188,7 +188,8 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "follow_starts": (
         c_int64, Target, Source, PairNoise, Prior, Criteria, Doubles, c_int64, Doubles, RunResult,
     ),
-    "sum_violations": (c_double, Target, Bytes, Sample, Doubles, Longs),
+    "sum_violations": (c_double, Target, Bytes, c_double, Sample, Doubles, Longs),
+    "find_contradicted_share": (c_double, Target, Sample, Target, Sample, Doubles),
     "find_determined": (
         c_int64, Doubles, Doubles, Longs, c_int64, c_double, Doubles, Doubles, Doubles,
     ),

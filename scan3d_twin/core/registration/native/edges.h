@@ -25,12 +25,14 @@ typedef struct {
     int64_t low, high;
 } Beams;
 
-/* Return the beams of a line from its first surfel to its last. */
+/* Return the beams of a line from its first surfel to its last, without branches. */
 static Beams find_surfel_beams(const int32_t *index, int64_t n_beams) {
-    Beams b = {0, n_beams};
-    while (b.low < n_beams && index[b.low] < 0) b.low++;
-    while (b.high > b.low && index[b.high - 1] < 0) b.high--;
-    return b;
+    int32_t n = (int32_t)n_beams, low = n, high = 0;
+    for (int32_t j = 0; j < n; j++) {
+        int32_t from = index[j] >= 0 ? j : n, to = index[j] >= 0 ? j + 1 : 0;
+        low = from < low ? from : low, high = to > high ? to : high;
+    }
+    return (Beams){low, high};
 }
 
 /* Mark the beams at which the surface on line `near` ends towards `side`; return their number. */

@@ -94,11 +94,16 @@ int64_t EXPORT(follow_starts)(const Target *target, const Source *source, const 
 
 /* free_space.py */
 
-double EXPORT(sum_violations)(const Target *target, const uint8_t *known, const Sample *sample,
-                          const double *T, int64_t *seen) {
-    Violations sum = sum_violations(target, known, sample, T);
+double EXPORT(sum_violations)(const Target *target, const uint8_t *known, double max_range,
+                              const Sample *sample, const double *T, int64_t *seen) {
+    Violations sum = sum_violations(target, known, max_range, sample, T);
     *seen = sum.seen;
     return sum.cost;
+}
+
+double EXPORT(find_contradicted_share)(const Target *target, const Sample *of_target,
+                                       const Target *source, const Sample *of_source, const double *T) {
+    return find_contradicted_share(target, of_target, source, of_source, T);
 }
 
 /* algebra.py and pose_prior.py: their matrices are dense, those of the engine have rows of STATE */

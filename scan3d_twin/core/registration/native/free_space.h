@@ -14,11 +14,14 @@ typedef struct {
     int64_t seen;
 } Violations;
 
-/* Sum the violations of a sample at T, and count its surfels on rays that are not unknown. */
-static Violations sum_violations(const Target *target, const uint8_t *known, const Sample *sample,
-                                 const double *T) {
+/* Sum the violations of a sample at T, and count its surfels on rays that are not unknown. An empty ray knows
+ * nothing of what is out of the lidar's range. */
+static Violations sum_violations(const Target *target, const uint8_t *known, double max_range,
+                                 const Sample *sample, const double *T) {
     Violations sum = {0, 0};
     const Projection *p = &target->projection;
+    const double *lidar = p->mount + 5;
+    const double reach = MAX_RANGE_SHARE * max_range - sqrt(lidar[0] * lidar[0] + lidar[1] * lidar[1]);
     for (int64_t m = 0; m < sample->count; m++) {
         const double *row = sample->rows + SURFEL * sample->chosen[m];
         double x = T[0] * row[X] + T[1] * row[Y] + T[2] * row[Z] + T[3];
@@ -29,11 +32,13 @@ static Violations sum_violations(const Target *target, const uint8_t *known, con
         if (at < 0 || known[at] == UNKNOWN_RAY) continue;
 
         /* score against the ray */
-        sum.seen++;
         if (known[at] == EMPTY_RAY) {
-            sum.cost += 1;
+            double up = z - lidar[2];
+            int within = x * x + y * y + up * up < reach * reach;
+            sum.seen += within, sum.cost += within;
             continue;
         }
+        sum.seen++;
         const double *met = target->rows + SURFEL * target->index[at];
         double e = met[NX] * (x - met[X]) + met[NY] * (y - met[Y]) + met[NZ] * (z - met[Z]);
         double margin = VIOLATION_SIGMAS * sqrt(row[VARIANCE] + met[VARIANCE]);
@@ -42,6 +47,57 @@ static Violations sum_violations(const Target *target, const uint8_t *known, con
         if (e >= -margin) sum.cost += share * share < 1 ? share * share : 1;
     }
     return sum;
+}
+
+/* Return the share of a sample's surfels at T in front of the target's surface, by the distance of a full
+ * violation, of those on whose rays it met one. */
+static double find_share_in_front(const Target *target, const Sample *sample, const double *T, Chunk *w) {
+    const double t0 = T[0], t1 = T[1], t2 = T[2], t3 = T[3], t4 = T[4], t5 = T[5];
+    const double t6 = T[6], t7 = T[7], t8 = T[8], t9 = T[9], t10 = T[10], t11 = T[11];
+    const double least = VIOLATION_DISTANCE * VIOLATION_DISTANCE, sigmas = VIOLATION_SIGMAS * VIOLATION_SIGMAS;
+    int64_t seen = 0, in_front = 0;
+    for (int64_t first = 0; first < sample->count; first += CHUNK) {
+        int64_t n = sample->count - first < CHUNK ? sample->count - first : CHUNK;
+        gather_pairs(target, sample, first, n, T, w);
+        for (int64_t k = 0; k < n; k++) {
+            double px = w->source[X][k], py = w->source[Y][k], pz = w->source[Z][k];
+            double ux = t0 * px + t1 * py + t2 * pz + t3 - w->target[X][k];
+            double uy = t4 * px + t5 * py + t6 * pz + t7 - w->target[Y][k];
+            double uz = t8 * px + t9 * py + t10 * pz + t11 - w->target[Z][k];
+            double e = w->target[NX][k] * ux + w->target[NY][k] * uy + w->target[NZ][k] * uz;
+            double margin = sigmas * (w->source[VARIANCE][k] + w->target[VARIANCE][k]);
+            margin = margin > least ? margin : least;
+            int met = w->row[k] >= 0;
+            seen += met;
+            in_front += met & (e > 0) & (e * e >= margin);
+        }
+    }
+    return seen > 0 ? (double)in_front / (double)seen : 0;
+}
+
+/* Write the inverse of a rigid transform; the last row is not read. */
+static void invert_rigid(const double *T, double *back) {
+    for (int i = 0; i < 3; i++) {
+        back[4 * i + 3] = 0;
+        for (int j = 0; j < 3; j++) {
+            back[4 * i + j] = T[4 * j + i];
+            back[4 * i + 3] -= T[4 * j + i] * T[4 * j + 3];
+        }
+    }
+}
+
+/* Return the larger share of either sweep's sample in front of the other's surface, or -1 if memory runs
+ * out. */
+static double find_contradicted_share(const Target *target, const Sample *of_target, const Target *source,
+                                      const Sample *of_source, const double *T) {
+    Chunk *scratch = aligned_alloc(64, (sizeof *scratch + 63) / 64 * 64);
+    double back[12];
+    if (!scratch) return -1;
+    invert_rigid(T, back);
+    double share = find_share_in_front(target, of_source, T, scratch);
+    double other = find_share_in_front(source, of_target, back, scratch);
+    free(scratch);
+    return share > other ? share : other;
 }
 
 /* Classify the ray of each reading: on a surface, empty, or unknown. A ray is empty only if none of the
