@@ -32,7 +32,7 @@ from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.session_start import begin_session, tune_config
 from scan3d_twin.core.stand import StandPlanner
-from scan3d_twin.core.types import FloatArray, Observation, Plan, Pose2
+from scan3d_twin.core.types import Observation, Plan, Pose2
 
 DEFAULT_CONFIG = Config()
 """The preset ``best``."""
@@ -237,7 +237,7 @@ def integrate(session: Session, observation: Observation) -> Session:
 
     # Extract the target
     points = extract_points(image, config)
-    known = prior.inverse().apply(_gather_known_target(session))
+    known = prior.inverse().apply(session.gather_known_target())
     target = extract_target(image, points, known, config.target)
 
     # Register on the previous view
@@ -257,12 +257,6 @@ def conclude_session(session: Session, observer: Observer) -> Session:
     for k in result.misfits:
         observer.on_event(f"view {k} does not fit the others")
     return result
-
-
-def _gather_known_target(session: Session) -> FloatArray:
-    """Return the top view (n, 2) in ``world`` of all known points of the target."""
-    seen = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
-    return np.concatenate([session.hint, *seen])
 
 
 def _plan(

@@ -30,7 +30,6 @@ from scan3d_twin.core.scanning.target_selection import find_target
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import (
-    FloatArray,
     Observation,
     Plan,
     Pose2,
@@ -132,9 +131,7 @@ def _extract_target(view: View, session: Session) -> Scan3D:
     config = session.config
     if config.target.extraction == "everything":
         return extract_everything(view.image, config)
-    seen = [each.T_world_scan.apply(each.target.points[:, :2]) for each in session.views]
-    known: FloatArray = np.concatenate([session.hint, *seen])
-    known = view.T_world_scan.inverse().apply(known)
+    known = view.T_world_scan.inverse().apply(session.gather_known_target())
     return extract_target(view.image, view.sweep, known, config.target)
 
 
