@@ -232,7 +232,7 @@ def integrate(session: Session, observation: Observation) -> Session:
     image = fill_gaps(image, config.gaps)
 
     # Predict by odometry
-    motion = MotionModel.of(session.views, config)
+    motion = MotionModel.of(session.views, config, session.workspace)
     prior = predict_pose(session.views, observation, motion)
 
     # Extract the target
