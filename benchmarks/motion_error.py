@@ -30,7 +30,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from scan3d_twin.core.config import Config, MotionConfig
-from scan3d_twin.core.mapping.motion_model import MotionModel, motion_prior
+from scan3d_twin.core.mapping.motion_model import MotionModel
+from scan3d_twin.core.mapping.motion_prior import motion_prior
 from scan3d_twin.core.navigation.legs import Legs, measure_legs
 from scan3d_twin.core.navigation.motion_control import drive_to, turn_to
 from scan3d_twin.core.registration.pose_prior import PLANAR

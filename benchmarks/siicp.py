@@ -36,7 +36,7 @@ from scipy.stats import spearmanr
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
-from scan3d_twin.core.mapping.motion_model import motion_prior
+from scan3d_twin.core.mapping.motion_prior import motion_prior
 from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels, register

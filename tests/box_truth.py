@@ -45,6 +45,11 @@ class BoxTruth:
         index = min(int(line / 0.1), len(yaws) - 1)
         return self.poses[int(k)] @ Pose2(0.0, 0.0, float(yaws[index]))
 
+    def poses_at(self, stamps: FloatArray) -> FloatArray:
+        """The poses of a sweep's lines."""
+        poses = [self.pose_at(stamp) for stamp in stamps.tolist()]
+        return np.array([(pose.x, pose.y, pose.yaw) for pose in poses])
+
     def surface(
         self, spacing: float, targets: Sequence[str] | None = None
     ) -> tuple[FloatArray, FloatArray]:

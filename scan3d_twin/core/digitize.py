@@ -32,7 +32,7 @@ from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.session_start import begin_session, tune_config
 from scan3d_twin.core.stand import StandPlanner
-from scan3d_twin.core.target_growth import extend_targets, gather_known_target
+from scan3d_twin.core.target_growth import extend_targets
 from scan3d_twin.core.types import Observation, Plan, Pose2
 
 DEFAULT_CONFIG = Config()
@@ -233,12 +233,12 @@ def integrate(session: Session, observation: Observation) -> Session:
     image = fill_gaps(image, config.gaps)
 
     # Predict by odometry
-    motion = MotionModel.of(session.views, config)
+    motion = MotionModel.of(session.views, config, session.workspace)
     prior = predict_pose(session.views, observation, motion)
 
     # Extract the target
     points = extract_points(image, config)
-    known = prior.inverse().apply(gather_known_target(session))
+    known = prior.inverse().apply(session.gather_known_target())
     target = extract_target(image, points, known, config.target)
 
     # Register on the previous view

@@ -29,7 +29,7 @@ from scan3d_twin.core.scanning.target_extraction import extract_points, extract_
 from scan3d_twin.core.scanning.target_selection import find_target
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.target_growth import extend_targets, gather_known_target
+from scan3d_twin.core.target_growth import extend_targets
 from scan3d_twin.core.types import (
     Observation,
     Plan,
@@ -132,7 +132,7 @@ def _extract_target(view: View, session: Session) -> Scan3D:
     config = session.config
     if config.target.extraction == "everything":
         return extract_everything(view.image, config)
-    known = view.T_world_scan.inverse().apply(gather_known_target(session))
+    known = view.T_world_scan.inverse().apply(session.gather_known_target())
     return extract_target(view.image, view.sweep, known, config.target)
 
 

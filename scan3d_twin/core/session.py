@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
+
+import numpy as np
 
 from scan3d_twin import __version__
 from scan3d_twin.core.config import Config
@@ -25,6 +27,9 @@ from scan3d_twin.core.types import (
 YAW_SCALE_REPEATABILITY = 0.0001
 """Standard deviation of the yaw scale of a sweep from that of other sweeps of its base: 0.00005 by
 the true headings of 41 runs (random:20500 to random:20540), rounded up."""
+
+_FROM_ABOVE = "target from above"
+"""Key of what ``Session`` keeps of each image."""
 
 
 class Workspace:
@@ -184,6 +189,24 @@ class Session:
             panorama.image.compress()
         for view in self.views[:-1]:
             view.compress()
+
+    def gather_known_target(self) -> FloatArray:
+        """Return the top view (n, 2) in ``world`` of all known points of the target [m]."""
+        return np.concatenate([self.hint, *map(self._target_from_above, self.views)])
+
+    def _target_from_above(self, view: View) -> FloatArray:
+        """Return the top view (n, 2) in ``world`` of the target in a ``view``, computed once [m].
+
+        Where memory is scarce it is not kept.
+        """
+        if self.config.optimize_for == "memory":
+            return view.T_world_scan.apply(view.target.points[:, :2])
+        results = self.workspace.results_of(view.observation.image)
+        of, place, points = results.get(_FROM_ABOVE, (None, None, None))
+        if of is None or of() is not view.target or place != view.T_world_scan:
+            points = view.T_world_scan.apply(view.target.points[:, :2])
+            results[_FROM_ABOVE] = ref(view.target), view.T_world_scan, points
+        return np.asarray(points)
 
     def observations(self) -> tuple[Observation, ...]:
         """Return all panoramas and sweeps in the order in which they were taken.

@@ -8,18 +8,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from scan3d_twin.core.config import TargetConfig
 from scan3d_twin.core.scanning.target_extraction import extract_target
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray
-
-
-def gather_known_target(session: Session) -> FloatArray:
-    """Return the top view (n, 2) in ``world`` [m] of all known points of the target."""
-    seen = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
-    return np.concatenate([session.hint, *seen])
 
 
 def extend_targets(session: Session) -> Session:
@@ -31,7 +23,7 @@ def extend_targets(session: Session) -> Session:
         return session
     changed = {len(session.views) - 1}
     while changed:
-        known, views = gather_known_target(session), list(session.views)
+        known, views = session.gather_known_target(), list(session.views)
         asked = [k for k in range(len(views)) if changed - {k}]
         wider = {k: _extend_target(views[k], known, session.config.target) for k in asked}
         changed = {k for k, view in wider.items() if view is not views[k]}

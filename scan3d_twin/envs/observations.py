@@ -80,8 +80,7 @@ def encode_topdown(session: Session, costmap: Costmap) -> Image:
 def _target(session: Session) -> BoolArray:
     """Return the cells of the top view where the target is known to be (SIDE, SIDE)."""
     back = session.views[-1].T_world_scan.inverse()
-    parts = [view.T_world_scan.apply(view.target.points[:, :2]) for view in session.views]
-    local = back.apply(np.concatenate([session.hint, *parts]))
+    local = back.apply(session.gather_known_target())
     i, j = np.floor(SIDE / 2 - np.ascontiguousarray(local.T) / RESOLUTION).astype(np.int64)
     inside = (i >= 0) & (i < SIDE) & (j >= 0) & (j < SIDE)
     shown = np.zeros((SIDE, SIDE), dtype=bool)

@@ -93,6 +93,7 @@ class CoincidingFaces:
         """Find those of the ``seen`` geoms (n_geoms,); none in a model that moves."""
         self._faces: list[tuple[_Face, BoolArray]] = []
         self._normals: list[FloatArray] = []
+        self._concerned = np.zeros(model.ngeom + 1, bool)
         if model.nq > 0:
             return
         data = mujoco.MjData(model)
@@ -125,14 +126,29 @@ class CoincidingFaces:
                 self._faces.append((face, later))
         self._faces.reverse()  # the first has the last word
         self._normals = _tabulate(found, model.ngeom)
-        self._concerned = np.zeros(model.ngeom + 1, bool)
         self._concerned[list(found)] = True
+
+    def face_alike(self, normals: FloatArray, geoms: IntArray) -> BoolArray:
+        """Return which surfaces of ``geoms`` (n,) have the normal of such a face (n,).
+
+        Args:
+            normals: Of the surfaces, unit vectors (n, 3).
+            geoms: Geom ids; -1 for none.
+        """
+        near = np.flatnonzero(self._concerned.take(geoms))
+        own, facing, alike = geoms[near], normals[near], np.zeros(len(near), bool)
+        for table in self._normals:
+            alike |= np.einsum("ni,ni->n", table.take(own, axis=0), facing) >= PARALLEL
+        result = np.zeros(len(geoms), bool)
+        result[near] = alike
+        return result
 
     def settle(
         self,
         origins: FloatArray,
         directions: FloatArray,
         hits: tuple[FloatArray, FloatArray, IntArray],
+        alike: BoolArray,
     ) -> None:
         """Let ``hits`` on coinciding faces be of the geom that comes first, in place.
 
@@ -140,21 +156,13 @@ class CoincidingFaces:
             origins: (n, 3) [m].
             directions: Unit vectors (n, 3).
             hits: Distances (n,) [m], inf for a miss, normals (n, 3) and geom ids (n,).
+            alike: Which of them ``face_alike`` chooses (n,).
         """
-        # Choose the few hits whose normal is that of such a face
         distances, normals, geoms = hits
-        if not self._normals:
-            return
-        near = np.flatnonzero(self._concerned.take(geoms))
-        own, facing, chosen = geoms[near], normals[near], np.zeros(len(near), bool)
-        for table in self._normals:
-            chosen |= np.einsum("ni,ni->n", table.take(own, axis=0), facing) >= PARALLEL
-        rays = near[chosen]
+        rays = np.flatnonzero(alike)
         if len(rays) == 0:
             return
         points = origins[rays] + distances[rays, None] * directions[rays]
-
-        # Give those on it to the geom that comes first
         for face, later in self._faces:
             on = later.take(geoms[rays]) & face.contains(points)
             geoms[rays[on]], normals[rays[on]] = face.geom, face.axes[:, 2]

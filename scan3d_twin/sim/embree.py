@@ -90,8 +90,8 @@ class TriangleScene:
 
     def run(
         self, origins: FloatArray, directions: FloatArray
-    ) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Return distances (n,), inf for a miss, normals (n, 3) and geom ids (n,).
+    ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+        """Return distances (n,), inf for a miss, normals (n, 3), geom ids and triangles (n,).
 
         Hits on a tessellated curved surface are refined to its exact distance and normal.
         """
@@ -116,7 +116,7 @@ class TriangleScene:
                     directions[curved],
                     distances[curved],
                 )
-        return distances, normals, geoms
+        return distances, normals, geoms, index
 
     def _refine(
         self, shapes: IntArray, origins: FloatArray, directions: FloatArray, distances: FloatArray

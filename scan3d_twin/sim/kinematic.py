@@ -9,9 +9,7 @@ within a sweep; bumps and cliffs; skipped beams. A sweep takes milliseconds.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 import numpy as np
 
@@ -27,6 +25,7 @@ from scan3d_twin.core.types import (
     RangeImage,
     read_only,
     wrap,
+    wrap_all,
 )
 from scan3d_twin.devices.registry import base_device, lidar_device
 from scan3d_twin.sim.base.motion_errors import (
@@ -130,14 +129,20 @@ class KinematicWorld:
         by = wrap(pose.yaw - yaw) if turn is None else turn
         self._knots.append((time + seconds, pose.x, pose.y, yaw + by))
 
-    def base_pose(self, time: float) -> Pose2:
-        """Return ``T_map_base`` at ``time`` [s], clamped to the first and last knot."""
-        after = bisect_right(self._knots, time, key=itemgetter(0))
-        if after in (0, len(self._knots)):
-            return Pose2(*self._knots[max(after - 1, 0)][1:])
-        (start, *pose), (end, *next_pose) = self._knots[after - 1 : after + 1]
-        rates = [(b - a) / (end - start) for a, b in zip(pose, next_pose, strict=True)]
-        return Pose2(*(rate * (time - start) + a for rate, a in zip(rates, pose, strict=True)))
+    def base_poses(self, times: FloatArray) -> FloatArray:
+        """Return x, y [m] and yaw [rad] (n, 3) of ``T_map_base`` at ``times`` (n,) [s].
+
+        They are clamped to the first and last knot.
+        """
+        knots = np.array(self._knots)
+        after = np.searchsorted(knots[:, 0], times, side="right")
+        start = knots.take(np.maximum(after - 1, 0), axis=0)
+        rises = knots.take(np.minimum(after, len(knots) - 1), axis=0) - start
+        seconds = rises[:, :1]
+        rates = np.divide(rises, seconds, out=np.zeros_like(rises), where=seconds > 0)
+        poses: FloatArray = (rates * (times[:, None] - start[:, :1]) + start)[:, 1:]
+        poses[:, 2] = wrap_all(poses[:, 2])
+        return poses
 
     def scene_qpos(self) -> FloatArray:
         """Return the positions of the scene's loose objects; empty when static."""

@@ -6,6 +6,8 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 
+import numpy as np
+
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.truth import Truth
 
@@ -45,6 +47,11 @@ class PlacedTruth:
         """See ``Truth``."""
         k = bisect_right([start for start, _ in self._places], stamp)
         return self._places[k - 1][1] if k else self._spawn
+
+    def poses_at(self, stamps: FloatArray) -> FloatArray:
+        """See ``Truth``."""
+        poses = [self.pose_at(stamp) for stamp in stamps.tolist()]
+        return np.array([(pose.x, pose.y, pose.yaw) for pose in poses])
 
     @property
     def targets(self) -> tuple[str, ...]:

@@ -111,9 +111,10 @@ class MujocoCaster:
         missed = geoms[0] < 0
         hits = np.where(missed, np.inf, distances[0]), normals[0], geoms[0].astype(np.int64)
         if self._fields is not None:
-            _add_nearer(self._fields.run(origins, directions), hits)
+            _add_nearer(self._fields.run(origins, directions)[:3], hits)
         self._planes.add_backs(origins, directions, hits)
-        self._coinciding.settle(origins, directions, hits)
+        alike = self._coinciding.face_alike(*hits[1:])
+        self._coinciding.settle(origins, directions, hits, alike)
         return Hits(*hits)
 
 
@@ -135,12 +136,20 @@ class EmbreeCaster:
         self._triangles = TriangleScene(model, seen, qpos)
         self._planes = Planes(model, seen)
         self._coinciding = CoincidingFaces(model, seen)
+        self._alike = self._coinciding.face_alike(self._triangles.normals, self._triangles.geoms)
 
     def cast(self, qpos: FloatArray, origins: FloatArray, directions: FloatArray) -> Hits:
         """See ``RayCaster.cast``."""
-        hits = self._triangles.run(origins, directions)
+        # Cast for the first triangles, and planes beyond them
+        distances, normals, geoms, triangles = self._triangles.run(origins, directions)
+        hits = distances, normals, geoms
         self._planes.add_far_parts(origins, directions, hits)
-        self._coinciding.settle(origins, directions, hits)
+
+        # Settle hits on coinciding faces
+        alike = self._alike.take(triangles)
+        beyond = np.flatnonzero(geoms != self._triangles.geoms.take(triangles))
+        alike[beyond] = self._coinciding.face_alike(normals[beyond], geoms[beyond])
+        self._coinciding.settle(origins, directions, hits, alike)
         return Hits(*hits)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.core.types import FloatArray, wrap_all
 from scan3d_twin.sim.world import HISTORY_STEPS, World, interpolate
 
 POSE_COLUMNS = 7
@@ -46,11 +46,13 @@ class PoseTrace:
         self.service()
         return self._kept * self._world.timestep
 
-    def base_pose(self, time: float) -> Pose2:
-        """Return ``T_map_base`` at ``time`` [s], interpolated, clamped to the recorded times."""
+    def base_poses(self, times: FloatArray) -> FloatArray:
+        """Return x, y [m] and yaw [rad] (n, 3) of ``T_map_base`` at ``times`` (n,) [s].
+
+        They are interpolated, clamped to the recorded times.
+        """
         self.service()
-        place = np.array([time]) / self._world.timestep
-        rows = interpolate(self._rows.__getitem__, place, 0, self._kept + 1)
-        x, y, _, qw, qx, qy, qz = rows[0]
+        rows = interpolate(self._rows.__getitem__, times / self._world.timestep, 0, self._kept + 1)
+        x, y, _, qw, qx, qy, qz = rows.T
         yaw = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-        return Pose2(x, y, float(yaw))
+        return np.stack([x, y, wrap_all(yaw)], axis=1)

@@ -33,8 +33,8 @@ class PoseHistory(Protocol):
         """Time of the latest pose [s]."""
         ...
 
-    def base_pose(self, time: float) -> Pose2:
-        """Return ``T_map_base`` at ``time`` [s]."""
+    def base_poses(self, times: FloatArray) -> FloatArray:
+        """Return x, y [m] and yaw [rad] (n, 3) of ``T_map_base`` at ``times`` (n,) [s]."""
         ...
 
     def scene_qpos(self) -> FloatArray:
@@ -57,7 +57,7 @@ class Truth:
         self._caster = caster
         self._panes = Panes.of(scene.model, caster)
         self._evidence = evidence
-        self._T_map_odom = world.base_pose(0.0)
+        self._T_map_odom = self.pose_at(0.0)
 
     @property
     def spawn(self) -> Pose2:
@@ -76,7 +76,11 @@ class Truth:
 
     def pose_at(self, stamp: float) -> Pose2:
         """Return the true ``T_map_base`` at ``stamp`` [s]."""
-        return self._world.base_pose(stamp)
+        return Pose2(*self.poses_at(np.array([stamp]))[0])
+
+    def poses_at(self, stamps: FloatArray) -> FloatArray:
+        """Return x, y [m] and yaw [rad] (n, 3) of the true poses at ``stamps`` (n,) [s]."""
+        return self._world.base_poses(stamps)
 
     @property
     def targets(self) -> tuple[str, ...]:

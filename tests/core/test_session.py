@@ -58,3 +58,22 @@ def test_drift_opens_no_way_through_a_wall(session: Session) -> None:
     assert not placed.is_feasible(behind_wall.x, behind_wall.y)
     beside = DRIFT @ Pose2(-0.9, 1.6, 0.0)
     assert placed.is_feasible(beside.x, beside.y)
+
+
+@pytest.mark.parametrize("optimize_for", ["speed", "memory"])
+def test_the_known_target_follows_its_views(session: Session, optimize_for: str) -> None:
+    view, hint = session.views[0], np.array([[0.5, 0.0]])
+    config = replace(CONFIG, optimize_for=optimize_for)
+    points = np.array([[1.0, 0.2, 0.3], [1.1, -0.2, 0.4]])
+    shown = replace(view, target=Scan3D(points, np.arange(2), np.arange(2), 2))
+    one = replace(session, config=config, hint=hint, views=(shown,))
+    for _ in range(2):
+        expected = np.concatenate([hint, START.apply(points[:, :2])])
+        np.testing.assert_array_equal(one.gather_known_target(), expected)
+
+    # Where a view has moved, or shows something else, what was kept is not used
+    moved = replace(one, views=(replace(shown, T_world_scan=LATER),))
+    expected = np.concatenate([hint, LATER.apply(points[:, :2])])
+    np.testing.assert_array_equal(moved.gather_known_target(), expected)
+    other = replace(moved, views=(replace(moved.views[0], target=shown.target.first_lines(1)),))
+    np.testing.assert_array_equal(other.gather_known_target(), expected[:2])

@@ -8,7 +8,7 @@ import synthetic
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scan3d_twin.core.types import Hazards, Pose2, Scan3D, read_only, wrap
+from scan3d_twin.core.types import Hazards, Pose2, Scan3D, read_only, wrap, wrap_all
 
 lengths = st.floats(-10.0, 10.0)
 poses = st.builds(Pose2, lengths, lengths, st.floats(-10.0, 10.0))
@@ -25,6 +25,11 @@ def test_wrap_is_in_half_open_interval_and_keeps_direction(angle: float) -> None
     wrapped = wrap(angle)
     assert -math.pi <= wrapped < math.pi
     assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-6)
+
+
+def test_many_angles_are_wrapped_as_one_is() -> None:
+    angles = np.concatenate([np.linspace(-20.0, 20.0, 1001), math.pi * np.arange(-5, 6)])
+    assert wrap_all(angles).tolist() == [wrap(angle) for angle in angles.tolist()]
 
 
 def test_wrap_at_the_seam() -> None:

@@ -137,9 +137,10 @@ def test_time_passes_as_with_a_real_robot():
 def test_the_world_remembers_where_it_was():
     world = KinematicWorld(Pose2(1.0, 2.0, 3.0))
     world.add(2.0, Pose2(1.0, 2.0, -3.0))
-    assert world.base_pose(1.0).yaw == pytest.approx(-math.pi)  # the short way
-    assert world.base_pose(-1.0).yaw == 3.0
-    assert world.base_pose(9.0).yaw == pytest.approx(-3.0)
+    early, middle, late = world.base_poses(np.array([-1.0, 1.0, 9.0]))
+    assert early.tolist() == [1.0, 2.0, 3.0]
+    assert middle[2] == pytest.approx(-math.pi)  # the short way
+    assert late[2] == pytest.approx(-3.0)
     assert world.scene_qpos().size == 0
 
 

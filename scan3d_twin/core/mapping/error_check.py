@@ -117,7 +117,7 @@ def check_errors(session: Session) -> ErrorCheck:
     spreads = [r.shared_spread for r in results if r is not None and r.converged]
     spreads = [spread for spread in spreads if math.isfinite(spread)]
     shared = math.sqrt(float(np.mean(np.square(spreads)))) if spreads else math.nan
-    motion = MotionModel.of(session.views, config)
+    motion = MotionModel.of(session.views, config, session.workspace)
     odometry = math.sqrt(motion.chi2 / motion.freedom) if motion.freedom else math.nan
     return ErrorCheck(readings, shared, odometry, len(spreads), motion.freedom)
 

@@ -38,22 +38,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 
 from scan3d_twin.core.config import Config
+from scan3d_twin.core.mapping.motion_prior import motion_prior, sum_variances
 from scan3d_twin.core.mapping.pose_graph import CHI2_GATE
 from scan3d_twin.core.mapping.prior_removal import remove_prior
 from scan3d_twin.core.navigation.legs import Legs, assume_legs, check_legs
 from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.registration import PosePrior
 from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
-from scan3d_twin.core.session import YAW_SCALE_REPEATABILITY, TurnScale, View
+from scan3d_twin.core.session import YAW_SCALE_REPEATABILITY, TurnScale, View, Workspace
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, RegistrationResult, wrap
 
-MIN_SIGMA_XY, MIN_SIGMA_YAW = 0.003, math.radians(0.2)
-"""Standard deviations of a move of no length [m], [rad]: play of the wheels and the turning
-centre."""
 PLAY_XY, PLAY_YAW = 0.0006, math.radians(0.05)
 """The same where the constants of the robot are learned [m], [rad]: what is left of the errors with
 its constants fitted, by benchmarks/motion_error.py."""
@@ -127,8 +126,12 @@ class MotionModel:
     freedom: int = 0
 
     @staticmethod
-    def of(views: Sequence[View], config: Config) -> MotionModel:
+    def of(
+        views: Sequence[View], config: Config, workspace: Workspace | None = None
+    ) -> MotionModel:
         """Return the model after ``views``; pure, so that a resumed run learns the same.
+
+        The ``workspace`` keeps what each view has taught, so that it is worked out once in a run.
 
         The factor is estimated from innovations: a registration moves the pose by d from the
         prior's mean. With P the prior's covariance and C the result's, d has the covariance P - C;
@@ -136,23 +139,18 @@ class MotionModel:
         counts like ``PRIOR_INNOVATIONS`` such squares of 1. Only the motion prior is scaled, not
         the error that registration adds.
         """
-        model = MotionModel._configured(config)
-        square, count = PRIOR_INNOVATIONS, PRIOR_INNOVATIONS
+        known = _Lessons(MotionModel._configured(config))
+        if views and workspace is not None:
+            key = _Lessons, config.planning, config.mount, config.registration
+            known = workspace.results_of(views[0].observation.image).setdefault(key, known)
         for previous, view in pairwise(views):
-            result = view.registration
-            if result is None or not result.converged or not view.observation.has_odometry:
-                continue
-            move, legs = describe_move(previous, view.observation)
-            innovation = _normalise_innovation(replace(model, scale=1.0).prior(move, legs), result)
-            square += float(innovation @ innovation)
-            count += len(innovation)
-            model = replace(model.learn(move, legs, result), scale=math.sqrt(square / count))
+            known = _take_lesson(known, previous, view, workspace)
         heading = find_last_heading(views[-1].observation) if views else 0.0
         return replace(
-            model,
+            known.model,
             heading=heading,
-            chi2=square - PRIOR_INNOVATIONS,
-            freedom=round(count - PRIOR_INNOVATIONS),
+            chi2=known.square - PRIOR_INNOVATIONS,
+            freedom=round(known.count - PRIOR_INNOVATIONS),
         )
 
     @staticmethod
@@ -280,7 +278,7 @@ class MotionModel:
             gamma=share * config.gamma,
             drift=share * config.drift,
         )
-        return self.scale**2 * _sum_variances(move, part, PLAY_XY, PLAY_YAW)
+        return self.scale**2 * sum_variances(move, part, PLAY_XY, PLAY_YAW)
 
     def jacobian(self, move: Pose2, legs: Legs | None) -> FloatArray:
         """Return A (3, 3) of the module's docstring, along the axes of the move's start.
@@ -301,6 +299,45 @@ class MotionModel:
             driven += length
         A[2, 1], A[2, 2] = driven, turned
         return A
+
+
+@dataclass(frozen=True)
+class _Lessons:
+    """What the views of a run have taught so far.
+
+    Attributes:
+        model: The model.
+        square: Sum of the squared normalised innovations, those of the prior included.
+        count: Their number.
+    """
+
+    model: MotionModel
+    square: float = PRIOR_INNOVATIONS
+    count: float = PRIOR_INNOVATIONS
+
+
+def _take_lesson(
+    known: _Lessons, previous: View, view: View, workspace: Workspace | None
+) -> _Lessons:
+    """Return what is known after ``view``, from the ``workspace`` if it was worked out before."""
+    result, seen = view.registration, view.observation
+    if result is None or not result.converged or not seen.has_odometry:
+        return known
+    move, legs = describe_move(previous, seen)
+    results = {} if workspace is None else workspace.results_of(seen.image)
+    before, registered, how, after = results.get(_Lessons, (None, None, None, None))
+    if before is known and registered is result and how == (move, legs):
+        return cast(_Lessons, after)
+
+    # Learn from the innovation
+    model = known.model
+    innovation = _normalise_innovation(replace(model, scale=1.0).prior(move, legs), result)
+    square = known.square + float(innovation @ innovation)
+    count = known.count + len(innovation)
+    model = replace(model.learn(move, legs, result), scale=math.sqrt(square / count))
+    after = _Lessons(model, square, count)
+    results[_Lessons] = known, result, (move, legs), after
+    return after
 
 
 def _add_noise(information: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -326,58 +363,6 @@ def find_last_heading(observation: Observation) -> float:
     if len(image.stamps) == 0 or image.T_scan_axis is not None:
         return 0.0
     return float(image.yaws[int(np.argmax(image.stamps)), image.spec.n_beams // 2])
-
-
-def motion_prior(move: Pose2, config: PlanningConfig, scale: float = 1.0) -> PosePrior:
-    """Return the prior of a move by turn, drive and turn, about the viewpoint it leads to.
-
-    It takes each error of each move as drawn anew. Let D be the length of the drive and t1, t2 the
-    turns before and after it. The standard deviations are
-
-    * lambda D along the drive;
-    * lambda D, D gamma t1 and delta D^2 / 2 across it, as the heading is off by gamma t1 at its
-      start and drifts by delta D until its end;
-    * gamma (t1 + t2) and delta D of the final heading,
-
-    all independent of each other and multiplied by ``scale``.
-
-    Args:
-        move: The move ``T_previous_next``.
-        config: Its ``lambda_``, ``gamma`` and ``drift`` (delta).
-        scale: Factor on all errors, see ``MotionModel.of``.
-    """
-    return PosePrior.of_robot(
-        move, scale**2 * _sum_variances(move, config, MIN_SIGMA_XY, MIN_SIGMA_YAW)
-    )
-
-
-def _sum_variances(
-    move: Pose2, config: PlanningConfig, sigma_xy: float, sigma_yaw: float
-) -> FloatArray:
-    """Return the covariance (3, 3) of ``motion_prior``.
-
-    Args:
-        move: The move.
-        config: Its ``lambda_``, ``gamma`` and ``drift``.
-        sigma_xy: Standard deviation of a move of no length [m].
-        sigma_yaw: That of its heading [rad].
-    """
-    # Split the move and its errors
-    D = math.hypot(move.x, move.y)
-    bearing = math.atan2(move.y, move.x) if D > 0.01 else 0.0
-    before, after = config.gamma * abs(bearing), config.gamma * abs(wrap(move.yaw - bearing))
-    drift, slip = config.drift * D, config.lambda_ * D
-
-    # Sum up variances along the drive
-    C = np.zeros((3, 3))
-    C[0, 0] = slip**2 + sigma_xy**2
-    C[1, 1] = slip**2 + (D * before) ** 2 + (drift * D / 2) ** 2 + sigma_xy**2
-    C[2, 2] = (before + after) ** 2 + drift**2 + sigma_yaw**2
-    C[1, 2] = C[2, 1] = D * before * before + drift * drift * D / 2
-
-    # Turn them into the frame
-    along = Pose2(0.0, 0.0, bearing).matrix()[:3, :3]
-    return along @ C @ along.T
 
 
 def _normalise_innovation(prior: PosePrior, result: RegistrationResult) -> FloatArray:

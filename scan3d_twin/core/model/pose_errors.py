@@ -10,7 +10,7 @@ import numpy as np
 
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Pose2, rms, wrap
+from scan3d_twin.core.types import FloatArray, Pose2, rms, wrap_all
 
 TRUTH_LINES = 64
 """About the number of lines whose mean pose is the true one of a sweep: their errors of 0.6 mrad
@@ -54,12 +54,10 @@ def find_true_pose(view: View, truth: Truth) -> Pose2:
     # Average over lines, relative to the one in the middle
     start = there @ Pose2(0.0, 0.0, -float(headings[middle]))
     every = max(1, len(stamps) // TRUTH_LINES)
-    lines = zip(stamps[::every].tolist(), headings[::every].tolist(), strict=True)
-    found = [(truth.pose_at(stamp), heading) for stamp, heading in lines]
-    x, y, turned = np.mean(
-        [(base.x, base.y, wrap(base.yaw - heading - start.yaw)) for base, heading in found], axis=0
-    )
-    return Pose2(float(x), float(y), start.yaw + float(turned))
+    poses = truth.poses_at(stamps[::every])
+    poses[:, 2] = wrap_all(poses[:, 2] - headings[::every] - start.yaw)
+    x, y, turned = poses.mean(axis=0).tolist()
+    return Pose2(x, y, start.yaw + turned)
 
 
 def lay_on_truth(session: Session, truth: Truth) -> Pose2:

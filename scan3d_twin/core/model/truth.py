@@ -30,6 +30,10 @@ class Truth(Protocol):
         """Return the base's true pose in ``map`` at ``stamp`` [s]."""
         ...
 
+    def poses_at(self, stamps: FloatArray) -> FloatArray:
+        """Return x, y [m] and yaw [rad] (n, 3) of the true poses at ``stamps`` (n,) [s]."""
+        ...
+
     @property
     def targets(self) -> tuple[str, ...]:
         """Names of the targets."""

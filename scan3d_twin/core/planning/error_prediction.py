@@ -93,7 +93,7 @@ class ErrorPrediction:
             RegistrationError: The view shows too little surface.
         """
         view, config = context.view, context.session.config
-        motion = MotionModel.of(context.session.views, config)
+        motion = MotionModel.of(context.session.views, config, context.session.workspace)
         on_target = mask_readings(view.target, view.image)
         grid = surfels_of(view, config, context.session.workspace)
         return ErrorPrediction(grid, on_target, config, motion)
@@ -349,7 +349,7 @@ def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:
         viewpoint: O2 in frame ``scan`` of the latest view.
     """
     session = context.session
-    motion = MotionModel.of(session.views, session.config)
+    motion = MotionModel.of(session.views, session.config, session.workspace)
     target = Moments.of(context.view.target.points).turned(viewpoint.yaw)
     expected = predict_rmse_of_moments(target, motion.spread(viewpoint, SHARED_FACTOR).covariance)
     return session.config.planning.calibration * expected

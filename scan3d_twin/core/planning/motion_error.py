@@ -2,7 +2,7 @@
 
 The errors along x and y and of the heading are normal, with standard deviations proportional to the
 move: lambda per metre and gamma per radian. The prior of a real registration has the same two
-constants and the drift besides (``mapping.scan_matching.motion_prior``).
+constants and the drift besides (``mapping.motion_prior``).
 """
 
 from __future__ import annotations

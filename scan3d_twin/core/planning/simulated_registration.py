@@ -65,7 +65,7 @@ class SimulatedRegistration:
         """
         view, config = context.view, context.session.config
         on_target = mask_readings(view.target, view.image)
-        motion = MotionModel.of(context.session.views, config)
+        motion = MotionModel.of(context.session.views, config, context.session.workspace)
         grid = surfels_of(view, config, context.session.workspace)
         return SimulatedRegistration(grid, on_target, config, seed, motion)
 

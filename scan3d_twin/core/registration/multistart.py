@@ -87,11 +87,11 @@ def register_grids(
     """
     problem = Problem(target, source, prior, dof, criteria or Criteria())
     init = first_guess(init_T_target_source, prior)
-    basin, gap = search_basins(problem, init, starts)
-    result = make_result(problem, basin.outcome, gap)
+    outcome, gap = search_basins(problem, init, starts)
+    result = make_result(problem, outcome, gap)
 
     # Distrust a match with another surface
-    share = find_contradicted_share(target, source, basin.T, 2 * problem.stride)
+    share = find_contradicted_share(target, source, outcome.T, 2 * problem.stride)
     return replace(result, converged=False) if share > MAX_CONTRADICTION else result
 
 
@@ -108,8 +108,8 @@ def first_guess(init: FloatArray | None, prior: PosePrior | None) -> FloatArray:
     return init
 
 
-def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[Basin, float]:
-    """Return the best basin and the gap in contradiction to the next, 0..1.
+def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[RunResult, float]:
+    """Return the result in the best basin and the gap in contradiction to the next, 0..1.
 
     The gap is 1 if all starts ended in one basin, and NaN for a single start, which knows no other.
     Where the overlap is too narrow for the thinned surfels of the rough steps, ``init`` is the only
@@ -122,7 +122,7 @@ def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[Basi
     if starts < 1:
         raise ConfigError(f"starts must be >= 1, got {starts}")
     if starts == 1:
-        return Basin(align(problem, init), 0.0), math.nan
+        return align(problem, init), math.nan
 
     # Iterate roughly, merging basins.
     poses, source = spread_starts(problem, init, starts), problem.make_source(ROUGH_THINNING)
@@ -130,18 +130,19 @@ def search_basins(problem: Problem, init: FloatArray, starts: int) -> tuple[Basi
         criteria = problem.criteria._replace(max_iterations=iterations)
         poses = follow_starts(problem, source, criteria, poses)[0]
         if len(poses) == 0:
-            return Basin(align(problem, init), 0.0), math.nan
+            return align(problem, init), math.nan
 
     # Align the least contradictory.
-    ranked = sorted(poses, key=lambda pose: _measure_contradiction(problem, pose))[:MAX_BASINS]
-    basins = []
-    for pose in ranked:
+    ranked = [*poses]
+    if len(ranked) > 1:
+        ranked.sort(key=lambda pose: _measure_contradiction(problem, pose))
+    outcomes = []
+    for pose in ranked[:MAX_BASINS]:
         with suppress(RegistrationError):
-            outcome = align(problem, pose)
-            basins.append(Basin(outcome, _measure_contradiction(problem, outcome.T)))
-    if not basins:
+            outcomes.append(align(problem, pose))
+    if not outcomes:
         raise RegistrationError(NO_OVERLAP.format(starts))
-    return _choose(problem, basins)
+    return _choose(problem, outcomes)
 
 
 def spread_starts(problem: Problem, init: FloatArray, starts: int) -> FloatArray:
@@ -179,19 +180,22 @@ def _measure_contradiction(problem: Problem, pose: FloatArray) -> float:
     return measure_contradiction(problem.target, problem.source, pose, 2 * problem.stride)
 
 
-def _choose(problem: Problem, basins: list[Basin]) -> tuple[Basin, float]:
-    """Return the least contradictory basin and its gap; among equals the nearest to the prior."""
+def _choose(problem: Problem, outcomes: list[RunResult]) -> tuple[RunResult, float]:
+    """Return the least contradictory result and its gap; among equals the nearest to the prior."""
+    if len(outcomes) == 1:
+        return outcomes[0], 1.0
+    basins = [Basin(each, _measure_contradiction(problem, each.T)) for each in outcomes]
     distinct: list[Basin] = []
     for basin in sorted(basins, key=lambda basin: basin.contradiction):
         if all(distance_between(basin.T, b.T, problem.reach) > SAME_BASIN for b in distinct):
             distinct.append(basin)
     if len(distinct) == 1:
-        return distinct[0], 1.0
+        return distinct[0].outcome, 1.0
     gap = distinct[1].contradiction - distinct[0].contradiction
     equal = [
         b for b in distinct if b.contradiction - distinct[0].contradiction < MIN_CONTRADICTION_GAP
     ]
-    return min(equal, key=lambda basin: _prior_distance(problem, basin.T)), gap
+    return min(equal, key=lambda basin: _prior_distance(problem, basin.T)).outcome, gap
 
 
 def _prior_distance(problem: Problem, pose: FloatArray) -> float:

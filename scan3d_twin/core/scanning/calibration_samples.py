@@ -36,6 +36,10 @@ READING_SIGMA = 0.0056
 """Range noise of a reading in means of many, standard deviation [m]; docs/registration.md."""
 SEAM_ANGLE = math.radians(20.0)
 """Largest mismatch of the two ends of a full turn that is corrected [rad]."""
+DERIVATIVE_STEP = 1e-4
+"""Step of numerical derivatives, in the units of the parameters."""
+TURNING = (3, 4, 7)
+"""Parameters that change the headings: yaw scale, time offset and play."""
 
 _Part = tuple[slice, slice]
 """Lines and beams of a part of a range image."""
@@ -69,13 +73,36 @@ class Samples:
 
     def points(self, values: FloatArray) -> FloatArray:
         """Return the points (m, 3) for the parameters ``values`` (8,), by the module's equation."""
+        return _turn(self._before_turn(values), self._turn_by(values))
+
+    def differentiate(self, values: FloatArray, entries: Sequence[int]) -> list[FloatArray]:
+        """Return the derivatives (m, 3) of the points by ``entries`` of ``values`` (8,), in order.
+
+        They are central differences. Most parameters leave the headings as they are.
+        """
+        found, turn = [], self._turn_by(values)
+        for step in DERIVATIVE_STEP * np.eye(len(values))[[*entries]]:
+            ahead, behind = (
+                _turn(self._before_turn(at), self._turn_by(at) if step[[*TURNING]].any() else turn)
+                for at in (values + step, values - step)
+            )
+            found.append((ahead - behind) / (2 * DERIVATIVE_STEP))
+        return found
+
+    def _before_turn(self, values: FloatArray) -> FloatArray:
+        """Return the points (m, 3) in what is turned."""
         y, roll, pitch, _, _, b, yaw, _ = values
         R, t = self.T_base_lidar[:3, :3], self.T_base_lidar[:3, 3]
         R = R @ yaw_matrix(yaw) if yaw else R
         R = R @ tilt_matrix(roll, pitch)
         at = t + (self.ranges + b)[:, None] * (self.beams @ R.T)
         at[:, 1] += y
-        return _rotate(at, self.headings(values))
+        return np.asarray(at)
+
+    def _turn_by(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return cosine and sine of the headings (m,)."""
+        headings = self.headings(values)
+        return np.cos(headings), np.sin(headings)
 
     def headings(self, values: FloatArray) -> FloatArray:
         """Return the headings (m,) corrected by the parameters ``values`` (8,) [rad]."""
@@ -204,9 +231,15 @@ def _sum_blocks(values: FloatArray | BoolArray) -> FloatArray:
 
 def _rotate(vectors: FloatArray, yaws: FloatArray) -> FloatArray:
     """Return ``vectors`` (..., 3), rotated about z by ``yaws`` (...) [rad]."""
-    c, s = np.cos(yaws), np.sin(yaws)
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+    return _turn(vectors, (np.cos(yaws), np.sin(yaws)))
+
+
+def _turn(vectors: FloatArray, by: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return ``vectors`` (..., 3), rotated about z by angles of cosine and sine (...)."""
+    (c, s), x, y = by, vectors[..., 0], vectors[..., 1]
+    turned = np.empty(vectors.shape)
+    turned[..., 0], turned[..., 1], turned[..., 2] = c * x - s * y, s * x + c * y, vectors[..., 2]
+    return turned
 
 
 def estimate_yaw_scale(places: Sequence[Sequence[RangeImage]]) -> float:

@@ -66,8 +66,6 @@ BASE_SOUGHT = SOUGHT[:6]
 """What is sought where the base turns."""
 ALONG_AXIS = math.cos(math.radians(15.0))
 """Cosine of the angle to the turning axis within which a lidar looks along it."""
-DERIVATIVE_STEP = 1e-4
-"""Step of numerical derivatives, in the units of the parameters."""
 MAX_KNOWN_SHARE = 0.3
 """Standard error, as a share of the prior's, below which a parameter is known."""
 FLOOR_HEIGHT = 0.1
@@ -295,17 +293,13 @@ def _build_equations(
     """
     # Differentiate the points
     samples, k = problem.samples, len(problem.sought)
-    P = samples.points(values)
-    moved = [
-        (samples.points(values + step) - samples.points(values - step)) / (2 * DERIVATIVE_STEP)
-        for step in DERIVATIVE_STEP * np.eye(len(SOUGHT))[[*problem.sought, RANGE_ERROR]]
-    ]
-    by_range = moved.pop()
+    P, moved = samples.points(values), samples.differentiate(values, problem.sought.tolist())
+    by_range = samples.differentiate(values, [RANGE_ERROR])[0] if problem.has_curves else None
 
     # Sum up plane by plane
     H, g, fits = np.zeros((len(planes), k, k)), np.zeros((len(planes), k)), []
     for number, plane in enumerate(planes):
-        rays = by_range[plane] if problem.has_curves else None
+        rays = None if by_range is None else by_range[plane]
         fit = fit_plane(P[plane], samples.weights[plane], rays, samples.ranges[plane])
         J = np.stack([column[plane] @ fit.normal for column in moved], axis=1)
         J, e, w = fit.eliminate(J), fit.eliminate(fit.residuals), fit.weights

@@ -14,6 +14,7 @@ from scan3d_twin.core.types.arrays import (
     read_only,
     rms,
     wrap,
+    wrap_all,
 )
 from scan3d_twin.core.types.pose import Pose2
 from scan3d_twin.core.types.range_image import Observation, RangeImage
@@ -57,4 +58,5 @@ __all__ = [
     "read_only",
     "rms",
     "wrap",
+    "wrap_all",
 ]

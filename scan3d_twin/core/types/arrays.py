@@ -21,6 +21,12 @@ def wrap(angle: float) -> float:
     return (angle + math.pi) % math.tau - math.pi
 
 
+def wrap_all(angles: FloatArray) -> FloatArray:
+    """Return ``angles`` (n,) [rad], each as ``wrap`` returns it."""
+    inside = (angles >= -math.pi) & (angles < math.pi)
+    return np.where(inside, angles, (angles + math.pi) % math.tau - math.pi)
+
+
 def rms(vectors: FloatArray) -> float:
     """Return the root mean square length of ``vectors`` (n, k); 0 for none."""
     return float(np.sqrt(np.sum(vectors**2) / max(1, len(vectors))))

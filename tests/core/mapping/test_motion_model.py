@@ -21,6 +21,7 @@ from scan3d_twin.core.mapping.motion_model import (
 )
 from scan3d_twin.core.navigation.legs import Legs, assume_legs
 from scan3d_twin.core.registration.pose_prior import PLANAR, shift_to_target
+from scan3d_twin.core.session import Workspace
 from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, read_only, wrap
 
 CONFIG = Config()
@@ -76,6 +77,12 @@ def draw_robot(rng: np.random.Generator) -> FloatArray:
     return rng.standard_normal(3) * [planning.lambda_, planning.drift, planning.gamma]
 
 
+class _Image(SimpleNamespace):
+    """The image of a view, of which a workspace keeps results."""
+
+    __hash__ = object.__hash__
+
+
 def drive(
     moves: tuple[Legs, ...],
     robot: FloatArray = ROBOT,
@@ -84,11 +91,11 @@ def drive(
     **sigmas: Any,
 ) -> list[Any]:
     """Return the views of a ``robot`` after ``moves``; registration ``wrong`` is 80 mm off."""
-    image = SimpleNamespace(stamps=np.zeros(0))
     views: list[Any] = []
     odom = Pose2()
     for k, legs in enumerate(((), *moves)):
         odom = odom @ follow(legs)
+        image = _Image(stamps=np.zeros(0))
         seen = SimpleNamespace(T_odom_scan=odom, legs=legs, image=image, has_odometry=True)
         result = None
         if views:
@@ -149,6 +156,32 @@ def test_the_prior_of_a_learned_robot_is_no_wider_than_its_moves_scatter() -> No
         squares.append(float(off @ np.linalg.solve(C, off)))
     assert 0.7 < np.median(squares) < 2.4
     assert np.mean(np.array(squares) > 7.81) < 0.05
+
+
+def test_what_a_workspace_keeps_changes_no_model() -> None:
+    views, workspace = drive(MOVES), Workspace()
+    for known in range(len(views) + 1):
+        assert_same(views[:known], workspace)
+    kept = [MotionModel.of(views, CONFIG, workspace).evidence for _ in range(2)]
+    assert kept[0] is kept[1]
+
+    # Another registration or odometry of the same image teaches otherwise
+    other = drive(MOVES, wrong=2)[2].registration
+    views[2] = SimpleNamespace(observation=views[2].observation, registration=other)
+    assert_same(views, workspace)
+    assert MotionModel.of(views, CONFIG, workspace).evidence.u != kept[0].u
+    longer = SimpleNamespace(**{**vars(views[3].observation), "legs": ((0.7, 1.2), (0.3, 0.0))})
+    views[3] = SimpleNamespace(observation=longer, registration=views[3].registration)
+    assert_same(views, workspace)
+    assert_same(views, workspace, replace(CONFIG, planning=replace(CONFIG.planning, drift=0.1)))
+
+
+def assert_same(views: list[Any], workspace: Workspace, config: Config = CONFIG) -> None:
+    """Assert that the model of ``views`` is the same with a ``workspace`` and without."""
+    kept, anew = MotionModel.of(views, config, workspace), MotionModel.of(views, config)
+    np.testing.assert_array_equal(kept.mean, anew.mean)
+    np.testing.assert_array_equal(kept.covariance, anew.covariance)
+    assert (kept.scale, kept.chi2, kept.freedom) == (anew.scale, anew.chi2, anew.freedom)
 
 
 def test_turns_the_long_way_round_err_more() -> None:

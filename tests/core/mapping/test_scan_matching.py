@@ -15,7 +15,7 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.mapping import scan_matching, surfel_store
 from scan3d_twin.core.mapping.loop_closure import align
-from scan3d_twin.core.mapping.motion_model import motion_prior
+from scan3d_twin.core.mapping.motion_prior import motion_prior
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext

@@ -13,7 +13,8 @@ from synthetic import Box, observe
 
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.mapping.motion_model import MotionModel, motion_prior
+from scan3d_twin.core.mapping.motion_model import MotionModel
+from scan3d_twin.core.mapping.motion_prior import motion_prior
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings

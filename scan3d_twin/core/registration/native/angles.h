@@ -46,17 +46,17 @@ static inline Turn turn_further(Turn t, double a) {
     return (Turn){t.c * c - t.s * s, t.s * c + t.c * s};
 }
 
-/* Angle of the direction (c, s), in (-pi, pi]. */
+/* Angle of the direction (c, s), in (-pi, pi], 0 for none; without branches. */
 static inline double angle_of(double c, double s) {
-    double length = sqrt(c * c + s * s);
-    if (length == 0) return 0;
-    double x = fabs(c) < fabs(s) ? fabs(c) : fabs(s);
-    double t = x / (length + (fabs(c) < fabs(s) ? fabs(s) : fabs(c)));  /* tan of half the angle */
-    t = t / (1 + sqrt(1 + t * t));                                      /* tan of a quarter: <= 0.2 */
+    double ahead = fabs(c), aside = fabs(s);
+    double low = ahead < aside ? ahead : aside, high = ahead < aside ? aside : ahead;
+    double whole = sqrt(c * c + s * s) + high;
+    double t = low / (whole > 0 ? whole : 1);       /* tan of half the angle */
+    t = t / (1 + sqrt(1 + t * t));                  /* tan of a quarter: <= 0.2 */
     double q = t * t, series = 0;
     for (int k = 23; k >= 1; k -= 2) series = 1.0 / k - q * series;
     double angle = 4 * t * series;
-    if (fabs(c) < fabs(s)) angle = HALF_PI_HIGH - angle;
-    if (c < 0) angle = 2 * HALF_PI_HIGH - angle;
+    angle = ahead < aside ? HALF_PI_HIGH - angle : angle;
+    angle = c < 0 ? 2 * HALF_PI_HIGH - angle : angle;
     return s < 0 ? -angle : angle;
 }

@@ -11,14 +11,15 @@ enum {
     COLUMNS = 24, BANDS = 12,   /* patches: 15 deg of azimuth by a twelfth of the sphere's height */
     PATCH_ERRORS = 3,           /* of a patch: its mean, and its slopes along azimuth and height */
     ASSUMED = 4,
-    NONZERO = PATCH_ERRORS + POSE + 1 + 4,  /* derivatives of a residual */
+    OWN = POSE + 1,             /* unknowns of the state before the knots */
+    MAX_KNOTS = 4,              /* knots on which a residual depends */
 };
 
-/* Derivatives of a residual by the unknowns that it depends on, ascending. */
+/* Derivatives of a residual by the curve's knots, ascending. */
 typedef struct {
-    int count, unknown[NONZERO];
-    double by[NONZERO];
-} Derivatives;
+    int count, knot[MAX_KNOTS];
+    double by[MAX_KNOTS];
+} KnotDerivatives;
 
 /* Normal equations of patches and state while they are summed up: the lower triangle of (size, size). */
 typedef struct {
@@ -31,69 +32,81 @@ typedef struct {
     int *seen_on;                   /* per unknown: last line that depended on it */
 } Sums;
 
-/* A reading's ray: its length, unit vector along (azimuth, height), and the patch it falls into. */
+/* Rays to the points of a chunk: their lengths, and unit vectors along (azimuth, height). */
 typedef struct {
-    double range, direction[3];
-} Ray;
+    double range[CHUNK], direction[3][CHUNK];
+} Rays;
 
-/* Return the ray to a point from a lidar `ahead` of the yaw axis and `up` above the floor; that it may
+/* Write the rays to `n` points from a lidar `ahead` of the yaw axis and `up` above the floor; that it may
  * sit a little to the side is neglected. */
-static Ray ray_to(double x, double y, double z, double ahead, double up) {
-    double rho = sqrt(x * x + y * y), share = 1 - ahead / (rho > 1e-9 ? rho : 1e-9);
-    Ray ray = {0, {share * x, share * y, z - up}};
-    double *d = ray.direction, square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-    ray.range = sqrt(square > 1e-18 ? square : 1e-18);
-    for (int i = 0; i < 3; i++) d[i] /= ray.range;
-    return ray;
+static void measure_rays(const double (*restrict points)[CHUNK], int64_t n, double ahead, double up,
+                         Rays *restrict rays) {
+    for (int64_t k = 0; k < n; k++) {
+        double x = points[X][k], y = points[Y][k];
+        double rho = sqrt(x * x + y * y), share = 1 - ahead / (rho > 1e-9 ? rho : 1e-9);
+        double dx = share * x, dy = share * y, dz = points[Z][k] - up;
+        double square = dx * dx + dy * dy + dz * dz;
+        double range = sqrt(square > 1e-18 ? square : 1e-18);
+        rays->range[k] = range;
+        rays->direction[0][k] = dx / range, rays->direction[1][k] = dy / range;
+        rays->direction[2][k] = dz / range;
+    }
 }
 
-/* A place on the sphere of directions: its patch, and its position in it, -1 to 1 each way. */
+/* Places of rays on the sphere of directions: their patches, and positions in them, -1 to 1 each way. */
 typedef struct {
-    int patch;
-    double along, upwards;
-} Place;
+    int32_t patch[CHUNK];
+    double along[CHUNK], upwards[CHUNK];
+} Places;
 
-static Place place_of(const Ray *ray) {
-    const double *d = ray->direction;
-    double column = (angle_of(d[0], d[1]) / TAU + 0.5) * COLUMNS, band = (d[2] + 1) / 2 * BANDS;
-    int i = (int)column, j = (int)band;
-    i = i < 0 ? 0 : i < COLUMNS ? i : COLUMNS - 1;
-    j = j < 0 ? 0 : j < BANDS ? j : BANDS - 1;
-    return (Place){i * BANDS + j, 2 * (column - i) - 1, 2 * (band - j) - 1};
+static void locate_rays(const Rays *restrict rays, int64_t n, Places *restrict places) {
+    for (int64_t k = 0; k < n; k++) {
+        double azimuth = angle_of(rays->direction[0][k], rays->direction[1][k]);
+        double column = (azimuth / TAU + 0.5) * COLUMNS, band = (rays->direction[2][k] + 1) / 2 * BANDS;
+        int32_t i = (int32_t)column, j = (int32_t)band;
+        i = i < 0 ? 0 : i < COLUMNS ? i : COLUMNS - 1;
+        j = j < 0 ? 0 : j < BANDS ? j : BANDS - 1;
+        places->patch[k] = i * BANDS + j;
+        places->along[k] = 2 * (column - i) - 1, places->upwards[k] = 2 * (band - j) - 1;
+    }
 }
 
 /* Number the patches that a sample's surfels fall into; return their number. */
-static int number_patches(const Sample *sample, const PairNoise *noise, int *row_of) {
-    int n = 0;
+static int number_patches(const Sample *sample, const PairNoise *noise, Chunk *w, int *row_of) {
+    int count = 0;
+    Rays rays;
+    Places places;
     for (int k = 0; k < COLUMNS * BANDS; k++) row_of[k] = -1;
-    for (int64_t k = 0; k < sample->count; k++) {
-        const double *p = sample->rows + SURFEL * sample->chosen[k];
-        Ray ray = ray_to(p[X], p[Y], p[Z], noise->ahead, noise->up);
-        int patch = place_of(&ray).patch;
-        if (row_of[patch] < 0) row_of[patch] = PATCH_ERRORS * n++;
+    for (int64_t first = 0; first < sample->count; first += CHUNK) {
+        int64_t n = sample->count - first < CHUNK ? sample->count - first : CHUNK;
+        gather(sample->rows, sample->yaws, sample->chosen + first, n, w->source, w->source_yaw);
+        measure_rays(w->source, n, noise->ahead, noise->up, &rays);
+        locate_rays(&rays, n, &places);
+        for (int64_t k = 0; k < n; k++)
+            if (row_of[places.patch[k]] < 0) row_of[places.patch[k]] = PATCH_ERRORS * count++;
     }
-    return n;
+    return count;
 }
 
-/* Add a derivative; of the same unknown twice, they add up. */
-static void add_derivative(Derivatives *d, int unknown, double by) {
+/* Add a derivative; of the same knot twice, they add up. */
+static void add_derivative(KnotDerivatives *d, int knot, double by) {
     int k = d->count;
-    while (k > 0 && d->unknown[k - 1] > unknown) k--;
-    if (k > 0 && d->unknown[k - 1] == unknown) {
+    while (k > 0 && d->knot[k - 1] > knot) k--;
+    if (k > 0 && d->knot[k - 1] == knot) {
         d->by[k - 1] += by;
         return;
     }
-    for (int m = d->count++; m > k; m--) d->unknown[m] = d->unknown[m - 1], d->by[m] = d->by[m - 1];
-    d->unknown[k] = unknown, d->by[k] = by;
+    for (int m = d->count++; m > k; m--) d->knot[m] = d->knot[m - 1], d->by[m] = d->by[m - 1];
+    d->knot[k] = knot, d->by[k] = by;
 }
 
 /* Add the derivatives of the curve's knots on both sides of a range. */
-static void add_knots(Derivatives *d, int first, double range, double by) {
+static void add_knots(KnotDerivatives *d, double range, double by) {
     double at = range / KNOT_SPACING;
     at = at > KNOTS - 1 ? KNOTS - 1 : at;
     int knot = at < KNOTS - 2 ? (int)at : KNOTS - 2;
-    add_derivative(d, first + knot, by * (1 - (at - knot)));
-    add_derivative(d, first + knot + 1, by * (at - knot));
+    add_derivative(d, knot, by * (1 - (at - knot)));
+    add_derivative(d, knot + 1, by * (at - knot));
 }
 
 /* Marginalise the yaw error of a line, and begin the sums of the next. */
@@ -110,18 +123,58 @@ static void marginalise_yaw(Sums *s, double stride) {
     s->n_touched = 0, s->residual = s->square = 0;
 }
 
-/* Add a pair of residual e, weight w and error c by the yaw of its line. */
-static void add_pair(Sums *s, const Derivatives *d, double e, double w, double c) {
-    for (int i = 0; i < d->count; i++) {
-        int a = d->unknown[i];
-        double weighted = w * d->by[i], *row = s->H + (int64_t)a * s->size;
-        s->g[a] += weighted * e;
-        for (int k = 0; k <= i; k++) row[d->unknown[k]] += weighted * d->by[k];
-        if (s->seen_on[a] != s->line) s->touched[s->n_touched++] = a, s->seen_on[a] = s->line, s->h[a] = 0;
-        s->h[a] += weighted * c;
+/* Begin the sums for the yaw error of the line in work of `n` unknowns from `first` on, all or none of which
+ * it depends on so far. */
+static void touch(Sums *s, int first, int n) {
+    if (s->seen_on[first] == s->line) return;
+    s->seen_on[first] = s->line;
+    for (int a = first; a < first + n; a++) s->touched[s->n_touched++] = a, s->h[a] = 0;
+}
+
+/* A pair: residual, weight, error by the yaw of its line, and the residual's derivatives by the errors of the
+ * patch in row `patch`, by the state before the knots, followed by 0, and by the knots. */
+typedef struct {
+    double e, w, c, by_patch[PATCH_ERRORS];
+    Lanes by_state;
+    int patch;
+    KnotDerivatives knots;
+} Pair;
+
+/* Add a pair to the row of an unknown by which the residual has the derivative `by`, in the columns of the
+ * patch and of the state before the knots. Columns beyond the diagonal are never read. */
+static inline void add_row(Sums *s, const Pair *pair, int unknown, double by) {
+    double weighted = pair->w * by, *row = s->H + (int64_t)unknown * s->size;
+    double *patch = row + pair->patch, *state = row + s->state;
+    s->g[unknown] += weighted * pair->e, s->h[unknown] += weighted * pair->c;
+    for (int k = 0; k < PATCH_ERRORS; k++) patch[k] += weighted * pair->by_patch[k];
+    store(state, load(state) + weighted * pair->by_state);
+}
+
+static void add_pair(Sums *s, const Pair *pair) {
+    _Static_assert(OWN < LANES && PATCH_ERRORS + OWN + KNOTS > LANES, "rows have room for lanes");
+    const int first = s->state + OWN;
+
+    /* begin the sums of the line's yaw error */
+    touch(s, pair->patch, PATCH_ERRORS);
+    touch(s, s->state, OWN);
+    for (int k = 0; k < pair->knots.count; k++) touch(s, first + pair->knots.knot[k], 1);
+    s->residual += pair->w * pair->c * pair->e;
+    s->square += pair->w * pair->c * pair->c;
+
+    /* rows of patch, state and knots */
+    for (int i = 0; i < PATCH_ERRORS; i++) {
+        int a = pair->patch + i;
+        double weighted = pair->w * pair->by_patch[i], *row = s->H + (int64_t)a * s->size + pair->patch;
+        s->g[a] += weighted * pair->e, s->h[a] += weighted * pair->c;
+        for (int k = 0; k <= i; k++) row[k] += weighted * pair->by_patch[k];
     }
-    s->residual += w * c * e;
-    s->square += w * c * c;
+    for (int i = 0; i < OWN; i++) add_row(s, pair, s->state + i, pair->by_state[i]);
+    for (int i = 0; i < pair->knots.count; i++) {
+        int a = first + pair->knots.knot[i];
+        double weighted = pair->w * pair->knots.by[i], *row = s->H + (int64_t)a * s->size + first;
+        add_row(s, pair, a, pair->knots.by[i]);
+        for (int k = 0; k <= i; k++) row[pair->knots.knot[k]] += weighted * pair->knots.by[k];
+    }
 }
 
 /* Eliminate the unknowns before `state`, first first, by their Schur complements. */
@@ -143,6 +196,11 @@ static void add_chunk(const Target *target, const Sample *sample, int64_t first,
                       const double *T, const int *columns, const PairNoise *noise, const Chunk *w,
                       Sums *s) {
     const double *mount = target->projection.mount;
+    Rays own, other;
+    Places places;
+    measure_rays(w->source, n, noise->ahead, noise->up, &own);
+    measure_rays(w->target, n, mount[5], mount[7], &other);
+    locate_rays(&own, n, &places);
     for (int64_t k = 0; k < n; k++) {
         if (w->weight[k] == 0) continue;
         if (sample->lines[first + k] != s->line) {
@@ -152,27 +210,22 @@ static void add_chunk(const Target *target, const Sample *sample, int64_t first,
 
         /* incidence on both rays */
         const double normal[3] = {w->J[0][k], w->J[1][k], w->J[2][k]};
-        Ray own = ray_to(w->source[X][k], w->source[Y][k], w->source[Z][k], noise->ahead, noise->up);
-        Ray other = ray_to(w->target[X][k], w->target[Y][k], w->target[Z][k], mount[5], mount[7]);
         double by_own = 0, by_other = 0;
         for (int i = 0; i < 3; i++) {
             double turned = 0;
-            for (int j = 0; j < 3; j++) turned += T[4 * i + j] * own.direction[j];
-            by_own += normal[i] * turned, by_other += normal[i] * other.direction[i];
+            for (int j = 0; j < 3; j++) turned += T[4 * i + j] * own.direction[j][k];
+            by_own += normal[i] * turned, by_other += normal[i] * other.direction[i][k];
         }
 
         /* derivatives by patch, pose, yaw scale and curve */
-        Place place = place_of(&own);
-        Derivatives d = {0};
-        int row = s->row_of[place.patch];
         double patch = noise->patch * by_own;
-        add_derivative(&d, row, patch);
-        add_derivative(&d, row + 1, patch * place.along);
-        add_derivative(&d, row + 2, patch * place.upwards);
-        for (int i = 0; i <= POSE; i++) add_derivative(&d, s->state + i, w->J[columns[i]][k]);
-        add_knots(&d, s->state + POSE + 1, own.range, by_own);
-        add_knots(&d, s->state + POSE + 1, other.range, -by_other);
-        add_pair(s, &d, w->e[k], w->weight[k], w->line_error[k]);
+        Pair pair = {.e = w->e[k], .w = w->weight[k], .c = w->line_error[k],
+                     .by_patch = {patch, patch * places.along[k], patch * places.upwards[k]},
+                     .patch = s->row_of[places.patch[k]]};
+        for (int i = 0; i < OWN; i++) pair.by_state[i] = w->J[columns[i]][k];
+        add_knots(&pair.knots, own.range[k], by_own);
+        add_knots(&pair.knots, other.range[k], -by_other);
+        add_pair(s, &pair);
     }
 }
 
@@ -204,7 +257,7 @@ static void order_columns(const Prior *prior, int *columns) {
 /* Add the prior information of the errors that all readings share, besides the yaw scale. */
 static void add_shared_prior(const PairNoise *noise, const Prior *prior, Wide *out) {
     /* height and lean on an uneven floor */
-    int columns[POSE + 1];
+    int columns[OWN];
     order_columns(prior, columns);
     for (int i = (int)prior->n_entries + 1; i <= POSE; i++) {
         double sigma = columns[i] == Z ? noise->height : noise->lean;
@@ -271,7 +324,7 @@ static void eliminate_patches(Sums *s, double factor, Wide *out) {
     memcpy(s->H, s->whole, sizeof *s->H * room * (room + 1));
     for (int k = 0; k < s->state; k++) s->H[(size_t)k * room + (size_t)k] += 1 / (factor * factor) - 1;
     eliminate_first(s, s->h + room);
-    out->size = POSE + 1 + KNOTS;
+    out->size = OWN + KNOTS;
     for (int i = 0; i < out->size; i++) {
         out->g[i] = s->g[s->state + i];
         for (int j = 0; j <= i; j++)
@@ -286,11 +339,11 @@ static void eliminate_patches(Sums *s, double factor, Wide *out) {
 static int sum_shared_errors(const Target *target, const Sample *sample, const double *T,
                              const double *nuisances, Gate gate, const PairNoise *noise,
                              const Prior *prior, Chunk *w, Equations *plain, Sums *sums) {
-    int columns[POSE + 1], pose = (int)prior->n_entries;
+    int columns[OWN], pose = (int)prior->n_entries;
     order_columns(prior, columns);
     Sums s = {.line = -1};
-    s.state = PATCH_ERRORS * number_patches(sample, noise, s.row_of);
-    s.size = s.state + POSE + 1 + KNOTS;
+    s.state = PATCH_ERRORS * number_patches(sample, noise, w, s.row_of);
+    s.size = s.state + OWN + KNOTS;
     size_t room = (size_t)s.size;
     s.H = calloc(room * (2 * room + 4), sizeof *s.H), s.touched = malloc(sizeof *s.touched * 2 * room);
     if (!s.H || !s.touched) {
