@@ -54,8 +54,9 @@ from scan3d_twin.core.session import YAW_SCALE_REPEATABILITY, TurnScale, View, W
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, RegistrationResult, wrap
 
 PLAY_XY, PLAY_YAW = 0.0015, math.radians(0.1)
-"""The same where the constants of the robot are learned [m], [rad]: twice what is left of the
-errors with its constants fitted, 0.6 mm and 0.05 deg by benchmarks/motion_error.py."""
+"""Standard deviations of a move of no length where the constants of the robot are learned [m],
+[rad]: twice what is left of the errors with its constants fitted, 0.6 mm and 0.05 deg by
+benchmarks/motion_error.py."""
 PRIOR_INNOVATIONS = 6.0
 """Weight of the configured motion error in degrees of freedom: those of two moves."""
 MIN_VARIANCE_REDUCTION = 0.5
