@@ -54,8 +54,8 @@ from scan3d_twin.core.session import YAW_SCALE_REPEATABILITY, TurnScale, View, W
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, RegistrationResult, wrap
 
 PLAY_XY, PLAY_YAW = 0.0006, math.radians(0.05)
-"""The same where the constants of the robot are learned [m], [rad]: what is left of the errors with
-its constants fitted, by benchmarks/motion_error.py."""
+"""Standard deviations of a move of no length where the constants of the robot are learned [m],
+[rad]: what is left of the errors with its constants fitted, by benchmarks/motion_error.py."""
 PRIOR_INNOVATIONS = 6.0
 """Weight of the configured motion error in degrees of freedom: those of two moves."""
 MIN_VARIANCE_REDUCTION = 0.5
