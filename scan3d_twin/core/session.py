@@ -22,9 +22,10 @@ from scan3d_twin.core.types import (
     read_only,
 )
 
-YAW_SCALE_REPEATABILITY = 0.0001
-"""Standard deviation of the yaw scale of a sweep from that of other sweeps of its base: 0.00005 by
-the true headings of 41 runs (random:20500 to random:20540), rounded up."""
+YAW_SCALE_REPEATABILITY = 0.001
+"""Standard deviation of the yaw scale of a sweep from that of other sweeps of its base; twice the
+0.0005 of the first sweeps of random:20000 to random:20039 from their panoramas (0.0006 by
+benchmarks/mount.py in three_boxes)."""
 
 
 class Workspace:
