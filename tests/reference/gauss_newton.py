@@ -67,6 +67,8 @@ TIGHTEN = 0.7
 """Factor on gate and kernel from one step to the next."""
 LAST_GATE, LAST_ROBUST = 0.03, 1.5
 """Least gate [m], a few times the range noise, and least robust kernel [sigma]."""
+FIRST_COSINE, LAST_COSINE = 0.4, 0.87
+"""Between the normals of a pair, at which its weight is 0: 66 deg, 30 deg at the least gate."""
 FIRST_ROBUST = 4.0
 """The kernel of the first step [sigma]."""
 SAME_BASIN = 0.010
@@ -273,8 +275,13 @@ def length(v: FloatArray) -> float:
 
 def tightened(iteration: int, widest: float) -> Gate:
     """Return the gate of a step."""
-    tight = TIGHTEN**iteration
-    return Gate(max(min(LAST_GATE, widest), tight * widest), max(LAST_ROBUST, FIRST_ROBUST * tight))
+    tight, narrowest = TIGHTEN**iteration, min(LAST_GATE, widest)
+    wide = tight * widest > narrowest
+    return Gate(
+        max(narrowest, tight * widest),
+        max(LAST_ROBUST, FIRST_ROBUST * tight),
+        FIRST_COSINE if wide else LAST_COSINE,
+    )
 
 
 def solve_step(

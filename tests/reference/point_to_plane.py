@@ -48,10 +48,12 @@ class Gate(NamedTuple):
     Attributes:
         distance: Most distance along the normal [m].
         robust: c of the weights, in standard deviations.
+        cosine: Between the normals, at which the weight of a pair is 0.
     """
 
     distance: float
     robust: float
+    cosine: float = MIN_NORMAL_COSINE
 
 
 class PairNoise(NamedTuple):
@@ -151,7 +153,8 @@ def linearised(
     q, n_t = met[:, X], met[:, N]
     n = n_s + n_t
     length = np.sqrt(np.sum(n * n, axis=1))
-    paired = (at >= 0) & (np.sum(n_s * n_t, axis=1) > MIN_NORMAL_COSINE)
+    cosine = np.sum(n_s * n_t, axis=1)
+    paired = (at >= 0) & (cosine > gate.cosine)
     n /= np.maximum(length, 1e-9)[:, None]
     swing = n[:, 1] * a[:, 0] - n[:, 0] * a[:, 1]  # n . (z x a)
     g = sample.yaws * swing - target.yaws[at] * (n[:, 1] * q[:, 0] - n[:, 0] * q[:, 1])
@@ -164,7 +167,8 @@ def linearised(
     turn = n[:, 1] * q[:, 0] - n[:, 0] * q[:, 1]
     k = _lines_per_line(n, a, q, both.density)
     own = np.sqrt(both.jitter * swing**2 + both.target_jitter * k * turn**2) * np.sign(swing)
-    w = both.share * area / variance * (c2 / (c2 + e * e / (variance + own * own))) ** 2
+    alike = (cosine[paired] - gate.cosine) / (1.0 - gate.cosine)
+    w = both.share * area / variance * (c2 / (c2 + e * e / (variance + own * own)) * alike) ** 2
     nu_s, nu_t = rows[paired, NORMAL_VARIANCE], met[paired, NORMAL_VARIANCE]
     nu = (nu_s + nu_t) / 4 + both.tilt
     J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)

@@ -7,7 +7,11 @@ that sees p'. With n the mean of both normals the residual and its derivatives a
 
 for small (dx, dy, dz, rx, ry, rz) of the source about its own origin (the viewpoint) and for the
 relative error k of the yaws psi of both sweeps. Weights are w = area / s^2 (c^2 / (c^2 + e^2 /
-s^2))^2 (Geman and McClure) with s^2 the noise of one reading of either scan along the normal.
+s^2))^2 u^2 (Geman and McClure) with s^2 the noise of one reading of either scan along the normal.
+Where windows reach round a corner that one sweep sees and the other does not, one of both normals
+leans, and such pairs move the pose alike in every step of a tour. Hence u = (cos b - c_0) / (1 -
+c_0), with b the angle between the normals: it is 0 at 66 deg while the pose may be off, and at 30
+deg at the least gate; wider pairs do not count.
 
 Range bias: an error b that the n readings of a patch share has the effect that only the share
 1 / (1 + n b^2 / s^2) of them counts, so it scales all w.
@@ -46,7 +50,7 @@ from scan3d_twin.core.registration.surfel_grid import SurfelGrid
 from scan3d_twin.core.types import FloatArray
 
 MIN_NORMAL_COSINE = 0.7
-"""Least cosine between the normals of a pair (45 deg): others belong to different faces."""
+"""Least cosine between the normals of a pair (45 deg) where pairs are only counted."""
 
 
 class Gate(NamedTuple):
@@ -55,10 +59,12 @@ class Gate(NamedTuple):
     Attributes:
         distance: Largest distance along the normal [m].
         robust: Scale c of the robust kernel, in standard deviations.
+        cosine: Cosine between the normals at which the weight of a pair is 0.
     """
 
     distance: float
     robust: float
+    cosine: float = MIN_NORMAL_COSINE
 
 
 class Equations(NamedTuple):
@@ -117,7 +123,7 @@ def linearise(
     every = native.Prior(n_entries=6, entries=range(6), n_nuisances=1)
     if engine.build_equations(
         target.target, source.sample(stride).value, np.ascontiguousarray(T), nuisances,
-        native.Gate(distance=gate.distance, robust=gate.robust),
+        native.Gate(**gate._asdict()),
         combine_noise(target, source), every, found,
     ) < 0:  # fmt: skip
         raise MemoryError

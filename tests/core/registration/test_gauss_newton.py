@@ -24,6 +24,7 @@ from scan3d_twin.core.registration.pose_prior import (
 )
 from scan3d_twin.core.registration.scan_noise import ScanNoise
 from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfels import N
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
 
 WALL = (synthetic.Box((1.0, -5.0, 0.0), (1.5, 5.0, 2.0)),)
@@ -122,12 +123,30 @@ def _frozen_cost(target: SurfelGrid, source: SurfelGrid, T: FloatArray, at: Floa
     n = n_s + n_t
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     moved = rows[:, :3] @ T[:3, :3].T + T[:3, 3]
-    good = (index >= 0) & (table[index, 6] > 0) & (np.sum(n_s * n_t, axis=1) > 0.7)
+    alike = (np.sum(n_s * n_t, axis=1) - 0.7) / 0.3
+    good = (index >= 0) & (table[index, 6] > 0) & (alike > 0)
     good &= np.abs(np.sum(n * (frozen - q), axis=1)) < 0.05
     good &= np.sum((frozen - q) ** 2, axis=1) < 0.15**2
     e = np.sum(n * (moved - q), axis=1)[good]
-    w = 16.0 / (rows[good, 6] + table[index[good], 6])
+    w = 16.0 * alike[good] ** 2 / (rows[good, 6] + table[index[good], 6])
     return float(0.5 * np.sum(w * e * e))
+
+
+def test_pairs_count_less_the_more_their_normals_differ() -> None:
+    """A pair's normal is a unit vector, so that the trace of the first block sums the weights."""
+    target, source = bare_wall()
+    gate = Gate(0.05, 1e6, math.cos(math.radians(30.0)))
+    weights = {}
+    for degrees in (0.0, 20.0, 40.0):
+        turned = Pose2(0.0, 0.0, math.radians(degrees)).rotate(source.rows[:, N])
+        rows = np.concatenate([source.rows[:, :3], turned, source.rows[:, 6:]], axis=1)
+        found = linearise(
+            target, replace(source, rows=read_only(rows)), 4, Pose2(0.0, -0.30).matrix(), 0.0, gate
+        )
+        weights[degrees] = float(np.trace(found.information[:3, :3]))
+    share = (math.cos(math.radians(20.0)) - gate.cosine) / (1.0 - gate.cosine)
+    assert weights[20.0] / weights[0.0] == pytest.approx(share**2, rel=0.2)
+    assert weights[40.0] < 0.01 * weights[0.0]
 
 
 def test_the_covariance_is_that_of_many_registrations() -> None:

@@ -136,7 +136,7 @@ class Criteria(Value):
 class Gate(Value):
     """Gate for correspondences."""
 
-    _fields_ = (("distance", c_double), ("robust", c_double))
+    _fields_ = (("distance", c_double), ("robust", c_double), ("cosine", c_double))
 
 
 class Equations(Value):

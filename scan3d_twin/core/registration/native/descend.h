@@ -7,6 +7,8 @@
 #define FINAL_GATE 0.03         /* least gate [m]: a few times the range noise */
 #define FIRST_KERNEL 4.0        /* robust kernel c of the first step [sigma] */
 #define FINAL_KERNEL 1.5        /* least kernel [sigma] */
+#define FIRST_COSINE 0.4        /* between the normals of a pair (66 deg) at which its weight is 0 at first, */
+#define FINAL_COSINE 0.87       /* and at the least gate (30 deg): such pairs are of two faces that meet */
 #define SAME_BASIN 0.010        /* poses that displace the source by less are one basin [m] */
 #define USUAL_SPREAD 0.77       /* of errors that all readings share, in assumed ones: median of 105 pairs of sweeps */
 #define MAX_SPREAD 1.4          /* of these, in usual ones, that fewer than 10 % of pairs of random scenes exceed */
@@ -46,12 +48,12 @@ static double distance_between(const double *a, const double *b, double reach) {
     return sqrt(square);
 }
 
-/* Return the gate and kernel of a step, tightened from step to step. */
+/* Return the gate of a step, tightened from step to step. */
 static Gate choose_gate(int64_t iteration, double widest) {
     double tight = 1, narrowest = FINAL_GATE < widest ? FINAL_GATE : widest;
     for (int64_t k = 0; k < iteration; k++) tight *= GATE_FACTOR;
-    Gate gate = {tight * widest, FIRST_KERNEL * tight};
-    gate.distance = gate.distance > narrowest ? gate.distance : narrowest;
+    Gate gate = {tight * widest, FIRST_KERNEL * tight, FIRST_COSINE};
+    if (gate.distance <= narrowest) gate.distance = narrowest, gate.cosine = FINAL_COSINE;
     gate.robust = gate.robust > FINAL_KERNEL ? gate.robust : FINAL_KERNEL;
     return gate;
 }

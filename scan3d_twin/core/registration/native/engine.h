@@ -122,10 +122,10 @@ typedef struct {
     double translation_epsilon, rotation_epsilon, max_correspondence_distance;
 } Criteria;
 
-/* Gate for correspondences: largest distance along the normal, and the scale c of the robust kernel in
- * standard deviations. */
+/* Gate for correspondences: largest distance along the normal, scale c of the robust kernel in standard
+ * deviations, and cosine between the normals at which a pair's weight is 0. */
 typedef struct {
-    double distance, robust;
+    double distance, robust, cosine;
 } Gate;
 
 /* Normal equations J^T W J step = -J^T W e on `size` entries: the estimated entries of the pose, then the

@@ -6,7 +6,6 @@
 
 #include "projection.h"
 
-#define MIN_NORMAL_COSINE 0.7   /* between the normals of a pair (45 deg): others are of two faces */
 #define MAX_GATES_ALONG_RAY 3.0 /* distance of a pair's points, in gates; along the normal it is one */
 #define MAX_LINE_RATIO 20.0     /* lines of one sweep per line of the other, at grazing incidence */
 
@@ -122,9 +121,10 @@ static void linearise_pairs(int64_t n, int64_t stride, const double *T, const do
               : lines > MAX_LINE_RATIO ? MAX_LINE_RATIO : lines;
         double line_error = sqrt(jitter * swing * swing + target_jitter * lines * turn * turn);
         double robust = c2 / (c2 + e * e / (variance + line_error * line_error));
-        int counts = (w->row[k] >= 0) & (cosine > MIN_NORMAL_COSINE) & (fabs(e) < distance)
+        int counts = (w->row[k] >= 0) & (cosine > gate.cosine) & (fabs(e) < distance)
                    & (ux * ux + uy * uy + uz * uz < farthest);
-        double weight = counts ? whole / variance * robust * robust : 0;
+        double alike = (cosine - gate.cosine) / (1 - gate.cosine);
+        double weight = counts ? whole / variance * robust * robust * alike * alike : 0;
 
         /* Jacobian */
         w->J[0][k] = nx, w->J[1][k] = ny, w->J[2][k] = nz;
