@@ -24,7 +24,7 @@ from registration_data import LINES, Noise, Pair, pair, point_error
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.pose_prior import PosePrior
-from scan3d_twin.core.registration.surfel_grid import extract_surfels
+from scan3d_twin.core.registration.surfels.grid import extract_surfels
 
 SCENES, SIGMAS = ("boxes", "sine"), (0.010, 0.003)
 PRIOR_XY, PRIOR_YAW = 0.02, math.radians(2.0)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from scan3d_twin.core.config import Config, SweepConfig
-from scan3d_twin.core.scanning.extrinsic_calibration import (
+from scan3d_twin.core.scanning.calibration.lidar_mount import (
     Calibration,
     calibrate,
     calibrate_on_panorama,

@@ -26,8 +26,8 @@ from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
-from scan3d_twin.viz.live import ADDRESS, LiveView, open_live_view
-from scan3d_twin.viz.server import LOOPBACK
+from scan3d_twin.viz.served.live import ADDRESS, LiveView, open_live_view
+from scan3d_twin.viz.served.server import LOOPBACK
 from scan3d_twin.viz.true_scene import scene_triangles
 
 FOLDER = Path(__file__).parent.parent / "docs" / "images"

@@ -31,8 +31,8 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, predict_rmse
-from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import extract_surfels
+from scan3d_twin.core.registration.surfels.grid import extract_surfels
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise
 from scan3d_twin.core.types import RegistrationResult
 
 PRIOR_XY, PRIOR_YAW = 0.02, math.radians(2.0)

@@ -22,8 +22,8 @@ from scan3d_twin.core.registration import (
     extract_surfels,
     register,
 )
-from scan3d_twin.core.registration.free_space import measure_contradiction
-from scan3d_twin.core.registration.surfels import VARIANCE, N, X
+from scan3d_twin.core.registration.surfels.extraction import VARIANCE, N, X
+from scan3d_twin.core.registration.surfels.free_space import measure_contradiction
 from scan3d_twin.core.types import Pose2
 
 FOLDER = Path(__file__).parent.parent / "docs" / "images"

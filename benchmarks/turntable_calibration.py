@@ -23,7 +23,7 @@ import mount
 import numpy as np
 
 from scan3d_twin.core.config import PATTERNS, Config, SweepConfig
-from scan3d_twin.core.scanning.extrinsic_calibration import Calibration, calibrate
+from scan3d_twin.core.scanning.calibration.lidar_mount import Calibration, calibrate
 from scan3d_twin.core.scanning.patterns import LEVER
 from scan3d_twin.core.scanning.sweep import sweep
 from scan3d_twin.core.types import RangeImage

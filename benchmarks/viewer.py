@@ -27,9 +27,9 @@ from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import ScanLine
 from scan3d_twin.sim.robot import open_sim
-from scan3d_twin.viz.live import LiveView, open_live_view
-from scan3d_twin.viz.server import LOOPBACK, open_server
-from scan3d_twin.viz.session_view import SessionView
+from scan3d_twin.viz.served.live import LiveView, open_live_view
+from scan3d_twin.viz.served.server import LOOPBACK, open_server
+from scan3d_twin.viz.served.session_view import SessionView
 
 LINE_PERIOD, TICKS = 0.1, 3
 """Of the lidar [s], and looks at the odometry in it (30 ms apart)."""

@@ -27,8 +27,8 @@ from scan3d_twin.run.closed_loop import Truth
 from scan3d_twin.run.folder import require_own_folders, write_file, write_inside
 from scan3d_twin.run.report import Effort, Journey, Report, build_report, count_views, report_json
 from scan3d_twin.run.settings import Settings, settings_toml
-from scan3d_twin.viz.packing import show_run
-from scan3d_twin.viz.report_page import Pictures, render_report_page
+from scan3d_twin.viz.pages.packing import show_run
+from scan3d_twin.viz.pages.report_page import Pictures, render_report_page
 from scan3d_twin.viz.top_view import draw_top_view
 from scan3d_twin.viz.track import place_track
 

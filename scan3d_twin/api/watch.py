@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from scan3d_twin.core.model.truth import Truth
     from scan3d_twin.core.observer import Observer
     from scan3d_twin.core.types import FloatArray
-    from scan3d_twin.viz.banner import State
-    from scan3d_twin.viz.live import LiveView
+    from scan3d_twin.viz.served.banner import State
+    from scan3d_twin.viz.served.live import LiveView
 
 
 STAYS = "the live view stays until its page is closed, or Ctrl-C"
@@ -95,7 +95,7 @@ class WatchOptions:
         if self.address is None:
             yield RunWatcher(None, self.picture)
             return
-        from scan3d_twin.viz.live import open_live_view
+        from scan3d_twin.viz.served.live import open_live_view
 
         host, port = self.address
         with open_live_view(host, port, name, self.speed, report, self.surface) as view:

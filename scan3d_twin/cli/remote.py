@@ -11,7 +11,7 @@ from scan3d_twin.cli.output import say
 from scan3d_twin.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from scan3d_twin.viz.live import LiveView
+    from scan3d_twin.viz.served.live import LiveView
 
 PAUSE, CONTINUE, STOP, LEAVE = "pause", "continue", "stop", "leave"
 """The commands, a line each: to leave is not to keep the live view when the run is over."""

@@ -27,7 +27,7 @@ from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
-from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target
+from scan3d_twin.core.scanning.target.extraction import extract_points, extract_target
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.session_start import begin_session, tune_config

@@ -14,7 +14,7 @@ from scan3d_twin.core.drive_to_viewpoint import drive
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.scanning.sweep import take_panorama
-from scan3d_twin.core.scanning.target_selection import find_targets
+from scan3d_twin.core.scanning.target.selection import find_targets
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Pose2
 

@@ -22,11 +22,11 @@ from scan3d_twin.core.mapping.global_registration import (
 from scan3d_twin.core.mapping.loop_closure import align
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.mapping.surfel_store import SurfelStore
-from scan3d_twin.core.registration.sweep_points import SweepPoints
+from scan3d_twin.core.registration.surfels.sweep_points import SweepPoints
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
-from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target
-from scan3d_twin.core.scanning.target_selection import find_target
+from scan3d_twin.core.scanning.target.extraction import extract_points, extract_target
+from scan3d_twin.core.scanning.target.selection import find_target
 from scan3d_twin.core.scanning.upright import make_upright
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.target_growth import extend_targets

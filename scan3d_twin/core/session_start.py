@@ -14,13 +14,13 @@ from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.navigation.costmap import build_costmap
 from scan3d_twin.core.observer import Observer
 from scan3d_twin.core.planning.standoff import fit_standoff
-from scan3d_twin.core.scanning.extrinsic_calibration import (
+from scan3d_twin.core.scanning.calibration.lidar_mount import (
     apply_yaw_scale,
     calibrate_on_panorama,
     describe_suspicion,
 )
 from scan3d_twin.core.scanning.sweep import take_panorama
-from scan3d_twin.core.scanning.target_selection import find_target, is_empty_room
+from scan3d_twin.core.scanning.target.selection import find_target, is_empty_room
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.stand import start_stand_session
 from scan3d_twin.core.types import Observation, Pose2

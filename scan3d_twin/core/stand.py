@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from scan3d_twin.core.config import Config
-from scan3d_twin.core.scanning.target_selection import find_target
+from scan3d_twin.core.scanning.target.selection import find_target
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Plan, Pose2
 from scan3d_twin.core.viewpoints import extract_panorama_contour

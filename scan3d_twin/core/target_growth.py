@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from scan3d_twin.core.config import TargetConfig
-from scan3d_twin.core.scanning.target_extraction import extract_target
+from scan3d_twin.core.scanning.target.extraction import extract_target
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray
 

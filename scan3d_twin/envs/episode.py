@@ -8,7 +8,7 @@ from functools import cached_property
 from scan3d_twin.core.digitize import iterate_views
 from scan3d_twin.core.navigation.costmap import Costmap
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.scanning.extrinsic_calibration import apply_yaw_scale, calibrate_on_panorama
+from scan3d_twin.core.scanning.calibration.lidar_mount import apply_yaw_scale, calibrate_on_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.session_start import start_session
 from scan3d_twin.core.types import Plan

@@ -14,7 +14,7 @@ import numpy as np
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.hal import Robot, default_mount
-from scan3d_twin.core.scanning.extrinsics import apply_mount, tilt_matrix
+from scan3d_twin.core.scanning.calibration.extrinsics import apply_mount, tilt_matrix
 from scan3d_twin.core.scanning.patterns import TableMount, find_mount
 from scan3d_twin.core.types import FloatArray, LidarSpec
 from scan3d_twin.devices.registry import base_device, lidar_device

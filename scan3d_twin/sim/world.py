@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.scanning.extrinsics import yaw_matrix
+from scan3d_twin.core.scanning.calibration.extrinsics import yaw_matrix
 from scan3d_twin.core.scanning.patterns import find_mount
 from scan3d_twin.core.types import FloatArray, IntArray, read_only
 from scan3d_twin.devices.registry import base_device

@@ -15,9 +15,9 @@ from scan3d_twin.core.model.fused_cloud import Model, build_model
 from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.session import Session
 from scan3d_twin.viz.cloud import choose_camera, render_still
-from scan3d_twin.viz.model_section import render_model
-from scan3d_twin.viz.packing import Shown
-from scan3d_twin.viz.page import render_page
+from scan3d_twin.viz.pages.model_section import render_model
+from scan3d_twin.viz.pages.packing import Shown
+from scan3d_twin.viz.pages.page import render_page
 from scan3d_twin.viz.top_view import draw_top_view
 
 MODEL_HEIGHT, REPORT_HEIGHT = 760, 800

@@ -13,7 +13,7 @@ from scan3d_twin.core.compression import (
     is_compressed,
 )
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.scanning.target_extraction import extract_points
+from scan3d_twin.core.scanning.target.extraction import extract_points
 from scan3d_twin.core.types import FloatArray, Pose2
 
 MILLIMETRES = np.random.default_rng(0).integers(20, 4095, (40, 682)) / 1000.0

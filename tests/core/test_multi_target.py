@@ -15,7 +15,7 @@ from scan3d_twin.core.errors import SceneError
 from scan3d_twin.core.multi_target import drive_back, find_places
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning import make_planner
-from scan3d_twin.core.scanning.target_selection import find_targets
+from scan3d_twin.core.scanning.target.selection import find_targets
 from scan3d_twin.core.types import FloatArray, Pose2
 from scan3d_twin.sim.config import TwinConfig
 from scan3d_twin.sim.robot import open_sim

@@ -7,7 +7,7 @@ import pytest
 from paper import paper_config
 from synthetic import Box, observe
 
-from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target
+from scan3d_twin.core.scanning.target.extraction import extract_points, extract_target
 from scan3d_twin.core.types import Pose2, RangeImage, Scan3D
 from scan3d_twin.core.viewpoints import (
     MAX_FRONT_ANGLE,

@@ -5,8 +5,8 @@ import urllib.request
 
 import numpy as np
 
-from scan3d_twin.viz.server import LOOPBACK, open_server
-from scan3d_twin.viz.stage import Stage
+from scan3d_twin.viz.served.server import LOOPBACK, open_server
+from scan3d_twin.viz.served.stage import Stage
 
 TITLE = "</title><b>boxes & co"
 

@@ -3,7 +3,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from scan3d_twin.viz.charts import Chart, Dot, render_chart, round_up
+from scan3d_twin.viz.pages.charts import Chart, Dot, render_chart, round_up
 
 
 def chart(*dots, **options):

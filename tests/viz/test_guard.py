@@ -15,10 +15,10 @@ import viser
 from pixels import SMALL, SOON
 
 from scan3d_twin.core.errors import LinkError
-from scan3d_twin.viz.live import open_live_view
-from scan3d_twin.viz.markdown import as_text
-from scan3d_twin.viz.server import LOOPBACK, describe_reach, open_server
-from scan3d_twin.viz.session_view import SessionView
+from scan3d_twin.viz.served.live import open_live_view
+from scan3d_twin.viz.served.markdown import as_text
+from scan3d_twin.viz.served.server import LOOPBACK, describe_reach, open_server
+from scan3d_twin.viz.served.session_view import SessionView
 
 HOSTILE = (
     '"><img src="http://203.0.113.7/a.png"><iframe src=http://203.0.113.7/b></iframe>'

@@ -18,9 +18,9 @@ from scan3d_twin.core.planning import make_planner
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 from scan3d_twin.sim.scenes.surface_samples import sample_triangles
-from scan3d_twin.viz.banner import COLOURS
-from scan3d_twin.viz.live import ANNOUNCED, LiveView, format_plan, open_live_view
-from scan3d_twin.viz.server import LOOPBACK, open_server
+from scan3d_twin.viz.served.banner import COLOURS
+from scan3d_twin.viz.served.live import ANNOUNCED, LiveView, format_plan, open_live_view
+from scan3d_twin.viz.served.server import LOOPBACK, open_server
 from scan3d_twin.viz.true_scene import scene_triangles
 
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from scan3d_twin.viz import player
-from scan3d_twin.viz.player import Player
+from scan3d_twin.viz.served import player
+from scan3d_twin.viz.served.player import Player
 
 
 class Slider:

@@ -7,7 +7,7 @@ import pytest
 
 from scan3d_twin.core.model.evaluation import Comparison
 from scan3d_twin.core.model.fused_cloud import Model, build_model
-from scan3d_twin.viz.point_values import count_views, expect_errors, measure_points
+from scan3d_twin.viz.pages.point_values import count_views, expect_errors, measure_points
 
 
 def model_of(places, views):

@@ -15,9 +15,9 @@ from scan3d_twin.core.model.pose_errors import PairError
 from scan3d_twin.recording.colours import view_colour
 from scan3d_twin.run.report import Effort, Journey, build_report
 from scan3d_twin.run.settings import Settings, settings_toml
-from scan3d_twin.viz.model_section import MISSING
-from scan3d_twin.viz.packing import show_run
-from scan3d_twin.viz.report_page import Pictures, render_report_page
+from scan3d_twin.viz.pages.model_section import MISSING
+from scan3d_twin.viz.pages.packing import show_run
+from scan3d_twin.viz.pages.report_page import Pictures, render_report_page
 from scan3d_twin.viz.top_view import draw_top_view
 
 EVALUATION = Evaluation(

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from pixels import SMALL, SOON, drawn, pixels
 
-from scan3d_twin.viz.server import LOOPBACK, open_server
-from scan3d_twin.viz.session_view import SessionView
-from scan3d_twin.viz.stage import Stage, _back_off
+from scan3d_twin.viz.served.server import LOOPBACK, open_server
+from scan3d_twin.viz.served.session_view import SessionView
+from scan3d_twin.viz.served.stage import Stage, _back_off
 from scan3d_twin.viz.view_errors import format_view_errors, list_view_errors
 
 

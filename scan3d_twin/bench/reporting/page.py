@@ -22,7 +22,7 @@ from scan3d_twin.bench.reporting.measures import (
 )
 from scan3d_twin.bench.reporting.run_list import render_runs
 from scan3d_twin.bench.reporting.statistics import Estimate
-from scan3d_twin.viz.page import Cell, render_page, render_table
+from scan3d_twin.viz.pages.page import Cell, render_page, render_table
 
 MAX_PICTURES = 12
 """Most top views on the page; the others stay in their folder."""

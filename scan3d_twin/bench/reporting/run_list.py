@@ -10,7 +10,7 @@ from html import escape
 
 from scan3d_twin.bench.record import Record, replace_nonfinite
 from scan3d_twin.bench.reporting.figure import in_file_name
-from scan3d_twin.viz.page import Cell, render_table
+from scan3d_twin.viz.pages.page import Cell, render_table
 
 RUNS_FOLDER = "runs"
 """Folder of the report with one folder a run."""

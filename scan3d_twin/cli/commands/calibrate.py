@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from scan3d_twin.core.config import MountConfig
-    from scan3d_twin.core.scanning.extrinsic_calibration import Calibration
+    from scan3d_twin.core.scanning.calibration.lidar_mount import Calibration
 
 _UNITS = {
     "lateral": (1e3, "mm", "to the left of its nominal place"),
@@ -54,8 +54,8 @@ def calibrate(what: Literal["lidar"], folder: Path, /, *, json: bool = False) ->
         FileError: There is no scan in it.
         RegistrationError: The scans show no walls.
     """
-    from scan3d_twin.core.scanning import extrinsic_calibration as self_calibration
-    from scan3d_twin.core.scanning.extrinsics import compose_mounts
+    from scan3d_twin.core.scanning.calibration import lidar_mount as self_calibration
+    from scan3d_twin.core.scanning.calibration.extrinsics import compose_mounts
     from scan3d_twin.recording.scans import read_places
 
     found = self_calibration.calibrate(read_places(folder))

@@ -29,7 +29,7 @@ def compare(*runs: Path, out: Path = Path("compare.html"), json: bool = False) -
         return
     from scan3d_twin.cli.summary import format_cell, format_table
     from scan3d_twin.run.folder import write_file
-    from scan3d_twin.viz.compare_page import render_compare_page
+    from scan3d_twin.viz.pages.compare_page import render_compare_page
 
     write_file(out, render_compare_page(compared))
     header = ["views", "worst", "covered", "time", "apart"]

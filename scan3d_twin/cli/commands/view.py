@@ -30,8 +30,8 @@ def view(
         json: Print the page's address as JSON.
     """
     from scan3d_twin.recording.load import load_session
-    from scan3d_twin.viz.server import describe_reach, open_server
-    from scan3d_twin.viz.session_view import SessionView
+    from scan3d_twin.viz.served.server import describe_reach, open_server
+    from scan3d_twin.viz.served.session_view import SessionView
 
     recorded = load_session(run)
     with open_server(host, view_port, f"{recorded.name} - scan3d_twin") as (server, address):

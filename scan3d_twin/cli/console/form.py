@@ -20,7 +20,7 @@ from scan3d_twin.cli.commands.real import RealOptions
 from scan3d_twin.cli.commands.sim import SimOptions
 from scan3d_twin.cli.dotted import field_docs
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.viz.console_page import FormField
+from scan3d_twin.viz.served.console_page import FormField
 
 Kind = Literal["sim", "real"]
 KINDS: tuple[Kind, ...] = ("sim", "real")

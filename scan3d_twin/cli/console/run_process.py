@@ -16,7 +16,7 @@ from scan3d_twin.cli.console.form import PROGRAM
 from scan3d_twin.cli.exit_codes import INTERRUPTED
 from scan3d_twin.cli.remote import CONTINUE, LEAVE, PAUSE, STOP
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.viz.live import ADDRESS, ANNOUNCED
+from scan3d_twin.viz.served.live import ADDRESS, ANNOUNCED
 
 State = Literal[
     "starting", "running", "pausing", "paused", "stopping", "saving", "finished", "stopped",

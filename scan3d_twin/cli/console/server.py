@@ -30,16 +30,16 @@ from scan3d_twin.cli.console.run_process import OVER, STEERABLE
 from scan3d_twin.core.errors import FileError, TwinError
 from scan3d_twin.real.ports import usb_ports
 from scan3d_twin.recording.export import list_formats
-from scan3d_twin.viz.console_page import (
+from scan3d_twin.viz.pages.page import read_asset
+from scan3d_twin.viz.served.console_page import (
     FILE_POLICY,
     POLICY,
     FormField,
     render_console_page,
     render_console_style,
 )
-from scan3d_twin.viz.guard import Guard
-from scan3d_twin.viz.page import read_asset
-from scan3d_twin.viz.server import LOOPBACK, find_free_port
+from scan3d_twin.viz.served.guard import Guard
+from scan3d_twin.viz.served.server import LOOPBACK, find_free_port
 
 MAX_BODY = 65_536
 """Most bytes of a request: a filled form has one."""

@@ -26,7 +26,7 @@ import numpy as np
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.motion_model import MotionModel
 from scan3d_twin.core.mapping.scan_matching import select_scope, surfels_of
-from scan3d_twin.core.registration.reading_noise import measure_reading_noise
+from scan3d_twin.core.registration.surfels.reading_noise import measure_reading_noise
 from scan3d_twin.core.session import Session, View
 
 FALSE_ALARMS = 0.01

@@ -26,7 +26,6 @@ import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration import PosePrior, SurfelGrid
-from scan3d_twin.core.registration.free_space import measure_contradiction
 from scan3d_twin.core.registration.gauss_newton import (
     SAME_BASIN,
     Problem,
@@ -42,6 +41,7 @@ from scan3d_twin.core.registration.multistart import (
     spread_starts,
 )
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
+from scan3d_twin.core.registration.surfels.free_space import measure_contradiction
 from scan3d_twin.core.registration.undetermined import MIN_COMPONENT
 from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult, read_only, wrap
 

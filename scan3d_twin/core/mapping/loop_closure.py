@@ -27,7 +27,7 @@ from scan3d_twin.core.mapping.surfel_store import Grids, SurfelStore
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PLANAR, predict_rmse, shift_to_target
-from scan3d_twin.core.registration.surfels import X
+from scan3d_twin.core.registration.surfels.extraction import X
 from scan3d_twin.core.session import Session, View
 from scan3d_twin.core.types import FloatArray, Pose2, RegistrationResult
 from scan3d_twin.core.viewpoints import NEARLY_ROUND, sum_turns

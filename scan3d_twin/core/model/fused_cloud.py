@@ -11,7 +11,7 @@ import numpy as np
 from scan3d_twin.core.display import render_html
 from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.registration.native import engine
-from scan3d_twin.core.registration.scan_noise import estimate_noise
+from scan3d_twin.core.registration.surfels.scan_noise import estimate_noise
 from scan3d_twin.core.scanning.mixed_pixels import MAX_INCIDENCE, RANGE_NOISE
 from scan3d_twin.core.scanning.smoothing import smooth
 from scan3d_twin.core.session import Session, View

@@ -22,7 +22,7 @@ from scan3d_twin.core.grids import (
     find_shortest_paths,
 )
 from scan3d_twin.core.registration.native import ByteArray, engine
-from scan3d_twin.core.registration.sweep_points import SweepPoints
+from scan3d_twin.core.registration.surfels.sweep_points import SweepPoints
 from scan3d_twin.core.session import Workspace
 from scan3d_twin.core.types import (
     BoolArray,

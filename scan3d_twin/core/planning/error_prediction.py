@@ -30,7 +30,6 @@ from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.visibility import NextSweep, Visible, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.algebra import find_determined, marginalise
-from scan3d_twin.core.registration.edges import linearise_edges
 from scan3d_twin.core.registration.point_to_plane import (
     Equations,
     compute_jacobian,
@@ -42,8 +41,9 @@ from scan3d_twin.core.registration.pose_prior import (
     Moments,
     predict_rmse_of_moments,
 )
-from scan3d_twin.core.registration.surfel_grid import Sample
-from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, VARIANCE, X
+from scan3d_twin.core.registration.surfels.edges import linearise_edges
+from scan3d_twin.core.registration.surfels.extraction import NORMAL_VARIANCE, VARIANCE, X
+from scan3d_twin.core.registration.surfels.grid import Sample
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,

@@ -43,7 +43,7 @@ errors of registration and of a few lines, and less than the smallest jump."""
 SQUARE_RADIUS = math.sqrt(2.0)
 """Radius of the disc of 3 x 3 cells, corners included [cells]."""
 MAX_INCIDENCE = math.radians(75.0)
-"""Incidence above which a face is not shown [rad]; as ``target_selection.MAX_WALL_INCIDENCE``."""
+"""Incidence above which a face is not shown [rad]; as ``MAX_WALL_INCIDENCE``."""
 
 
 @dataclass(frozen=True)

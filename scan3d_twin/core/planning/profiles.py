@@ -16,7 +16,12 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.planning.context import mask_readings
-from scan3d_twin.core.registration.edges import MIN_BEAMS, MIN_COSINE, MIN_RANGE_STEP, SURFEL_OFFSET
+from scan3d_twin.core.registration.surfels.edges import (
+    MIN_BEAMS,
+    MIN_COSINE,
+    MIN_RANGE_STEP,
+    SURFEL_OFFSET,
+)
 from scan3d_twin.core.session import View
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2
 from scan3d_twin.core.viewpoints import measure_angle, rotate_clockwise

@@ -27,7 +27,7 @@ from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
 from scan3d_twin.core.planning.visibility import NextSweep
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.pose_prior import PLANAR
-from scan3d_twin.core.registration.surfels import X
+from scan3d_twin.core.registration.surfels.extraction import X
 from scan3d_twin.core.types import BoolArray, FloatArray, Pose2, read_only, rms
 
 MIN_SHARED_READINGS = 10

@@ -21,8 +21,7 @@ from scan3d_twin.core.moving_windows import moving_mean
 from scan3d_twin.core.planning.visibility import NextSweep, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels
 from scan3d_twin.core.registration.native import engine
-from scan3d_twin.core.registration.scan_noise import BIAS_PATCH, CURVE_RANGES, ScanNoise
-from scan3d_twin.core.registration.surfels import (
+from scan3d_twin.core.registration.surfels.extraction import (
     EMPTY_RAY,
     SURFACE_RAY,
     UNKNOWN_RAY,
@@ -32,6 +31,7 @@ from scan3d_twin.core.registration.surfels import (
     fit_surfels,
     make_native_sweep,
 )
+from scan3d_twin.core.registration.surfels.scan_noise import BIAS_PATCH, CURVE_RANGES, ScanNoise
 from scan3d_twin.core.types import (
     VALID,
     BoolArray,

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.registration import SurfelGrid
-from scan3d_twin.core.registration.projection import Projection
-from scan3d_twin.core.registration.surfels import X
+from scan3d_twin.core.registration.surfels.extraction import X
+from scan3d_twin.core.registration.surfels.projection import Projection
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage, read_only
 
 MIN_COSINE = 0.10

@@ -11,13 +11,13 @@ the preset ``paper``.
 from __future__ import annotations
 
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.registration.cloud_patches import Cloud, prepare_cloud
-from scan3d_twin.core.registration.clouds import register_clouds
+from scan3d_twin.core.registration.clouds.patches import Cloud, prepare_cloud
+from scan3d_twin.core.registration.clouds.registration import register_clouds
 from scan3d_twin.core.registration.gauss_newton import Criteria, Dof
 from scan3d_twin.core.registration.multistart import register_grids
 from scan3d_twin.core.registration.pose_prior import PosePrior
-from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_pair, extract_surfels
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid, extract_pair, extract_surfels
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, RegistrationResult, Scan3D
 
 __all__ = [

@@ -33,7 +33,7 @@ from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.point_to_plane import combine_noise
 from scan3d_twin.core.registration.pose_prior import PLANAR, Moments, PosePrior
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid
 from scan3d_twin.core.registration.undetermined import with_infinite_variance
 from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 

@@ -16,11 +16,6 @@ from statistics import NormalDist
 import numpy as np
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.free_space import (
-    MAX_CONTRADICTION,
-    find_contradicted_share,
-    measure_contradiction,
-)
 from scan3d_twin.core.registration.gauss_newton import (
     SAME_BASIN,
     Criteria,
@@ -33,7 +28,12 @@ from scan3d_twin.core.registration.gauss_newton import (
     make_result,
 )
 from scan3d_twin.core.registration.pose_prior import PosePrior, displace
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid
+from scan3d_twin.core.registration.surfels.free_space import (
+    MAX_CONTRADICTION,
+    find_contradicted_share,
+    measure_contradiction,
+)
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid
 from scan3d_twin.core.types import FloatArray, RegistrationResult, read_only
 
 ROUGH_ITERATIONS = (2, 3)

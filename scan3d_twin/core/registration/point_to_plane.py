@@ -46,7 +46,7 @@ import numpy as np
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.native import STATE, engine
 from scan3d_twin.core.registration.shared_errors import combine_shared_errors
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid
 from scan3d_twin.core.types import FloatArray
 
 MIN_NORMAL_COSINE = 0.7

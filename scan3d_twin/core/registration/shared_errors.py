@@ -57,7 +57,7 @@ one; they are never made smaller.
 from __future__ import annotations
 
 from scan3d_twin.core.registration.pose_prior import SIGMA_TILT, SIGMA_Z
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid
 
 
 def combine_shared_errors(target: SurfelGrid, source: SurfelGrid) -> dict[str, float]:

@@ -18,9 +18,9 @@ from scan3d_twin.core.errors import DataLossError, LinkTimeoutError
 from scan3d_twin.core.hal import BunchingLidar, Robot
 from scan3d_twin.core.line_grid import find_packed_columns, pack_columns
 from scan3d_twin.core.navigation.motion_control import turn_by, turn_to
+from scan3d_twin.core.scanning.calibration.extrinsics import correct_extrinsics
+from scan3d_twin.core.scanning.calibration.half_turn import sees_all_round, unfold
 from scan3d_twin.core.scanning.deskew import Lines
-from scan3d_twin.core.scanning.extrinsics import correct_extrinsics
-from scan3d_twin.core.scanning.half_turn import sees_all_round, unfold
 from scan3d_twin.core.scanning.lost_readings import (
     drop_doubtful,
     fill_lost,

@@ -17,8 +17,8 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError, MotionTimeoutError
 from scan3d_twin.core.hal import Robot, Turntable
 from scan3d_twin.core.navigation.motion_control import stopping, turn_by, turn_to
+from scan3d_twin.core.scanning.calibration.extrinsics import apply_mount, lean_axis
 from scan3d_twin.core.scanning.deskew import Lines, deskew_lines, deskew_table_lines
-from scan3d_twin.core.scanning.extrinsics import apply_mount, lean_axis
 from scan3d_twin.core.scanning.patterns import (
     MAX_LEAN,
     find_axis_mount,

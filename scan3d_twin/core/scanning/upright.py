@@ -26,7 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scan3d_twin.core.registration.scan_noise import estimate_noise
+from scan3d_twin.core.registration.surfels.scan_noise import estimate_noise
 from scan3d_twin.core.scanning.patterns import MAX_LEAN
 from scan3d_twin.core.types import UNMEASURED, VALID, FloatArray, IntArray, RangeImage, read_only
 

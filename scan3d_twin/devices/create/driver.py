@@ -17,15 +17,17 @@ from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
 from scan3d_twin.core.types import Hazards, Odometry
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Model, Op
+from scan3d_twin.devices.create.driving.heartbeat import Heartbeat
+from scan3d_twin.devices.create.driving.inquiry import ASK_AGAIN, LOST_AFTER, Inquiry
+from scan3d_twin.devices.create.driving.order_watch import OrderWatch
+from scan3d_twin.devices.create.driving.receiver import Receiver
 from scan3d_twin.devices.create.hazards import (
     LOW_BATTERY,
     blocking_hazards,
     check_ready,
     find_unsafe_causes,
 )
-from scan3d_twin.devices.create.heartbeat import Heartbeat
 from scan3d_twin.devices.create.identification import find_base
-from scan3d_twin.devices.create.inquiry import ASK_AGAIN, LOST_AFTER, Inquiry
 from scan3d_twin.devices.create.link import (
     MODE_SETTLE,
     Contact,
@@ -33,10 +35,8 @@ from scan3d_twin.devices.create.link import (
     packets_at_rest,
     watched_packets,
 )
-from scan3d_twin.devices.create.order_watch import OrderWatch
 from scan3d_twin.devices.create.packets import Mode
 from scan3d_twin.devices.create.readings import BaseReadings
-from scan3d_twin.devices.create.receiver import Receiver
 from scan3d_twin.devices.links.guard import Guard, NoGuard
 from scan3d_twin.devices.links.transport import Transport, is_away
 

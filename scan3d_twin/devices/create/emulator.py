@@ -14,9 +14,9 @@ from scan3d_twin.core.hal import DriveBase
 from scan3d_twin.core.types import Odometry
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import Command, CommandParser, Model, Op
-from scan3d_twin.devices.create.emulated_body import Body, Quirks
-from scan3d_twin.devices.create.emulated_outputs import Outputs
-from scan3d_twin.devices.create.emulated_script import Script
+from scan3d_twin.devices.create.emulation.body import Body, Quirks
+from scan3d_twin.devices.create.emulation.outputs import Outputs
+from scan3d_twin.devices.create.emulation.script import Script
 from scan3d_twin.devices.create.packets import Mode, Packet, encode_packets, packets_of, size_of
 from scan3d_twin.devices.create.roomba import step_speed
 from scan3d_twin.devices.links.line_format import BITS_PER_BYTE

@@ -6,16 +6,16 @@ from bisect import bisect_right
 
 from scan3d_twin.core.hal import BaseSpec
 from scan3d_twin.core.types import Hazards, Odometry
-from scan3d_twin.devices.create.dead_reckoning import (
+from scan3d_twin.devices.create.driving.dead_reckoning import (
     CommandedReckoning,
     Reckoning,
     make_reckoning,
 )
+from scan3d_twin.devices.create.driving.reading_filter import ReadingFilter
+from scan3d_twin.devices.create.driving.speed_watch import SpeedWatch
 from scan3d_twin.devices.create.hazards import decode_hazards
 from scan3d_twin.devices.create.link import Contact, Values
 from scan3d_twin.devices.create.packets import Mode, Packet
-from scan3d_twin.devices.create.reading_filter import ReadingFilter
-from scan3d_twin.devices.create.speed_watch import SpeedWatch
 
 MIN_HISTORY = 20_000
 """Number of odometry samples always kept: 5 minutes."""

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scan3d_twin.core.errors import FileError
-from scan3d_twin.core.scanning.extrinsics import tilt_matrix
+from scan3d_twin.core.scanning.calibration.extrinsics import tilt_matrix
 from scan3d_twin.limits import how_to_raise, scaled
 from scan3d_twin.recording.importing.readings import MAX_READINGS, Readings, clean_ranges
 

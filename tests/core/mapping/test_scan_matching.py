@@ -23,7 +23,7 @@ from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.pose_prior import PLANAR
-from scan3d_twin.core.registration.surfels import X
+from scan3d_twin.core.registration.surfels.extraction import X
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Observation, Pose2, read_only, rms
 

@@ -21,9 +21,9 @@ from scan3d_twin.core.planning.context import PlanningContext, mask_readings
 from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
 from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
 from scan3d_twin.core.planning.visibility import NextSweep
-from scan3d_twin.core.registration import surfel_grid
 from scan3d_twin.core.registration.pose_prior import PLANAR
-from scan3d_twin.core.registration.surfels import N
+from scan3d_twin.core.registration.surfels import grid as surfel_grid
+from scan3d_twin.core.registration.surfels.extraction import N
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Pose2
 

@@ -9,7 +9,7 @@ import synthetic
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.registration import register
-from scan3d_twin.core.registration.cloud_patches import NORMAL, POINT, WINDOW, prepare_cloud
+from scan3d_twin.core.registration.clouds.patches import NORMAL, POINT, WINDOW, prepare_cloud
 from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, predict_rmse
 from scan3d_twin.core.types import FloatArray, Pose2
 

@@ -15,7 +15,7 @@ from degenerate_pairs import PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
 
 from scan3d_twin.core.registration import register
 from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior
-from scan3d_twin.core.registration.surfel_grid import extract_surfels
+from scan3d_twin.core.registration.surfels.grid import extract_surfels
 
 UNDETERMINED = {
     "two planes": 0,

@@ -38,10 +38,8 @@ from scan3d_twin.core.navigation.costmap import RESOLUTION
 from scan3d_twin.core.planning.virtual_scan import _list_rays
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
-from scan3d_twin.core.registration.cloud_pairs import PAIR
-from scan3d_twin.core.registration.cloud_patches import WINDOW_RADII, prepare_cloud
-from scan3d_twin.core.registration.edges import Edges, linearise_edges
-from scan3d_twin.core.registration.free_space import _sum_violations, find_contradicted_share
+from scan3d_twin.core.registration.clouds.pairs import PAIR
+from scan3d_twin.core.registration.clouds.patches import WINDOW_RADII, prepare_cloud
 from scan3d_twin.core.registration.gauss_newton import (
     Criteria,
     Problem,
@@ -55,16 +53,21 @@ from scan3d_twin.core.registration.native import Engine, engine
 from scan3d_twin.core.registration.native.arguments import Doubles, address_of
 from scan3d_twin.core.registration.point_to_plane import Gate, linearise
 from scan3d_twin.core.registration.pose_prior import PosePrior, deviation, displace, predict_rmse
-from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
-from scan3d_twin.core.registration.surfels import (
+from scan3d_twin.core.registration.surfels.edges import Edges, linearise_edges
+from scan3d_twin.core.registration.surfels.extraction import (
     EMPTY_RAY,
     Beams,
     fit_surfels,
     make_native_sweep,
 )
-from scan3d_twin.core.registration.sweep_points import SweepPoints
-from scan3d_twin.core.scanning.extrinsics import apply_mount
+from scan3d_twin.core.registration.surfels.free_space import (
+    _sum_violations,
+    find_contradicted_share,
+)
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise, estimate_noise
+from scan3d_twin.core.registration.surfels.sweep_points import SweepPoints
+from scan3d_twin.core.scanning.calibration.extrinsics import apply_mount
 from scan3d_twin.core.types import UNMEASURED, VALID, FloatArray, Pose2, RangeImage, read_only
 
 FIRST, SECOND = Pose2(0.0, 0.15, -0.05), Pose2(0.02, -0.15, 0.10)

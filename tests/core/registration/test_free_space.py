@@ -7,13 +7,13 @@ import math
 import numpy as np
 import synthetic
 
-from scan3d_twin.core.registration.free_space import (
+from scan3d_twin.core.registration.surfels.free_space import (
     MAX_CONTRADICTION,
     find_contradicted_share,
     measure_contradiction,
 )
-from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise
 from scan3d_twin.core.types import Pose2
 
 HALL = (synthetic.Box((3.2, -6.0, 0.0), (3.4, 6.0, 2.5)),)

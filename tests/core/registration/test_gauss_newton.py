@@ -22,9 +22,9 @@ from scan3d_twin.core.registration.pose_prior import (
     displace,
     predict_rmse,
 )
-from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
-from scan3d_twin.core.registration.surfels import N
+from scan3d_twin.core.registration.surfels.extraction import N
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
 
 WALL = (synthetic.Box((1.0, -5.0, 0.0), (1.5, 5.0, 2.0)),)

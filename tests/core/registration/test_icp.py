@@ -17,7 +17,7 @@ from scan3d_twin.core.registration.icp import (
     register,
     select_overlapping_lines,
 )
-from scan3d_twin.core.scanning.target_extraction import extract_points
+from scan3d_twin.core.scanning.target.extraction import extract_points
 from scan3d_twin.core.types import FloatArray, Pose2, Scan3D, rms
 
 CONFIG = paper_registration()

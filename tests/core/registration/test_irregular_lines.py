@@ -15,9 +15,9 @@ from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.registration import register
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.pose_prior import PosePrior
-from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
-from scan3d_twin.core.registration.surfel_grid import extract_surfels
-from scan3d_twin.core.registration.surfels import N
+from scan3d_twin.core.registration.surfels.extraction import N
+from scan3d_twin.core.registration.surfels.grid import extract_surfels
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise, estimate_noise
 from scan3d_twin.core.types import (
     UNMEASURED,
     VALID,

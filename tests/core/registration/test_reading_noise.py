@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic import Box, irregular, observe
 
-from scan3d_twin.core.registration.reading_noise import measure_reading_noise
-from scan3d_twin.core.registration.surfel_grid import extract_surfels
+from scan3d_twin.core.registration.surfels.grid import extract_surfels
+from scan3d_twin.core.registration.surfels.reading_noise import measure_reading_noise
 from scan3d_twin.core.types import Pose2
 
 AHEAD = (Box((1.2, -1.0, 0.0), (1.6, 1.0, 1.5)),)

@@ -10,7 +10,7 @@ import pytest
 import synthetic
 
 from scan3d_twin.core.errors import ConfigError
-from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise, estimate_noise
 from scan3d_twin.core.types import VALID, FloatArray, RangeImage, read_only
 
 SCENES = ("plane", "box", "sine")

@@ -18,8 +18,8 @@ from scan3d_twin.core.registration.pose_prior import (
     displace,
     shift_to_target,
 )
-from scan3d_twin.core.registration.scan_noise import ScanNoise
-from scan3d_twin.core.registration.surfel_grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfels.grid import SurfelGrid, extract_surfels
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage, read_only
 
 SIGMA = 0.004

@@ -11,9 +11,13 @@ import pytest
 import synthetic
 
 from scan3d_twin.core.errors import ConfigError, RegistrationError
-from scan3d_twin.core.registration.scan_noise import ScanNoise, estimate_noise
-from scan3d_twin.core.registration.surfel_grid import MAX_NOISE_RATIO, extract_pair, extract_surfels
-from scan3d_twin.core.registration.surfels import NORMAL_VARIANCE, N, X
+from scan3d_twin.core.registration.surfels.extraction import NORMAL_VARIANCE, N, X
+from scan3d_twin.core.registration.surfels.grid import (
+    MAX_NOISE_RATIO,
+    extract_pair,
+    extract_surfels,
+)
+from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise, estimate_noise
 from scan3d_twin.core.types import VALID, Pose2, RangeImage, read_only
 
 WALL = (synthetic.Box((1.0, -3.0, 0.0), (1.5, 3.0, 2.0)),)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import scan3d_twin as s3d
-from scan3d_twin.core.registration.surfel_grid import extract_surfels
+from scan3d_twin.core.registration.surfels.grid import extract_surfels
 from scan3d_twin.core.scanning.sweep import sweep
-from scan3d_twin.core.scanning.target_extraction import extract_points, is_in_window
+from scan3d_twin.core.scanning.target.extraction import extract_points, is_in_window
 from scan3d_twin.core.types import UNMEASURED, VALID, RangeImage
 
 CONFIG = s3d.Config()

@@ -14,21 +14,21 @@ from paper import paper_config, paper_sweep
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, RegistrationError
 from scan3d_twin.core.hal import default_mount
-from scan3d_twin.core.scanning.extrinsic_calibration import (
-    PARAMETERS,
-    Calibration,
-    apply_yaw_scale,
-    calibrate,
-    calibrate_on_panorama,
-    find_planes,
-)
-from scan3d_twin.core.scanning.extrinsics import (
+from scan3d_twin.core.scanning.calibration.extrinsics import (
     apply_mount,
     compose_mounts,
     correct_extrinsics,
     describe_mount,
     measure_turn_rate,
     tilt_matrix,
+)
+from scan3d_twin.core.scanning.calibration.lidar_mount import (
+    PARAMETERS,
+    Calibration,
+    apply_yaw_scale,
+    calibrate,
+    calibrate_on_panorama,
+    find_planes,
 )
 from scan3d_twin.core.types import Observation, Pose2, RangeImage, read_only
 

@@ -13,9 +13,9 @@ import scan3d_twin as s3d
 from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.hal import default_mount
 from scan3d_twin.core.line_grid import make_full_circle
-from scan3d_twin.core.scanning.extrinsic_calibration import calibrate_on_panorama
-from scan3d_twin.core.scanning.extrinsics import apply_mount
-from scan3d_twin.core.scanning.half_turn import is_unfolded, sees_all_round, unfold
+from scan3d_twin.core.scanning.calibration.extrinsics import apply_mount
+from scan3d_twin.core.scanning.calibration.half_turn import is_unfolded, sees_all_round, unfold
+from scan3d_twin.core.scanning.calibration.lidar_mount import calibrate_on_panorama
 from scan3d_twin.core.scanning.sweep import take_panorama
 from scan3d_twin.core.types import VALID, Observation, RangeImage, read_only
 from scan3d_twin.devices.registry import lidar_device

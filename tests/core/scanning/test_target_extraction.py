@@ -6,7 +6,7 @@ import numpy as np
 from paper import paper_config
 from synthetic import Box, observe
 
-from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target, is_in_window
+from scan3d_twin.core.scanning.target.extraction import extract_points, extract_target, is_in_window
 from scan3d_twin.core.types import Pose2
 
 CONFIG = paper_config()

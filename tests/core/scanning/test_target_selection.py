@@ -9,7 +9,7 @@ from paper import paper_config
 from synthetic import THREE_BOXES, Box, observe
 
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.scanning.target_selection import find_target, is_empty_room
+from scan3d_twin.core.scanning.target.selection import find_target, is_empty_room
 from scan3d_twin.core.types import VALID, Observation, Pose2, read_only
 
 CONFIG = paper_config()

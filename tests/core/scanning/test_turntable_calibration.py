@@ -11,8 +11,8 @@ import pytest
 import synthetic
 
 from scan3d_twin.core.config import MountConfig
-from scan3d_twin.core.scanning.extrinsic_calibration import Calibration, calibrate
-from scan3d_twin.core.scanning.extrinsics import correct_extrinsics
+from scan3d_twin.core.scanning.calibration.extrinsics import correct_extrinsics
+from scan3d_twin.core.scanning.calibration.lidar_mount import Calibration, calibrate
 from scan3d_twin.core.scanning.patterns import LEVER, find_axis_mount, find_mount
 from scan3d_twin.core.types import VALID, LidarSpec, Observation, Pose2, RangeImage, read_only
 

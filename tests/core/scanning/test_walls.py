@@ -9,9 +9,9 @@ import pytest
 from paper import paper_config
 from synthetic import ROOM, Box, observe
 
-from scan3d_twin.core.scanning.target_extraction import extract_points, extract_target
-from scan3d_twin.core.scanning.target_selection import find_target, find_targets
-from scan3d_twin.core.scanning.walls import find_walls
+from scan3d_twin.core.scanning.target.extraction import extract_points, extract_target
+from scan3d_twin.core.scanning.target.selection import find_target, find_targets
+from scan3d_twin.core.scanning.target.walls import find_walls
 from scan3d_twin.core.types import FloatArray, Observation, Pose2
 
 CONFIG = paper_config()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan3d_twin.core.hal import BaseSpec
-from scan3d_twin.devices.create.dead_reckoning import (
+from scan3d_twin.devices.create.driving.dead_reckoning import (
     RESTART_AFTER,
     CommandedReckoning,
     CommandedWheels,

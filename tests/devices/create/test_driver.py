@@ -10,10 +10,11 @@ from scan3d_twin.core.errors import ConfigError, HazardError, LinkError, LinkTim
 from scan3d_twin.core.navigation.wheel_kinematics import WHEEL_ACCELERATION
 from scan3d_twin.core.types import Hazards, Pose2
 from scan3d_twin.devices.create import codec as oi
-from scan3d_twin.devices.create import emulator, inquiry
+from scan3d_twin.devices.create import emulator
 from scan3d_twin.devices.create.codec import CREATE1, CREATE2, Op
 from scan3d_twin.devices.create.driver import FAREWELL, open_create
-from scan3d_twin.devices.create.emulated_body import Quirks
+from scan3d_twin.devices.create.driving import inquiry
+from scan3d_twin.devices.create.emulation.body import Quirks
 from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.create.link import HALF_DRIVE, watched_packets
 from scan3d_twin.devices.create.packets import Mode, Packet

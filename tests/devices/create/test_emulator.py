@@ -6,7 +6,7 @@ from kinematic import JumpingClock, KinematicBase
 from scan3d_twin.core.types import Hazards
 from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import CREATE1, CREATE2, Op
-from scan3d_twin.devices.create.emulated_body import Quirks
+from scan3d_twin.devices.create.emulation.body import Quirks
 from scan3d_twin.devices.create.emulator import BANNER, CreateEmulator
 from scan3d_twin.devices.create.packets import Mode, Packet, decode_packets
 

@@ -1,9 +1,9 @@
 """Readings are accepted at once on a clean link and debounced on a noisy one."""
 
 from scan3d_twin.devices.create.codec import CREATE2
+from scan3d_twin.devices.create.driving.reading_filter import NOISY_TIME, ReadingFilter
 from scan3d_twin.devices.create.link import Contact
 from scan3d_twin.devices.create.packets import Packet
-from scan3d_twin.devices.create.reading_filter import NOISY_TIME, ReadingFilter
 
 QUIET = {Packet.BUMPS_DROPS: 0, Packet.LEFT_COUNTS: 5}
 BUMPED = {Packet.BUMPS_DROPS: 2, Packet.LEFT_COUNTS: 9}

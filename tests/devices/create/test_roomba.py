@@ -15,7 +15,7 @@ from scan3d_twin.devices.create import codec as oi
 from scan3d_twin.devices.create.codec import CREATE1, CREATE2, CommandParser
 from scan3d_twin.devices.create.device import ROOMBA500, ROOMBA800
 from scan3d_twin.devices.create.driver import open_create
-from scan3d_twin.devices.create.emulated_body import Quirks
+from scan3d_twin.devices.create.emulation.body import Quirks
 from scan3d_twin.devices.create.emulator import CreateEmulator
 from scan3d_twin.devices.create.packets import DockSignal, Mode, Packet
 from scan3d_twin.devices.create.roomba import ROOMBA600, step_speed

@@ -10,7 +10,7 @@ from recorded import record
 
 from scan3d_twin.core.types import Pose2
 from scan3d_twin.recording.overview.comparison import compare_runs, find_differences, summarise
-from scan3d_twin.viz.compare_page import render_compare_page
+from scan3d_twin.viz.pages.compare_page import render_compare_page
 
 TURNED = Pose2(0.12, -0.05, 0.08)
 

@@ -13,7 +13,11 @@ from scan3d_twin.core.config import Config, MotionConfig, MountConfig, SweepConf
 from scan3d_twin.core.errors import ConfigError, MotionTimeoutError
 from scan3d_twin.core.planning.voxels import is_passed
 from scan3d_twin.core.registration import extract_surfels
-from scan3d_twin.core.scanning.extrinsics import apply_mount, lean_axis, measure_turn_rate
+from scan3d_twin.core.scanning.calibration.extrinsics import (
+    apply_mount,
+    lean_axis,
+    measure_turn_rate,
+)
 from scan3d_twin.core.scanning.patterns import find_mount, rotate_z
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.scanning.turning import turn_table

@@ -1,5 +1,5 @@
-/* Cells of a point cloud, the planes through the points around each, and their pairs: see cloud_patches.py
- * and cloud_pairs.py.
+/* Cells of a point cloud, the planes through the points around each, and their pairs: see clouds/patches.py
+ * and clouds/pairs.py.
  *
  * The moments of a cell are its number of points, their sum and the sums of their products: CELL_MOMENTS doubles. */
 #pragma once
@@ -134,7 +134,7 @@ static void fit_patch(const double *sum, double *patch) {
     patch[WINDOW] = n;
 }
 
-/* What makes a patch flat: see cloud_patches.py. */
+/* What makes a patch flat: see clouds/patches.py. */
 typedef struct {
     double points, flatness, width;
 } Flat;

@@ -1,5 +1,5 @@
 /* Nearest neighbours and plane fits of unorganised point clouds: see kd_tree.py and
- * cloud_patches.py.
+ * clouds/patches.py.
  *
  * Neighbours come from a balanced k-d tree (Bentley 1975), stored as an order of the points: those between
  * `low` and `high` are split at their median along the widest side of their bounding box. */

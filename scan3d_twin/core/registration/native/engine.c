@@ -15,7 +15,7 @@ int64_t EXPORT(estimate_noise)(const Sweep *sweep, const uint8_t *valid, double 
     return estimate_noise(sweep, valid, noise);
 }
 
-/* surfels.py and surfel_grid.py */
+/* surfels/extraction.py and surfels/grid.py */
 
 int64_t EXPORT(fit_surfels)(const Sweep *sweep, const uint8_t *valid, const uint8_t *keep,
                             const double *noise, const int64_t *half_sizes, int64_t n_windows,
@@ -164,7 +164,7 @@ double EXPORT(expect_displacement)(const double *first, const double *second,
     return expect_displacement(first, second, wide);
 }
 
-/* kd_tree.py, cloud_patches.py and cloud_pairs.py */
+/* kd_tree.py, clouds/patches.py and clouds/pairs.py */
 
 void EXPORT(build_tree)(const double *points, int64_t n, double *sorted, int32_t *order, uint8_t *axes) {
     Tree tree = {n, sorted, order, axes};
@@ -283,7 +283,7 @@ void EXPORT(count_neighbours)(const double *ranges, const double *yaws, const do
                      counts);
 }
 
-/* grids.py and target_extraction.py */
+/* grids.py and target/extraction.py */
 
 int64_t EXPORT(dilate)(const uint8_t *grid, int64_t nx, int64_t ny, const int64_t *disc, int64_t n_rows,
                         uint8_t *out) {

@@ -1,4 +1,4 @@
-/* Extraction of surfels, range noise and yaw jitter from a sweep in one pass: see surfel_grid.py. */
+/* Extraction of surfels, range noise and yaw jitter from a sweep in one pass: see surfels/grid.py. */
 #pragma once
 
 #include "noise.h"

@@ -1,5 +1,5 @@
 /* Binary grids of square cells, and connected components of a sweep: see grids.py and
- * target_extraction.py. */
+ * target/extraction.py. */
 #pragma once
 
 #include "readings.h"

@@ -1,4 +1,4 @@
-/* Surfels of a sweep, by plane fits over windows: surfels.py describes the method.
+/* Surfels of a sweep, by plane fits over windows: surfels/extraction.py describes the method.
  *
  * Only the rows in use of the summed-area table are kept. The beams of a line are processed BLOCK at a
  * time, by loops without branches; a block is finished when all its readings have a surfel. */

@@ -1,0 +1,1 @@
+"""Surfels of a sweep: extraction, noise, and the grid in which they are found."""

@@ -1,0 +1,1 @@
+"""The target: chosen in a panorama, extracted from sweeps, separated from walls."""

@@ -1,0 +1,1 @@
+"""Parts of the driver: receiving, heartbeat, inquiries and watches."""

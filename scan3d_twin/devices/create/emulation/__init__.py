@@ -1,0 +1,1 @@
+"""Parts of the emulator: body, outputs, and the script language."""
