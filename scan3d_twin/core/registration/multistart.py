@@ -91,7 +91,7 @@ def register_grids(
     result = make_result(problem, outcome, gap)
 
     # Distrust a match with another surface
-    share = find_contradicted_share(target, source, outcome.T, 2 * problem.stride)
+    share = find_contradicted_share(target, source, outcome.T, problem.stride)
     return replace(result, converged=False) if share > MAX_CONTRADICTION else result
 
 

@@ -39,10 +39,11 @@ MAX_SHARED = 0.2
 WALL_REGISTRATION = 0.06
 """Distance from a wall within which known points of the target are on it [m]: its own noise and the
 error of odometry after a move."""
-MIN_KEPT = 0.5
+MIN_KEPT = 0.3
 """Least part of the target's known places that must still show something once the walls are taken
 away (assumption); else the wall is the target, which odometry has put beside itself: by 0.2 m after
-a move of 2.5 m and a turn of 130 deg in the typical world."""
+a move of 2.5 m and a turn of 130 deg in the typical world. Of a thing at a wall up to half of the
+places are so near to it that the wall shows them, too."""
 MAX_PLACES = 2000
 """About how many known points of the target are looked at for that."""
 
