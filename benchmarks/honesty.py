@@ -17,11 +17,13 @@ covariance, ``error`` the RMS displacement of the target's points by e, ``predic
 * ``factor``: 90 % quantile of ``error`` / ``predicted``; 1.44 to 1.65 for correct covariances;
 * ``median_error_mm``, ``pairs``.
 
-Intervals (95 %) are by bootstrap over scenes. Jitter turns each line of the lidar about
-the vertical axis, unknown to the robot: a mast that vibrates.
+Intervals (95 %) are by bootstrap over scenes. With ``--overlap LOW HIGH`` each overlap is drawn
+uniformly between both, instead of planned: the predicted errors then differ more. Jitter turns each
+line of the lidar about the vertical axis, unknown to the robot: a mast that vibrates.
 
 ``python benchmarks/honesty.py [--world typical] [--jitter 0] [--scenes 300] [--jobs 1]
-[--rows FILE] [--config FILE] [--json]``; with ``--rows`` a run that was broken off goes on.
+[--overlap 0.2 0.9] [--rows FILE] [--config FILE] [--json]``; with ``--rows`` a run that was broken
+off goes on.
 """
 
 from __future__ import annotations
@@ -43,9 +45,12 @@ from watched_loop import Watcher, run_watched
 
 from scan3d_twin.core.config import preset_options
 from scan3d_twin.core.model.pose_errors import find_true_pose
+from scan3d_twin.core.planning.context import PlanningContext
+from scan3d_twin.core.planning.hidden_views import termination_plan
+from scan3d_twin.core.planning.overlap_or_default import plan_with_overlap
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Pose2
+from scan3d_twin.core.types import FloatArray, Plan, Pose2
 from scan3d_twin.run.resolve import scene_options
 from scan3d_twin.run.settings import build_settings, read_settings, world_options
 from scan3d_twin.sim.robot import open_sim
@@ -101,8 +106,28 @@ class Pair:
     M: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class DrawnOverlaps:
+    """Planner that draws each overlap between ``low`` and ``high``."""
+
+    low: float
+    high: float
+
+    def plan(self, session: Session, rng: np.random.Generator) -> Plan:
+        """Return the viewpoint for an overlap drawn uniformly."""
+        context = PlanningContext(session)
+        if plan := termination_plan(context):
+            return plan
+        overlap = float(rng.uniform(self.low, self.high))
+        return plan_with_overlap(context, overlap, f"drawn overlap: {overlap:.0%}")
+
+
 def run_scene(
-    seed: int, world: str, jitter: float, config_file: Path | None
+    seed: int,
+    world: str,
+    jitter: float,
+    config_file: Path | None,
+    overlap: Sequence[float] | None = None,
 ) -> tuple[int, list[Pair]]:
     """Return the seed and the pairs of a closed loop on its scene; none if it failed early."""
     # Choose options
@@ -117,7 +142,8 @@ def run_scene(
     # Run the loop
     config = settings.config
     with open_sim(scene, seed, settings.twin) as (robot, truth):
-        session = run_watched(f"random:{seed}", robot, config, seed, watcher)
+        planner = DrawnOverlaps(*overlap) if overlap else None
+        session = run_watched(f"random:{seed}", robot, config, seed, watcher, planner)
         if session is None:
             return seed, []
         poses = [find_true_pose(view, truth) for view in session.views]
@@ -249,6 +275,9 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=FIRST_SEED)
     parser.add_argument("--scenes", type=int, default=300)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument(
+        "--overlap", nargs=2, type=float, metavar=("LOW", "HIGH"), help="draw each overlap"
+    )
     parser.add_argument("--config", type=Path, help="a TOML file with more options")
     parser.add_argument("--rows", type=Path, help="append each scene's pairs; go on from these")
     parser.add_argument("--json", action="store_true")
@@ -259,7 +288,11 @@ def main() -> None:
     found = dict(read_rows(arguments.rows)) if arguments.rows else {}
     missing = [seed for seed in wanted if seed not in found]
     run = partial(
-        run_scene, world=arguments.world, jitter=arguments.jitter, config_file=arguments.config
+        run_scene,
+        world=arguments.world,
+        jitter=arguments.jitter,
+        config_file=arguments.config,
+        overlap=arguments.overlap,
     )
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for seed, made in pool.map(run, missing):

@@ -24,15 +24,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from cramer_rao import cramer_rao
 from registration_data import SCENES, Noise, Pair, pair, point_error
 from registration_peers import PEERS
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.registration.multistart import register_grids
-from scan3d_twin.core.registration.point_to_plane import Gate, linearise
-from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior, predict_rmse
+from scan3d_twin.core.registration.pose_prior import PosePrior
 from scan3d_twin.core.registration.surfels.grid import extract_surfels
-from scan3d_twin.core.registration.surfels.scan_noise import ScanNoise
 from scan3d_twin.core.types import RegistrationResult
 
 PRIOR_XY, PRIOR_YAW = 0.02, math.radians(2.0)
@@ -216,22 +215,6 @@ def speed(report: Report, times: dict[tuple[str, str], list[Timed]], runs: int) 
             median([timed(partial(ours_or_start, d, starts=32)).cpu for d in drawn]) / one
         )
     report.add("starts_32_vs_1", max(values), "ratio", "one start", runs)
-
-
-def cramer_rao(scene: str, sigma: float) -> float:
-    """Return the bound of the RMS point error [m]: the inverse information of noise-free scans."""
-    data = pair(scene, Noise(1e-6), 0)
-    noise = ScanNoise(sigma, 0.0)
-    target, source = (
-        extract_surfels(data.target, noise=noise),
-        extract_surfels(data.source, noise=noise),
-    )
-    equations = linearise(target, source, 1, data.truth.matrix(), 0.0, Gate(0.03, 1e3))
-    rows = np.ix_(PLANAR, PLANAR)
-    covariance = np.zeros((6, 6))
-    covariance[rows] = np.linalg.inv(equations.information[:6, :6][rows])
-    points = data.source.points[np.isfinite(data.source.ranges)]
-    return predict_rmse(data.truth.rotate(points), covariance)
 
 
 def robustness(report: Report, runs: int) -> None:

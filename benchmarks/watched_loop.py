@@ -9,7 +9,7 @@ from scan3d_twin.core.digitize import run_loop
 from scan3d_twin.core.errors import TwinError
 from scan3d_twin.core.hal import Robot
 from scan3d_twin.core.observer import Unobserved
-from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.session import Session
 
 
@@ -24,14 +24,20 @@ class Watcher(Unobserved):
 
 
 def run_watched(
-    name: str, robot: Robot, config: Config, seed: int, watcher: Watcher
+    name: str,
+    robot: Robot,
+    config: Config,
+    seed: int,
+    watcher: Watcher,
+    planner: Planner | None = None,
 ) -> Session | None:
     """Return the session, up to where an error ended it; None if that was before the first view.
 
-    The error is printed, with the ``name`` of the run.
+    The planner is that of ``config`` unless another is given. The error is printed, with the
+    ``name`` of the run.
     """
     try:
-        return run_loop(robot, make_planner(config.planner), config, seed, watcher)
+        return run_loop(robot, planner or make_planner(config.planner), config, seed, watcher)
     except TwinError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return watcher.session

@@ -1,7 +1,8 @@
 """Range noise, its correlation and yaw jitter of a sweep, from its own readings, in NumPy.
 
 At one beam the inverse range q of a plane is linear in the yaw but for terms of second order, so
-that its sixth difference D across seven lines is noise, of variance 924 s^2 / r^4.
+that its sixth difference D across seven lines is noise, of variance 924 s^2 / r^4. Of uneven lines
+D is what the sixth difference leaves without the first five powers of the yaw.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray
 SIXTH = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0])
 SQUARES = 924.0
 """Sum of the squares of ``SIXTH``."""
+POWERS = 5
+"""Powers of the yaw, from 0 on, that a difference leaves out."""
 REACH, SLOPE_REACH = 3, 2
 """Lines to each side that a sixth difference and a slope take."""
 BEAM_REACH = 4
@@ -67,10 +70,11 @@ def estimate_noise(
         rays: Directions in ``base`` of lines with elevations of their own (n_lines, n_beams, 3).
     """
     D, slope = differences(ranges, yaws, valid, rays)
+    middle = yaws[:, yaws.shape[1] // 2]
     at_zero, growth = range_noise(ranges, valid, D)
     sigma = at_zero + growth * ranges
     c = correlation(D, sigma)
-    return np.array([at_zero, growth, yaw_jitter(D, slope, sigma, c, ranges), c])
+    return np.array([at_zero, growth, yaw_jitter(D, slope, sigma, c, ranges, middle), c])
 
 
 def differences(
@@ -79,7 +83,7 @@ def differences(
     """Return r^2 times the sixth difference of 1 / r, and the slope of r over the yaw.
 
     Both (n_lines, n_beams), NaN where one of the seven readings is missing or the line has not
-    turned. Uneven yaws bend the inverse range of a plane, which the slope allows for.
+    turned.
     """
     D, slope = np.full(ranges.shape, np.nan), np.full(ranges.shape, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -87,25 +91,35 @@ def differences(
     middle = yaws[:, yaws.shape[1] // 2]
     for i in range(REACH, len(ranges) - REACH):
         lines = slice(i - REACH, i + REACH + 1)
-        turn, bend = middle[i + SLOPE_REACH] - middle[i - SLOPE_REACH], SIXTH @ middle[lines]
-        if turn == 0:
+        if middle[i + SLOPE_REACH] == middle[i - SLOPE_REACH]:
             continue
+        weights, per_yaw = stencil(middle[lines])
         whole = valid[lines].all(axis=0)
-        per_yaw = (q[i + SLOPE_REACH] - q[i - SLOPE_REACH])[whole] / turn
         square = ranges[i, whole] ** 2
-        slope[i, whole] = square * per_yaw
-        D[i, whole] = square * (SIXTH @ q[lines][:, whole] - per_yaw * bend)
+        slope[i, whole] = square * (per_yaw @ q[lines][:, whole])
+        D[i, whole] = square * (weights @ q[lines][:, whole])
         if rays is not None:
-            D[i] -= ranges[i] ** 2 * _by_elevation(q[i], rays[lines])
+            D[i] -= ranges[i] ** 2 * _by_elevation(q[i], rays[lines], weights)
     return D, slope
 
 
-def _by_elevation(q: FloatArray, rays: FloatArray) -> FloatArray:
-    """Return what the sixth difference (n_beams,) owes to the elevations of seven lines' rays."""
+def stencil(yaws: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the weights of seven lines (7,): of a difference, and of a slope independent of it."""
+    turn = yaws[REACH + SLOPE_REACH] - yaws[REACH - SLOPE_REACH]
+    powers = np.vander((yaws - yaws[REACH]) / turn, POWERS, increasing=True)
+    weights = SIXTH - powers @ np.linalg.lstsq(powers, SIXTH, rcond=None)[0]
+    weights *= math.sqrt(SQUARES / (weights @ weights))
+    per_yaw = np.zeros(len(yaws))
+    per_yaw[[REACH - SLOPE_REACH, REACH + SLOPE_REACH]] = -1.0 / turn, 1.0 / turn
+    return weights, per_yaw - (weights @ per_yaw) / SQUARES * weights
+
+
+def _by_elevation(q: FloatArray, rays: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return what the difference (n_beams,) owes to the elevations of seven lines' rays."""
     owed = np.full(len(q), np.nan)
     here, inner = rays[REACH], slice(BEAM_REACH, -BEAM_REACH)
     along = here[2 * BEAM_REACH :] - here[: -2 * BEAM_REACH]
-    off = np.einsum("k,kjm->jm", SIXTH, rays - here)[inner]
+    off = np.einsum("k,kjm->jm", weights, rays - here)[inner]
     rise = q[2 * BEAM_REACH :] - q[: -2 * BEAM_REACH]
     owed[inner] = rise * np.sum(off * along, axis=1) / np.sum(along**2, axis=1)
     return owed
@@ -177,12 +191,17 @@ def correlation(D: FloatArray, sigma: FloatArray) -> float:
 
 
 def yaw_jitter(
-    D: FloatArray, slope: FloatArray, sigma: FloatArray, c: float, ranges: FloatArray
+    D: FloatArray,
+    slope: FloatArray,
+    sigma: FloatArray,
+    c: float,
+    ranges: FloatArray,
+    yaws: FloatArray,
 ) -> float:
-    """Return the standard deviation [rad] of the lines' yaws.
+    """Return the standard deviation [rad] of the lines' ``yaws`` (n_lines,).
 
     The regression of a line's D on its slope is the sum of the yaw errors of seven lines, weighted
-    by ``SIXTH`` and by how alike their slopes are, and noise of variance 924 c k / sum w slope^2.
+    as in D and by how alike their slopes are, and noise of variance 924 c k / sum w slope^2.
     The factor k, at least 1, is what the squares of w slope (D - its regression) exceed
     924 w slope^2 by.
     """
@@ -200,7 +219,8 @@ def yaw_jitter(
             continue
         d = np.sum(w * slope[at, good] * D[at, good]) / own
         alike = near[:, good] @ (w * slope[at, good]) / own
-        gain = np.sum((SIXTH * alike) ** 2)
+        weights, _ = stencil(yaws[at - REACH : at + REACH + 1])
+        gain = np.sum((weights * alike) ** 2)
         square.append(d * d / gain)
         expected.append(SQUARES * c / own / gain)
         found += np.sum((w * slope[at, good] * (D[at, good] - slope[at, good] * d)) ** 2)

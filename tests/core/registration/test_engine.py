@@ -189,6 +189,18 @@ def test_noise(jitter: float, every: int) -> None:
     assert plain[2] > 0
 
 
+def test_noise_of_unevenly_spaced_lines() -> None:
+    """Two of them at the same yaw."""
+    sweep = image(1)
+    places = np.arange(sweep.n_lines) + np.random.default_rng(7).uniform(-0.3, 0.3, sweep.n_lines)
+    places[40] = places[41]
+    yaws = np.interp(places, np.arange(sweep.n_lines), sweep.yaws[:, 0])
+    sweep = replace(sweep, yaws=read_only(np.repeat(yaws[:, None], sweep.spec.n_beams, axis=1)))
+    valid = np.isfinite(sweep.ranges)
+    plain = reference.scan_noise.estimate_noise(sweep.ranges, sweep.yaws, valid)
+    assert estimate_noise(sweep, valid).values == pytest.approx(plain, rel=1e-8)
+
+
 def test_noise_of_lines_with_elevations_of_their_own() -> None:
     sweep = uneven(image(1))
     valid, rays = np.isfinite(sweep.ranges), Beams.of(sweep).directions

@@ -120,9 +120,9 @@ def test_correlated_noise(scene: str, width: int) -> None:
     assert np.mean(sigmas) == pytest.approx(0.005, rel=0.1)
 
 
-def rms_jitter(scene: str, jitter: float, uneven: float = 0.0) -> float:
+def rms_jitter(scene: str, jitter: float, uneven: float = 0.0, sigma: float = 0.003) -> float:
     """Return the estimate [deg] over some sweeps whose lines err by ``jitter`` [deg]."""
-    images = [observe(scene, 0.003, math.radians(jitter), uneven, seed) for seed in range(100, 112)]
+    images = [observe(scene, sigma, math.radians(jitter), uneven, seed) for seed in range(100, 112)]
     return math.degrees(math.sqrt(np.mean([estimate(image).yaw_sigma ** 2 for image in images])))
 
 
@@ -142,6 +142,13 @@ def test_steady_lines_have_little_jitter(scene: str) -> None:
 def test_uneven_lines_of_known_yaw_are_no_jitter(scene: str, limit: float) -> None:
     """The lines are a quarter of a spacing off, 0.07 deg in the RMS."""
     assert rms_jitter(scene, 0.0, uneven=0.25) < limit
+
+
+@pytest.mark.parametrize("scene", ["plane", "sine"])
+def test_uneven_lines_hide_no_more_jitter_than_even_ones(scene: str) -> None:
+    """The slopes of the range are mostly noise with 10 mm; that must not pass for a yaw error."""
+    even, uneven = (rms_jitter(scene, 0.0, shift, sigma=0.010) for shift in (0.0, 0.25))
+    assert uneven < 1.1 * even
 
 
 def test_known_noise_is_refused_where_it_is_none() -> None:

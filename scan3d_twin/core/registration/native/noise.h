@@ -1,6 +1,7 @@
 /* Noise of a sweep, estimated from its own readings: scan_noise.py describes the method. */
 #pragma once
 
+#include "stencil.h"
 #include "surfels.h"
 
 #define DEFAULT_SIGMA 0.004     /* range sigma of a URG-04LX at 0 m, if it cannot be estimated [m] */
@@ -8,7 +9,6 @@
 #define MIN_SIGMA 0.0005        /* lower bound of range sigma [m]: half a millimetre's step */
 #define MIN_RANGE_VARIANCE 2.5e-4   /* of the quartiles' mean ranges, to fit a growth with range [m2] */
 #define MAD 1.4826              /* standard deviation per median absolute deviation */
-#define SQUARES 924.0           /* sum of the squares of the SIXTH: variance of a difference of unit noise */
 #define MAX_DEVIATION 3.0       /* of a difference, in standard deviations: beyond is an edge */
 #define MAX_CORRELATION 8.0     /* of the correlation's factor */
 #define TRUNCATED 2.5465        /* 8 / pi: the mean of a normal distribution cut off at 0, nearly */
@@ -19,8 +19,6 @@
 #define CAPPED_SHARE 0.92       /* share of the mean square of normal errors that this cap leaves */
 
 enum {
-    REACH = 3,                  /* lines to each side that a sixth difference takes */
-    SLOPE_REACH = 2,            /* lines to each side that a slope takes */
     BEAM_REACH = 4,             /* beams to each side, where lines have elevations of their own */
     MIN_READINGS = 200,         /* differences that an estimate needs */
     MAX_READINGS = 1200,        /* more are thinned out: this many give the estimate to 4 % */
@@ -30,8 +28,6 @@ enum {
     MIN_LINES = 10,             /* lines that an estimate of the jitter needs */
     REWEIGHTINGS = 3,           /* iterations of the jitter's estimate */
 };
-
-static const double SIXTH[2 * REACH + 1] = {-1, 6, -15, 20, -15, 6, -1};
 
 /* Return the k-th smallest of `n` values; reorders them. */
 static double select_smallest(double *values, int64_t n, int64_t k) {
@@ -79,10 +75,12 @@ static void assign_quartiles(const double *values, int64_t n, uint8_t *quartiles
  * slope over the yaw, likewise. Both are NaN where a line has no reading. */
 typedef struct {
     double *difference, *slope;
+    Stencil stencil;
 } Across;
 
-/* Return what the sixth difference at a reading owes to the lines' own elevations. */
-static double difference_by_elevation(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j) {
+/* Return what the difference at a reading owes to the lines' own elevations. */
+static double difference_by_elevation(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j,
+                                      const Stencil *stencil) {
     if (j < BEAM_REACH || j + BEAM_REACH >= sweep->n_beams) return NAN;
     int64_t at = i * sweep->stride + j;
     if (!valid[at - BEAM_REACH] || !valid[at + BEAM_REACH]) return NAN;
@@ -94,26 +92,23 @@ static double difference_by_elevation(const Sweep *sweep, const uint8_t *valid, 
     }
     for (int k = -REACH; k <= REACH; k++)
         for (int m = 0; m < 3; m++)
-            bend += SIXTH[REACH + k] * (ray[k * sweep->ray_stride + m] - ray[m]) * along[m];
+            bend += stencil->difference[REACH + k] * (ray[k * sweep->ray_stride + m] - ray[m]) * along[m];
     double rise = 1 / sweep->ranges[at + BEAM_REACH] - 1 / sweep->ranges[at - BEAM_REACH];
     return rise * bend / square;
 }
 
-/* Return the difference of line i at beam j, given the sixth difference of the yaws; a plane gives 0. */
-static double difference_across(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j, double bend,
-                                double turn, double *slope) {
-    double sum = 0, inverse[2 * REACH + 1];
-    for (int k = -REACH; k <= REACH; k++) {
-        int64_t at = (i + k) * sweep->stride + j;
+/* Return the difference of line i at beam j; a plane gives 0. */
+static double difference_across(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j,
+                                const Stencil *stencil) {
+    double sum = 0;
+    for (int k = 0; k < ACROSS; k++) {
+        int64_t at = (i + k - REACH) * sweep->stride + j;
         if (!valid[at]) return NAN;
-        inverse[REACH + k] = 1 / sweep->ranges[at];
-        sum += SIXTH[REACH + k] * inverse[REACH + k];
+        sum += stencil->difference[k] / sweep->ranges[at];
     }
-    if (sweep->ray_stride > 0) sum -= difference_by_elevation(sweep, valid, i, j);
+    if (sweep->ray_stride > 0) sum -= difference_by_elevation(sweep, valid, i, j, stencil);
     double r = sweep->ranges[i * sweep->stride + j];
-    double per_yaw = (inverse[REACH + SLOPE_REACH] - inverse[REACH - SLOPE_REACH]) / turn;
-    *slope = r * r * per_yaw;
-    return r * r * (sum - per_yaw * bend);
+    return r * r * sum;
 }
 
 /* Inverse ranges of the lines around the one in work, NaN where there is no reading: line i is row i modulo
@@ -125,46 +120,40 @@ typedef struct {
 
 /* Write the inverse ranges of the lines about line i that are not known yet, and where each begins. */
 static void invert_lines(const Sweep *sweep, const uint8_t *valid, int64_t i, InverseRanges *inverse,
-                         const double *lines[2 * REACH + 1]) {
-    enum { N = 2 * REACH + 1 };
+                         const double *lines[ACROSS]) {
     inverse->next = inverse->next > i - REACH ? inverse->next : i - REACH;
     for (; inverse->next <= i + REACH; inverse->next++) {
         const double *ranges = sweep->ranges + inverse->next * sweep->stride;
         const uint8_t *known = valid + inverse->next * sweep->stride;
-        double *row = inverse->rows + inverse->next % N * sweep->n_beams;
+        double *row = inverse->rows + inverse->next % ACROSS * sweep->n_beams;
         for (int64_t j = 0; j < sweep->n_beams; j++) row[j] = known[j] ? 1 / ranges[j] : NAN;
     }
-    for (int k = 0; k < N; k++) lines[k] = inverse->rows + (i - REACH + k) % N * sweep->n_beams;
+    for (int k = 0; k < ACROSS; k++) lines[k] = inverse->rows + (i - REACH + k) % ACROSS * sweep->n_beams;
 }
 
-/* Write what `difference_across` gives for all of line i. */
+/* Write what `difference_across` gives for all of line i, and the slopes. */
 static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i, InverseRanges *inverse,
-                            Across out) {
-    const double *middle = sweep->yaws + sweep->n_beams / 2, *ranges = sweep->ranges + i * sweep->stride;
-    const double *lines[2 * REACH + 1];
-    double *restrict difference = out.difference, *restrict slope = out.slope;
-    double bend = 0, turn = middle[(i + SLOPE_REACH) * sweep->stride]
-                - middle[(i - SLOPE_REACH) * sweep->stride];
-    for (int k = -REACH; k <= REACH; k++) bend += SIXTH[REACH + k] * middle[(i + k) * sweep->stride];
+                            Across *out) {
+    const double *ranges = sweep->ranges + i * sweep->stride, *lines[ACROSS];
+    double *restrict difference = out->difference, *restrict slope = out->slope;
+    out->stencil = weigh_lines(sweep, i);
     invert_lines(sweep, valid, i, inverse, lines);
 
     /* sums across the lines, NaN where one has no reading, and slopes */
-    const double *restrict before = lines[REACH - SLOPE_REACH], *restrict after = lines[REACH + SLOPE_REACH];
     for (int64_t j = 0; j < sweep->n_beams; j++) {
-        double sum = 0, r = ranges[j];
-        for (int k = 0; k <= 2 * REACH; k++) sum += SIXTH[k] * lines[k][j];
-        sum = turn == 0 ? NAN : sum;
-        slope[j] = isnan(sum) ? NAN : r * r * ((after[j] - before[j]) / turn);
-        difference[j] = sum;
+        double sum = 0, per_yaw = 0, r = ranges[j];
+        for (int k = 0; k < ACROSS; k++) {
+            sum += out->stencil.difference[k] * lines[k][j];
+            per_yaw += out->stencil.slope[k] * lines[k][j];
+        }
+        difference[j] = sum, slope[j] = r * r * per_yaw;
     }
 
-    /* without what the lines' own elevations and the bend of their yaws add */
+    /* without what the lines' own elevations add */
     for (int64_t j = 0; sweep->ray_stride > 0 && j < sweep->n_beams; j++)
-        if (!isnan(difference[j])) difference[j] -= difference_by_elevation(sweep, valid, i, j);
-    for (int64_t j = 0; j < sweep->n_beams; j++) {
-        double r = ranges[j], per_yaw = (after[j] - before[j]) / turn;
-        difference[j] = r * r * (difference[j] - per_yaw * bend);
-    }
+        if (!isnan(difference[j]))
+            difference[j] -= difference_by_elevation(sweep, valid, i, j, &out->stencil);
+    for (int64_t j = 0; j < sweep->n_beams; j++) difference[j] *= ranges[j] * ranges[j];
 }
 
 /* Write the range sigma at 0 m and its growth per metre. */
@@ -176,19 +165,15 @@ static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, doubl
     if (whole < MIN_READINGS) return;
 
     /* sixth differences of inverse range */
-    const double *middle = sweep->yaws + n_beams / 2;
     int64_t step = whole / MAX_READINGS > 1 ? whole / MAX_READINGS : 1, next = 1, n = 0;
     double r[2 * MAX_READINGS], deviation[2 * MAX_READINGS], part[2 * MAX_READINGS];
     uint8_t quartiles[2 * MAX_READINGS];
     for (int64_t i = REACH; i < n_lines - REACH; i++) {
-        double bend = 0, slope, turn = middle[(i + SLOPE_REACH) * sweep->stride]
-                                     - middle[(i - SLOPE_REACH) * sweep->stride];
-        for (int k = -REACH; k <= REACH; k++) bend += SIXTH[REACH + k] * middle[(i + k) * sweep->stride];
+        const Stencil stencil = weigh_lines(sweep, i);
         for (int64_t j = 0; j < n_beams; j++) {
             if (!valid[i * sweep->stride + j] || --next > 0) continue;
             next = step;
-            if (turn == 0) continue;
-            double found = difference_across(sweep, valid, i, j, bend, turn, &slope);
+            double found = difference_across(sweep, valid, i, j, &stencil);
             if (isnan(found)) continue;
             r[n] = sweep->ranges[i * sweep->stride + j];
             deviation[n++] = fabs(found) * (MAD / sqrt(SQUARES));
@@ -281,14 +266,14 @@ typedef struct {
  * than noise and jitter do is an edge. `slopes` are those of the line and its neighbours, all known where it
  * takes part. */
 static void weigh_beams(const Sweep *sweep, int64_t i, const double noise[2],
-                        const double *restrict difference, const double *const slopes[2 * REACH + 1],
+                        const double *restrict difference, const double *const slopes[ACROSS],
                         double *restrict weights) {
     const double *restrict slope = slopes[REACH], *restrict ranges = sweep->ranges + i * sweep->stride;
     const double at_zero = noise[RANGE_SIGMA], growth = noise[RANGE_GROWTH];
     for (int64_t j = 0; j < sweep->n_beams; j++) {
         double sigma = at_zero + growth * ranges[j], steep = fabs(slope[j]), known = 0;
         double limit = sqrt(SQUARES) * (MAX_DEVIATION * sigma + 3 * EXPECTED_JITTER * steep);
-        for (int k = 0; k <= 2 * REACH; k++) known += slopes[k][j];
+        for (int k = 0; k < ACROSS; k++) known += slopes[k][j];
         int counts = (fabs(difference[j]) < limit) & (steep > MIN_SLOPE)
                    & (steep <= MAX_INCIDENCE * ranges[j]) & !isnan(known);
         weights[j] = counts ? 1 / (sigma * sigma) : 0;
@@ -299,24 +284,26 @@ static void weigh_beams(const Sweep *sweep, int64_t i, const double noise[2],
  * `weights` has room for a number per beam. */
 static void add_regression(const Sweep *sweep, int64_t i, const double noise[2], const Across *lines,
                            double *weights, Regressions *out) {
-    enum { N = 2 * REACH + 1 };
-    const double *slopes[N], *difference = lines[i % N].difference;
-    for (int k = 0; k < N; k++) slopes[k] = lines[(i + k - REACH) % N].slope;
+    const double *slopes[ACROSS], *difference = lines[i % ACROSS].difference;
+    for (int k = 0; k < ACROSS; k++) slopes[k] = lines[(i + k - REACH) % ACROSS].slope;
     weigh_beams(sweep, i, noise, difference, slopes, weights);
 
     /* sums over the beams, and what each line's error adds to them */
-    double onto = 0, own = 0, shared[N] = {0}, by_noise = 0, by_both = 0, by_yaw = 0;
+    double onto = 0, own = 0, shared[ACROSS] = {0}, by_noise = 0, by_both = 0, by_yaw = 0;
     for (int64_t j = 0; j < sweep->n_beams; j++) {
         double w = weights[j], slope = slopes[REACH][j];
         if (w == 0) continue;
         double score = w * slope * difference[j], weight = w * slope * slope;
         onto += score, own += weight;
         by_noise += score * score, by_both += score * weight, by_yaw += weight * weight;
-        for (int k = 0; k < N; k++) shared[k] += w * slope * slopes[k][j];
+        for (int k = 0; k < ACROSS; k++) shared[k] += w * slope * slopes[k][j];
     }
     if (!(own > 0)) return;
     double gain = 0;
-    for (int k = 0; k < N; k++) gain += SIXTH[k] * SIXTH[k] * (shared[k] / own) * (shared[k] / own);
+    for (int k = 0; k < ACROSS; k++) {
+        double moved = lines[i % ACROSS].stencil.difference[k] * shared[k] / own;
+        gain += moved * moved;
+    }
     double turn = onto / own;
     out->found += by_noise - 2 * turn * by_both + turn * turn * by_yaw, out->assumed += SQUARES * own;
     out->square[out->n] = turn * turn / gain;
@@ -356,26 +343,25 @@ static double find_yaw_jitter(const Regressions *lines, double correlation) {
 /* Write the noise of a sweep where it is NaN: range sigma at 0 m, its growth per metre, the factor for
  * correlated beams and the sigma of a line's yaw. Return 0, or -1 if memory runs out. */
 static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise[NOISES]) {
-    enum { N = 2 * REACH + 1 };
     const int correlated = isnan(noise[CORRELATION]), jittery = isnan(noise[YAW_SIGMA]);
     const size_t beams = (size_t)sweep->n_beams, n_lines = (size_t)sweep->n_lines;
-    double *room = malloc(sizeof *room * ((3 * N + 1) * beams + 2 * LANES + 3 * n_lines));
+    double *room = malloc(sizeof *room * ((3 * ACROSS + 1) * beams + 2 * LANES + 3 * n_lines));
     if (!room) return -1;
     if (isnan(noise[RANGE_SIGMA])) estimate_range_noise(sweep, valid, noise);
 
     /* products and regressions of the lines' differences */
-    Across lines[N];
-    for (size_t k = 0; k < N; k++) lines[k] = (Across){room + 2 * k * beams, room + (2 * k + 1) * beams};
-    InverseRanges inverse = {room + 2 * N * beams, 0};
-    double *scratch = room + 3 * N * beams, *square = scratch + beams + 2 * LANES;
+    Across lines[ACROSS];
+    for (size_t k = 0; k < ACROSS; k++) lines[k] = (Across){room + 2 * k * beams, room + (2 * k + 1) * beams, {{0}, {0}}};
+    InverseRanges inverse = {room + 2 * ACROSS * beams, 0};
+    double *scratch = room + 3 * ACROSS * beams, *square = scratch + beams + 2 * LANES;
     Lagged lagged = {0};
     Regressions regressions = {0, square, square + n_lines, square + 2 * n_lines, 0, 0};
     int64_t step = sweep->n_lines * sweep->n_beams / (16 * MAX_READINGS);
     for (int64_t i = REACH; i < sweep->n_lines - REACH; i++) {
         int multiplied = correlated && (i - REACH) % (step > 1 ? step : 1) == 0;
         if (!multiplied && !jittery) continue;
-        difference_line(sweep, valid, i, &inverse, lines[i % N]);
-        if (multiplied) add_line_products(sweep, i, noise, lines[i % N].difference, scratch, &lagged);
+        difference_line(sweep, valid, i, &inverse, &lines[i % ACROSS]);
+        if (multiplied) add_line_products(sweep, i, noise, lines[i % ACROSS].difference, scratch, &lagged);
         if (jittery && i >= 3 * REACH)  /* the slopes of the neighbours on both sides are known */
             add_regression(sweep, i - REACH, noise, lines, scratch, &regressions);
     }

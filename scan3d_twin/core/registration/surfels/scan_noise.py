@@ -3,8 +3,10 @@
 Across seven lines, at one beam, the inverse range q of a plane is linear in the yaw up to
 second-order terms. Its sixth difference D is noise of variance 924 s^2 / r^4, and far less of a
 curve than of noise: a wave of 9 lines leaves 1 / 57 of what a second difference leaves. Lines
-are independent of each other, readings of a line are not. Uneven yaws bend q, too; the slope of q
-times the sixth difference of the yaws is taken off.
+are independent of each other, readings of a line are not. Of unevenly spaced lines D is what is
+left of the sixth difference without the powers of the yaw up to the fourth, scaled to the same
+variance. The slope of the range over the yaw has no noise in common with D: where it is mostly
+noise, the two would look like a yaw error.
 
 **Range noise.** The median of |D| r^2 / sqrt(924) is taken over each quartile of the readings by
 range, and a straight line fitted through the four.
