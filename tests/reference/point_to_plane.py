@@ -124,6 +124,10 @@ class Pairs(NamedTuple):
         a: Lever arms (n, 3) [m].
         p: Source points, in the source's frame (n, 3) [m].
         q: Target points (n, 3) [m].
+        v_s: Variance of the source's reading along the normal (n,) [m2].
+        v_t: Variance of the target's (n,) [m2].
+        yaw_s: Yaw of the source's reading (n,) [rad].
+        yaw_t: Yaw of the target's (n,) [rad].
         lines: Source line of each (n,).
     """
 
@@ -137,6 +141,10 @@ class Pairs(NamedTuple):
     a: FloatArray
     p: FloatArray
     q: FloatArray
+    v_s: FloatArray
+    v_t: FloatArray
+    yaw_s: FloatArray
+    yaw_t: FloatArray
     lines: IntArray
 
 
@@ -162,7 +170,8 @@ def linearised(
     paired &= np.abs(e) < gate.distance
     paired &= np.sum((moved - q) ** 2, axis=1) < (MOST_ALONG_RAY * gate.distance) ** 2
     a, n, q, g, e, swing = (v[paired] for v in (a, n, q, g, e, swing))
-    variance = rows[paired, VARIANCE] + met[paired, VARIANCE]
+    v_s, v_t = rows[paired, VARIANCE], met[paired, VARIANCE]
+    variance = v_s + v_t
     c2 = gate.robust * gate.robust
     turn = n[:, 1] * q[:, 0] - n[:, 0] * q[:, 1]
     k = _lines_per_line(n, a, q, both.density)
@@ -172,7 +181,9 @@ def linearised(
     nu_s, nu_t = rows[paired, NORMAL_VARIANCE], met[paired, NORMAL_VARIANCE]
     nu = (nu_s + nu_t) / 4 + both.tilt
     J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
-    return Pairs(J, e, w, own, nu, nu_s, nu_t, a, rows[paired, X], q, sample.lines[paired])
+    yaw_s, yaw_t, lines = sample.yaws[paired], target.yaws[at[paired]], sample.lines[paired]
+    p = rows[paired, X]
+    return Pairs(J, e, w, own, nu, nu_s, nu_t, a, p, q, v_s, v_t, yaw_s, yaw_t, lines)
 
 
 def normal_equations(

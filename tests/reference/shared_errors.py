@@ -4,10 +4,12 @@ To each pair's residual e belongs the linear model
 
     e + J x + b_s (patch + curve(r_s)) - b_t curve(r_t) + c (yaw of the line) = noise,
 
-with b the cosine between the normal and a ray, r its length. Each of these unknowns is a column of
-the Jacobian, the normal equations follow, and the priors are added: 1 for a patch's errors in units
-of the assumed one, the stride for a line's, the inverse of the curve's covariance, and the floor's
-unevenness for the entries of the pose that are not estimated.
+with b the cosine between the normal and a ray, r its length. All derivatives are those at the point
+on the source's ray on which both readings agree best: there the share v_s / (v_s + v_t) of e has
+been taken from the source's reading, so that its noise is independent of that of e. Each of these
+unknowns is a column of the Jacobian, the normal equations follow, and the priors are added: 1 for a
+patch's errors in units of the assumed one, the stride for a line's, the inverse of the curve's
+covariance, and the floor's unevenness for the entries of the pose that are not estimated.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from scipy import sparse
 
 from reference.point_to_plane import Gate, PairNoise, Pairs, faked, linearised
 from reference.scan_arrays import Sample, Target
-from reference.surfels import X
+from reference.surfels import MIN_COSINE, X
 from scan3d_twin.core.types import FloatArray, IntArray
 
 COLUMNS, BANDS = 24, 12
@@ -111,8 +113,8 @@ def shared_errors(
     patch = _patches(pairs, T, sample, both)
     lines = np.unique(pairs.lines, return_inverse=True)[1]
     of_line = sparse.csr_array((pairs.own, (np.arange(len(lines)), lines)))
-    curve = _curve(pairs, T, target.projection.mount, both)
-    A = sparse.csr_array(sparse.hstack([patch, of_line, pairs.J[:, order], curve]))
+    J, curve = _agreed(pairs, T, target.projection.mount, both)
+    A = sparse.csr_array(sparse.hstack([patch, of_line, J[:, order], curve]))
     H, g = (A.T @ (A * pairs.w[:, None])).toarray(), A.T @ (pairs.w * pairs.e)
 
     # priors
@@ -178,17 +180,31 @@ def _patches(pairs: Pairs, T: FloatArray, sample: Sample, both: PairNoise) -> sp
     )
 
 
-def _curve(pairs: Pairs, T: FloatArray, mount: FloatArray, both: PairNoise) -> FloatArray:
-    """Return the derivatives by the knots (n, 24)."""
-    n = pairs.J[:, :3]
+def _agreed(
+    pairs: Pairs, T: FloatArray, mount: FloatArray, both: PairNoise
+) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives by pose and yaw scale (n, 7) and by the knots (n, 24).
+
+    They are taken at the points on which both readings agree.
+    """
+    n, q = pairs.J[:, :3], pairs.q
     own, own_way = rays(pairs.p, both.ahead, both.up)
-    other, other_way = rays(pairs.q, mount[5], mount[7])
-    by_own = np.sum(n * (own_way @ T[:3, :3].T), axis=1)[:, None]
-    by_other = np.sum(n * other_way, axis=1)[:, None]
-    return by_own * hats(own) - by_other * hats(other)
+    own_way = own_way @ T[:3, :3].T
+    by_own = np.sum(n * own_way, axis=1)
+    cosine = np.copysign(np.maximum(np.abs(by_own), MIN_COSINE), by_own)
+    farther = -pairs.v_s / (pairs.v_s + pairs.v_t) * pairs.e / cosine
+    a = pairs.a + farther[:, None] * own_way
+    point = a + T[:3, 3]
+    turned = (q[:, 0] * point[:, 1] - q[:, 1] * point[:, 0]) / (q[:, 0] ** 2 + q[:, 1] ** 2)
+    swing, turn = (n[:, 1] * v[:, 0] - n[:, 0] * v[:, 1] for v in (a, point))
+    g = pairs.yaw_s * swing - (pairs.yaw_t + turned) * turn
+    J = np.concatenate([n, np.cross(a, n), g[:, None]], axis=1)
+    other, other_way = rays(point, mount[5], mount[7])
+    by_other = np.sum(n * other_way, axis=1)
+    return J, by_own[:, None] * hats(own + farther) - by_other[:, None] * hats(other)
 
 
 def hats(ranges: FloatArray) -> FloatArray:
     """Return the share of each knot in a curve that is linear between them (n, 24)."""
-    at = np.minimum(ranges / SPACING, KNOTS - 1)
+    at = np.clip(ranges / SPACING, 0.0, KNOTS - 1)
     return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(KNOTS)))

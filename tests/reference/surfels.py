@@ -23,6 +23,15 @@ mean variance over the two tangents is kept. With c the factor on the variance o
 correlated along a line, and all n / L readings of a line moved together by its yaw error,
 
     v = c s^2 + (n / L) q^2 |m|^2 l^2 sigma_psi^2.
+
+Inside of a curved surface the plane lies too deep. The readings of the next smaller window lie on
+(1 + a) m, a = sum q m . x / sum (m . x)^2 - 1, and of a paraboloid the middle is farther off by the
+gain g = 1 / (1 - w), w the mean ratio of both windows' variances along lines and beams. Of a only
+what exceeds its noise counts, the share 1 - var(a) / a^2, and the surfel lies on the plane
+(1 + g a share) m:
+
+    var(a) = c s^2 (1 / sum_inner (m . x)^2 - 1 / sum (m . x)^2) + l^2 |m|^2 sigma_psi^2
+             (1 / L_inner - 1 / L).
 """
 
 from __future__ import annotations
@@ -116,10 +125,14 @@ def _fit_lines(
     sums = _summed_area(d + q[..., None] * o, q, valid)
     table = np.zeros((*ranges.shape, 8))
     line, beam = np.nonzero(keep)
-    for half in windows:
+    for half, inner in zip(windows, (*windows[1:], windows[-1]), strict=True):
         total, lines, area = _box_sums(sums, line, beam, half)
         at = (o[line, beam], d[line, beam], q[line, beam])
         rows, fits = _planes(total, lines, area, *at, noise)
+        if np.any(inner < half):
+            near, near_lines, _ = _box_sums(sums, line, beam, inner)
+            gain = 1.0 / (1.0 - np.mean(inner * (inner + 1) / (half * (half + 1))))
+            rows = _on_surface(rows, total, lines, near, near_lines, gain, *at[1:], noise)
         rows[:, 2] += lever[2]
         table[line[fits], beam[fits]] = rows[fits]
         line, beam = line[~fits], beam[~fits]
@@ -212,6 +225,38 @@ def _planes(
         fits &= of_normal < MOST_TILT**2
         rest = np.stack([by_range / square, of_normal], axis=1)
     return np.concatenate([points, normals, rest], axis=1), fits
+
+
+def _on_surface(
+    rows: FloatArray,
+    total: FloatArray,
+    lines: FloatArray,
+    near: FloatArray,
+    near_lines: FloatArray,
+    gain: float,
+    d: FloatArray,
+    q: FloatArray,
+    noise: FloatArray,
+) -> FloatArray:
+    """Return surfels (n, 8) moved along their rays onto a curved surface.
+
+    ``total`` and ``near`` are the moments (n, 11) of their windows and of those inside.
+    """
+    rows, n = rows.copy(), rows[:, N]
+    xx, xy, xz, yy, yz, zz, *b, _, _ = near.T
+    A = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.sum(n * rows[:, X], axis=1)
+        of_near = np.einsum("ni,nij,nj->n", n, A, n)
+        off = distance * np.sum(n * np.stack(b, axis=1), axis=1) / of_near - 1.0
+        of_all = distance * np.sum(n * total[:, 6:9], axis=1)
+        swing = (n[:, 1] * rows[:, 0] - n[:, 0] * rows[:, 1]) / distance
+        by_reading = q * q * rows[:, VARIANCE] * noise[3] * (1 / of_near - 1 / of_all)
+        by_line = swing**2 * noise[2] ** 2 * (1 / near_lines - 1 / lines)
+        share = np.maximum(0.0, 1.0 - (by_reading + by_line) / off**2)
+        farther = distance * (1.0 / (1.0 + gain * share * off) - 1.0) / np.sum(n * d, axis=1)
+        rows[:, X] += farther[:, None] * d
+    return rows
 
 
 def _central(total: FloatArray, points: FloatArray) -> BoolArray:

@@ -27,6 +27,15 @@ with these unknowns besides the pose and the yaw scale x:
 * **Floor**: z, roll and pitch, if they are not estimated, with the standard deviations ``height``
   and ``lean``.
 
+Noise moves a reading along its ray, and thereby the residual, its derivatives and the choice of its
+partner together. A curve or a yaw scale that the surface hardly determines would take that up. All
+derivatives are therefore those at the point of the source's ray on which both readings agree best,
+
+    a - v_s / (v_s + v_t) e / b_s d_s,
+
+with d_s the unit vector along the ray, v_s and v_t the variances of the readings along the normal:
+its noise is independent of that of e. The target's ray and yaw are those that lead to this point.
+
 ``correlation`` c_r is the factor on the variance of a mean of neighbouring readings, whose noise is
 correlated. The factor for a range bias is not applied in this step.
 

@@ -53,6 +53,26 @@ def test_normals_have_no_bias_and_the_stated_variance() -> None:
     assert lean.std() == pytest.approx(np.sqrt(rows[:, NORMAL_VARIANCE].mean()), rel=0.3)
 
 
+@pytest.mark.parametrize(
+    "body",
+    [
+        *cloud_scenes.DEGENERATE["cylinder"].bodies,
+        *cloud_scenes.DEGENERATE["sphere"].bodies,
+        cloud_scenes.Body("sphere", (1.0, 0.0, 0.3), (0.15, 0.15, 0.15)),
+    ],
+)
+def test_surfels_lie_on_round_bodies(body: cloud_scenes.Body) -> None:
+    """Planes of windows lie inside, by 1.06, 1.28 and 1.19 mm on average; noise hides half."""
+    known, off = ScanNoise(degenerate_pairs.SIGMA, 0.0), []
+    axes = 2 if body.kind == "cylinder" else 3
+    for seed in range(4):
+        sweep = degenerate_pairs.sweep((body,), Pose2(), 2.6, np.random.default_rng(seed))
+        points = extract_surfels(sweep, noise=known).rows[:, X]
+        away = np.linalg.norm((points - body.centre)[:, :axes], axis=1)
+        off.append(np.mean(away - body.size[0]))
+    assert abs(np.mean(off)) < 0.0007
+
+
 def test_normals_vary_more_across_the_ray_than_along_it() -> None:
     """By 2 / (1 + b^2) and 2 b^2 / (1 + b^2) of the stated mean, at an incidence of cosine b."""
     rng, floor = np.random.default_rng(0), cloud_scenes.DEGENERATE["floor"].bodies

@@ -53,6 +53,40 @@ static void measure_rays(const double (*restrict points)[CHUNK], int64_t n, doub
     }
 }
 
+/* Points of the source's rays on which both readings of a pair agree best: relative to the source's origin, and
+ * in the target's frame; the cosines of incidence of these rays, and the yaws at which the target sees the points. */
+typedef struct {
+    double lever[3][CHUNK], point[3][CHUNK], by_own[CHUNK], target_yaw[CHUNK];
+} Agreed;
+
+/* Find the points on which the readings of `n` pairs agree, and set the ranges of the source's rays to them. */
+static void find_agreed_points(const double *T, int64_t n, const Chunk *w, Rays *restrict own,
+                               Agreed *restrict out) {
+    for (int64_t k = 0; k < n; k++) {
+        double ray[3], by_own = 0;
+        for (int i = 0; i < 3; i++) {
+            ray[i] = T[4 * i] * own->direction[0][k] + T[4 * i + 1] * own->direction[1][k]
+                   + T[4 * i + 2] * own->direction[2][k];
+            by_own += w->J[i][k] * ray[i];
+        }
+
+        /* share the residual by the variances */
+        double share = w->source[VARIANCE][k] / (w->source[VARIANCE][k] + w->target[VARIANCE][k]);
+        double cosine = fabs(by_own) > MIN_COSINE ? by_own : copysign(MIN_COSINE, by_own);
+        double farther = -share * w->e[k] / cosine;
+        for (int i = 0; i < 3; i++) {
+            out->lever[i][k] = w->a[i][k] + farther * ray[i];
+            out->point[i][k] = out->lever[i][k] + T[4 * i + 3];
+        }
+        own->range[k] += farther;
+        out->by_own[k] = by_own;
+
+        /* turn on from the target's reading */
+        double x = w->target[X][k], y = w->target[Y][k];
+        out->target_yaw[k] = w->target_yaw[k] + (x * out->point[Y][k] - y * out->point[X][k]) / (x * x + y * y);
+    }
+}
+
 /* Places of rays on the sphere of directions: their patches, and positions in them, -1 to 1 each way. */
 typedef struct {
     int32_t patch[CHUNK];
@@ -102,7 +136,7 @@ static void add_derivative(KnotDerivatives *d, int knot, double by) {
 
 /* Add the derivatives of the curve's knots on both sides of a range. */
 static void add_knots(KnotDerivatives *d, double range, double by) {
-    double at = range / KNOT_SPACING;
+    double at = range > 0 ? range / KNOT_SPACING : 0;
     at = at > KNOTS - 1 ? KNOTS - 1 : at;
     int knot = at < KNOTS - 2 ? (int)at : KNOTS - 2;
     add_derivative(d, knot, by * (1 - (at - knot)));
@@ -198,9 +232,11 @@ static void add_chunk(const Target *target, const Sample *sample, int64_t first,
     const double *mount = target->projection.mount;
     Rays own, other;
     Places places;
+    Agreed at;
     measure_rays(w->source, n, noise->ahead, noise->up, &own);
-    measure_rays(w->target, n, mount[5], mount[7], &other);
     locate_rays(&own, n, &places);
+    find_agreed_points(T, n, w, &own, &at);
+    measure_rays(at.point, n, mount[5], mount[7], &other);
     for (int64_t k = 0; k < n; k++) {
         if (w->weight[k] == 0) continue;
         if (sample->lines[first + k] != s->line) {
@@ -208,22 +244,21 @@ static void add_chunk(const Target *target, const Sample *sample, int64_t first,
             s->line = sample->lines[first + k];
         }
 
-        /* incidence on both rays */
-        const double normal[3] = {w->J[0][k], w->J[1][k], w->J[2][k]};
-        double by_own = 0, by_other = 0;
-        for (int i = 0; i < 3; i++) {
-            double turned = 0;
-            for (int j = 0; j < 3; j++) turned += T[4 * i + j] * own.direction[j][k];
-            by_own += normal[i] * turned, by_other += normal[i] * other.direction[i][k];
-        }
+        /* derivatives by pose and yaw scale */
+        double nx = w->J[0][k], ny = w->J[1][k], nz = w->J[2][k];
+        double ax = at.lever[X][k], ay = at.lever[Y][k], az = at.lever[Z][k];
+        double swing = ny * ax - nx * ay, turn = ny * at.point[X][k] - nx * at.point[Y][k];
+        const double J[OWN] = {nx, ny, nz, ay * nz - az * ny, az * nx - ax * nz, swing,
+                               w->source_yaw[k] * swing - at.target_yaw[k] * turn};
 
-        /* derivatives by patch, pose, yaw scale and curve */
-        double patch = noise->patch * by_own;
+        /* derivatives by patch and curve */
+        double patch = noise->patch * at.by_own[k];
+        double by_other = nx * other.direction[0][k] + ny * other.direction[1][k] + nz * other.direction[2][k];
         Pair pair = {.e = w->e[k], .w = w->weight[k], .c = w->line_error[k],
                      .by_patch = {patch, patch * places.along[k], patch * places.upwards[k]},
                      .patch = s->row_of[places.patch[k]]};
-        for (int i = 0; i < OWN; i++) pair.by_state[i] = w->J[columns[i]][k];
-        add_knots(&pair.knots, own.range[k], by_own);
+        for (int i = 0; i < OWN; i++) pair.by_state[i] = J[columns[i]];
+        add_knots(&pair.knots, own.range[k], at.by_own[k]);
         add_knots(&pair.knots, other.range[k], -by_other);
         add_pair(s, &pair);
     }

@@ -17,7 +17,11 @@
                                  * window along it: up to half the way to the window's end */
 #define MIN_COSINE 0.05         /* of incidence: a plane seen flatter (87 deg) is not trusted */
 
-enum { MOMENTS = 11, BLOCK = 2 * LANES };
+enum {
+    MOMENTS = 11,
+    PRODUCTS = 9,       /* the first of them: x x^T and x q */
+    BLOCK = 2 * LANES,
+};
 
 /* Adjacent beams of a line that are fitted together, from `first` on. */
 typedef struct {
@@ -133,20 +137,63 @@ typedef struct {
     int64_t lines, n_beams;
 } Strip;
 
-/* Fit planes to windows of `half` beams to either side and keep those that fit for open readings; return
- * how many stay open. */
-static int64_t fit_planes(const Strip *strip, int64_t half, double height, double yaw_variance,
-                          double correlation, Block *restrict w) {
-    const double lines = (double)strip->lines, per_line = 1 + MAX_RSS_SIGMAS * sqrt(2.0 / lines);
-    double moments[MOMENTS][BLOCK], area[BLOCK], made[SURFEL][BLOCK], taken[BLOCK];
-    const int64_t left = strip->margin + w->first - half, right = left + 2 * half + 1;
-
-    /* sums over the windows, and their size */
-    for (int m = 0; m < MOMENTS; m++) {
+/* Write the first `count` moments of windows of `half` beams to either side. */
+static inline __attribute__((always_inline)) void sum_windows(const Strip *strip, int64_t half, int64_t first,
+                                                              int count, double (*restrict moments)[BLOCK]) {
+    const int64_t left = strip->margin + first - half, right = left + 2 * half + 1;
+    for (int m = 0; m < count; m++) {
         const double *above = strip->above + m * strip->width, *below = strip->below + m * strip->width;
         for (int64_t k = 0; k < BLOCK; k++)
             moments[m][k] = (below[right + k] - above[right + k]) - (below[left + k] - above[left + k]);
     }
+}
+
+/* The windows inside others, by whose readings the surface is found to be curved. */
+typedef struct {
+    const Strip *strip;
+    int64_t half;
+    double gain;        /* see find_gain */
+} Inner;
+
+/* Move surfels of planes along their rays onto a curved surface: by the distance of the inner windows from
+ * these planes, as far as it exceeds its noise. `moments` are those of the planes' windows, of `lines` lines. */
+static void follow_curvature(const Inner *inner, const double (*restrict moments)[BLOCK], double lines,
+                             double height, double yaw_variance, double correlation,
+                             const Block *restrict w, double (*restrict made)[BLOCK]) {
+    const double by_lines = yaw_variance * (1 / (double)inner->strip->lines - 1 / lines);
+    double near[PRODUCTS][BLOCK];
+    sum_windows(inner->strip, inner->half, w->first, PRODUCTS, near);
+    for (int64_t k = 0; k < BLOCK; k++) {
+        double xx = near[0][k], xy = near[1][k], xz = near[2][k];
+        double yy = near[3][k], yz = near[4][k], zz = near[5][k];
+        double nx = made[NX][k], ny = made[NY][k], nz = made[NZ][k], q = w->inverse_range[k];
+        double x = made[X][k], y = made[Y][k], distance = nx * x + ny * y + nz * (made[Z][k] - height);
+
+        /* the parallel plane through the inner window, and its noise */
+        double by_near = (near[6][k] * nx + near[7][k] * ny + near[8][k] * nz) * distance;
+        double of_near = nx * (xx * nx + 2 * (xy * ny + xz * nz)) + ny * (yy * ny + 2 * yz * nz) + zz * nz * nz;
+        double of_all = (moments[6][k] * nx + moments[7][k] * ny + moments[8][k] * nz) * distance;
+        double off = by_near / of_near - 1, swing = (ny * x - nx * y) / distance;
+        double noise = q * q * made[VARIANCE][k] * correlation * (1 / of_near - 1 / of_all) + swing * swing * by_lines;
+
+        /* what exceeds the noise, along the ray */
+        double share = off * off > noise ? 1 - noise / (off * off) : 0;
+        double onto = nx * w->ray[0][k] + ny * w->ray[1][k] + nz * w->ray[2][k];
+        double farther = distance * (1 / (1 + inner->gain * share * off) - 1) / onto;
+        made[X][k] += farther * w->ray[0][k], made[Y][k] += farther * w->ray[1][k];
+        made[Z][k] += farther * w->ray[2][k];
+    }
+}
+
+/* Fit planes to windows of `half` beams to either side and keep those that fit for open readings; return
+ * how many stay open. */
+static int64_t fit_planes(const Strip *strip, int64_t half, const Inner *inner, double height,
+                          double yaw_variance, double correlation, Block *restrict w) {
+    const double lines = (double)strip->lines, per_line = 1 + MAX_RSS_SIGMAS * sqrt(2.0 / lines);
+    double moments[MOMENTS][BLOCK], area[BLOCK], made[SURFEL][BLOCK], taken[BLOCK];
+
+    /* sums over the windows, and their size */
+    sum_windows(strip, half, w->first, MOMENTS, moments);
     for (int64_t k = 0; k < BLOCK; k++) {
         int64_t j = w->first + k, low = j > half ? j - half : 0;
         int64_t high = j + half + 1 < strip->n_beams ? j + half + 1 : strip->n_beams;
@@ -207,16 +254,28 @@ static int64_t fit_planes(const Strip *strip, int64_t half, double height, doubl
         taken[k] = fits ? 1 : 0;
     }
 
-    /* keep the planes that fit */
-    for (int m = 0; m < SURFEL; m++)
-        for (int64_t k = 0; k < BLOCK; k++)
-            w->found[m][k] = taken[k] > 0 ? made[m][k] : w->found[m][k];
+    /* keep the planes that fit, on the surface */
+    double kept = 0;
     int64_t open = 0;
     for (int64_t k = 0; k < BLOCK; k++) {
         w->open[k] -= taken[k];
-        open += w->open[k] > 0;
+        kept += taken[k], open += w->open[k] > 0;
     }
+    if (kept > 0 && inner->gain > 0)
+        follow_curvature(inner, moments, lines, height, yaw_variance, correlation, w, made);
+    for (int m = 0; m < SURFEL; m++)
+        for (int64_t k = 0; k < BLOCK; k++)
+            w->found[m][k] = taken[k] > 0 ? made[m][k] : w->found[m][k];
     return open;
+}
+
+/* Return the distance of a window's plane from the middle of a paraboloid over its distance from the readings of
+ * the window inside; 0 if both are as large. n readings in a row have the variance (n^2 - 1) / 12. */
+static double find_gain(const int64_t outer[2], const int64_t inner[2]) {
+    double ratio = 0;
+    for (int i = 0; i < 2; i++)
+        ratio += (double)(inner[i] * (inner[i] + 1)) / (double)(outer[i] * (outer[i] + 1)) / 2;
+    return ratio < 1 ? 1 / (1 - ratio) : 0;
 }
 
 /* Append the surfels of the wanted readings that are no longer open, and their yaws; return the new
@@ -270,7 +329,8 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
     double *turns = malloc(sizeof *turns * (size_t)(2 * depth * n_beams));
     Block w = {0};
     Strip *strips = malloc(sizeof *strips * (size_t)windows.count);
-    if (!sums || !turns || !strips) count = -1;
+    Inner *inner = malloc(sizeof *inner * (size_t)windows.count);
+    if (!sums || !turns || !strips || !inner) count = -1;
     else memset(sums, 0, sizeof *sums * (size_t)row);
 
     for (int64_t i = 0; i < n_lines && count >= 0; i++) {
@@ -288,6 +348,8 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
             int64_t l1 = i + high + 1 < n_lines ? i + high + 1 : n_lines;
             strips[k] = (Strip){sums + l0 % depth * row, sums + l1 % depth * row, margin, width,
                                 l1 - l0, n_beams};
+            int64_t next = k + 1 < windows.count ? k + 1 : k;
+            inner[k] = (Inner){strips + next, windows.half[next][1], find_gain(windows.half[k], windows.half[next])};
         }
 
         /* fit windows, largest first */
@@ -297,7 +359,7 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
             int64_t open = read_block(&needed, i, wanted, turned, noise, first, &w);
             if (open == 0) continue;
             for (int64_t k = 0; k < windows.count && open > 0; k++)
-                open = fit_planes(&strips[k], windows.half[k][1], sweep->lever[2],
+                open = fit_planes(&strips[k], windows.half[k][1], &inner[k], sweep->lever[2],
                                   noise[YAW_SIGMA] * noise[YAW_SIGMA], noise[CORRELATION], &w);
             count = append_surfels(&w, wanted, sweep->yaws + i * stride, n_beams, count, rows, of_rows,
                                    index + i * stride);
@@ -306,6 +368,7 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
     free(sums);
     free(turns);
     free(strips);
+    free(inner);
     return count;
 }
 

@@ -28,6 +28,18 @@ on the variance of a mean, and the yaw error of a line moves all its n / L readi
 
     v = c s^2 + (n / L) (q |m| l sigma_psi)^2.
 
+The plane lies inside of a round body, by as much as a range error that grows with the curvature.
+The readings of the next smaller window lie on the parallel plane (1 + a) m in the least squares,
+and the middle of a paraboloid is farther off than their mean by the gain g = 1 / (1 - w), with w
+the ratio of the windows' variances, its mean over lines and beams:
+
+    a = (sum q m . x) / sum (m . x)^2 - 1        over the smaller window,
+    var(a) = c s^2 (1 / sum_inner (m . x)^2 - 1 / sum (m . x)^2)
+             + (|m| l sigma_psi)^2 (1 / L_inner - 1 / L).
+
+What exceeds the noise counts, a share of 1 - var(a) / a^2 or 0 (the positive part of James and
+Stein, 1961): the surfel lies on the plane (1 + g a share) m. On flat ones two of three stay.
+
 ``native/surfels.h`` computes the surfels.
 """
 
