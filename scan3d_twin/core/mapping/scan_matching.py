@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -71,8 +72,10 @@ def _match_by_grid(
         result = _register_sweeps(previous, view, config, prior, workspace)
         turns = _find_better_turns(view, motion.learn(move, legs, result))
         if turns is not None:
-            previous, view = previous.with_turns(turns), view.with_turns(turns)
-            result = _register_sweeps(previous, view, config, prior, workspace)
+            before, after = previous.with_turns(turns), view.with_turns(turns)
+            with suppress(RegistrationError):
+                result = _register_sweeps(before, after, config, prior, workspace)
+                previous, view = before, after
     except RegistrationError:
         result = _fall_back_to_odometry(prior)
         result = replace(result, predicted_rmse=_predict_rmse(result, view))
