@@ -10,10 +10,22 @@ from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, RangeImage
 def mixed(
     ranges: FloatArray, elevations: FloatArray, yaws: FloatArray, noise: float, steepest: float
 ) -> BoolArray:
-    """Return whether each reading (m, n) lies between its neighbours, far from both."""
+    """Return whether each reading (m, n) lies between its neighbours, far from both.
+
+    Across lines, so is what is off the plane of the next two where the line before has no reading.
+    """
     columns = np.broadcast_to(elevations, ranges.shape)
-    along = _between(ranges, columns, noise, steepest)
-    return along | _between(ranges.T, -yaws.T, noise, steepest).T
+    found = _between(ranges, columns, noise, steepest)
+    found |= _between(ranges.T, -yaws.T, noise, steepest).T
+    found[1:-2] |= _off_end(ranges, noise)
+    found[2:-1] |= _off_end(ranges[::-1], noise)[::-1]
+    return found
+
+
+def _off_end(ranges: FloatArray, noise: float) -> BoolArray:
+    before, here, after, second = (ranges[k : len(ranges) - 3 + k] for k in range(4))
+    straight = 1.0 / (2.0 / after - 1.0 / second)
+    return np.isnan(before) & (np.abs(here - after) > noise) & (np.abs(here - straight) > noise)
 
 
 def _between(ranges: FloatArray, angles: FloatArray, noise: float, steepest: float) -> BoolArray:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +29,10 @@ from scan3d_twin.core.viewpoints import is_end_in_view
 MIN_CHANGE = 0.5
 """Change of the known scale of turns, in its standard deviations, for which sweeps are corrected
 anew (assumption)."""
+
+MAX_BEND = 0.001
+"""Displacement of the prior's mean by how a move bends for which views are registered again [m]: a
+small part of the errors of registration."""
 
 
 def predict_pose(views: Sequence[View], observation: Observation, motion: MotionModel) -> Pose2:
@@ -66,13 +72,18 @@ def _match_by_grid(
     move, legs = describe_move(previous, view.observation)
     prior = motion.prior(move, legs)
 
-    # Register on the previous view, again if that shows that the turns of both are off
+    # Register on the previous view, again by what that shows of the robot
     try:
         result = _register_sweeps(previous, view, config, prior, workspace)
-        turns = _find_better_turns(view, motion.learn(move, legs, result))
-        if turns is not None:
-            previous, view = previous.with_turns(turns), view.with_turns(turns)
-            result = _register_sweeps(previous, view, config, prior, workspace)
+        learned = motion.learn(move, legs, result)
+        better, turns = motion.prior(move, legs, learned.mean), _find_better_turns(view, learned)
+        if turns is not None or _is_apart(prior, better):
+            before, after = (
+                each if turns is None else each.with_turns(turns) for each in (previous, view)
+            )
+            with suppress(RegistrationError):
+                result = _register_sweeps(before, after, config, better, workspace)
+                previous, view = before, after
     except RegistrationError:
         result = _fall_back_to_odometry(prior)
         result = replace(result, predicted_rmse=_predict_rmse(result, view))
@@ -84,6 +95,11 @@ def _match_by_grid(
     result = replace(result, predicted_rmse=_predict_rmse(result, view))
     T_world_scan = previous.T_world_scan @ Pose2.from_matrix(result.T_target_source)
     return replace(view, T_world_scan=T_world_scan, registration=result)
+
+
+def _is_apart(prior: PosePrior, better: PosePrior) -> bool:
+    """Return whether a prior has moved by more than ``MAX_BEND``."""
+    return math.dist(prior.T[:2, 3], better.T[:2, 3]) > MAX_BEND
 
 
 def _find_better_turns(view: View, motion: MotionModel) -> TurnScale | None:

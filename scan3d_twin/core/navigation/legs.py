@@ -11,7 +11,9 @@ import math
 from collections.abc import Iterable
 from itertools import pairwise
 
-from scan3d_twin.core.types import Pose2, wrap
+import numpy as np
+
+from scan3d_twin.core.types import FloatArray, Pose2, wrap
 
 Legs = tuple[tuple[float, float], ...]
 """Turn [rad] and length of the drive that follows it [m] of each leg; the last may be a turn."""
@@ -57,6 +59,35 @@ def assume_legs(move: Pose2, heading: float = 0.0) -> Legs:
         return ((heading + wrap(move.yaw - heading), 0.0),)
     bearing = math.atan2(move.y, move.x)
     return ((heading + wrap(bearing - heading), length), (wrap(move.yaw - bearing), 0.0))
+
+
+def follow_legs(legs: Legs, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where ``legs`` lead a robot that errs, and how that depends on its errors.
+
+    Args:
+        legs: By odometry.
+        errors: Relative error of distances, drift of the heading [rad/m] and relative error of
+            turns (3,), as of ``mapping.motion_model``.
+
+    Returns:
+        x, y [m] and yaw [rad], which is not wrapped, of the end (3,), and its derivative by the
+        errors (3, 3), but for the shortening of the arcs' chords.
+    """
+    c, drift, k = errors.tolist()
+    end, A = np.zeros(3), np.zeros((3, 3))
+    turned, driven = 0.0, 0.0
+    for turn, length in legs:
+        turned += turn
+        bearing = (1.0 + k) * turned + drift * (driven + length / 2)
+        u = np.array([math.cos(bearing), math.sin(bearing)])
+        chord = length * float(np.sinc(drift * length / math.tau))
+        across = (1.0 + c) * chord * np.array([-u[1], u[0]])
+        end[:2] += (1.0 + c) * chord * u
+        A[:2] += np.stack([chord * u, (driven + length / 2) * across, turned * across], axis=1)
+        driven += length
+    A[2, 1], A[2, 2] = driven, turned
+    end[2] = (1.0 + k) * turned + drift * driven
+    return end, A
 
 
 def check_legs(legs: Legs, move: Pose2) -> bool:

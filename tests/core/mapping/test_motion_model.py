@@ -118,6 +118,22 @@ def test_the_jacobian_is_that_of_the_move(legs: Legs) -> None:
     assert wrap(found.yaw - true.yaw) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_long_drive_bends() -> None:
+    """A heading that drifts by 0.2 rad on the way round a high thing bends it by centimetres."""
+    legs: Legs = ((-0.9, 2.6), (2.2, 0.0))
+    robot = np.array([0.004, 0.08, -0.015])
+    move, true = follow(legs), follow(legs, robot)
+    known = replace(MotionModel.of((), CONFIG), before=(robot, np.eye(3)))
+    found = known.correct(move, legs)
+    assert (found.x, found.y) == pytest.approx((true.x, true.y), abs=1e-3)
+
+    # What one move teaches holds for another
+    other: Legs = ((1.2, 1.5), (0.4, 1.2), (-1.5, 0.0))
+    views = drive((legs,), robot)
+    predicted = MotionModel.of(views, CONFIG).correct(follow(other), other)
+    assert predicted.distance(follow(other, robot)) < 0.004
+
+
 def test_the_constants_of_the_robot_are_learned() -> None:
     before, after = MotionModel.of((), CONFIG), MotionModel.of(drive(MOVES[:4]), CONFIG)
     assert after.mean == pytest.approx(ROBOT, abs=2.5e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,8 +25,15 @@ from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels.extraction import X
-from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray, Observation, Pose2, read_only, rms
+from scan3d_twin.core.session import Session, View
+from scan3d_twin.core.types import (
+    FloatArray,
+    Observation,
+    Pose2,
+    RegistrationResult,
+    read_only,
+    rms,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -352,6 +360,25 @@ def test_sweeps_are_corrected_by_the_turns_that_registration_has_shown() -> None
         true = view.target.with_points_of(replace(view.image, yaws=yaws)).points
         shown = view.T_world_scan.apply(view.target.points)
         assert rms(shown - place_at(bearing).apply(true)) < 0.002
+
+
+def test_a_correction_of_turns_with_which_views_do_not_match_is_not_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A registration that does not settle came after one that did (random:20242, seed 20242)."""
+    register_sweeps = scan_matching._register_sweeps
+
+    def refuse_corrected(previous: View, view: View, *rest: Any) -> RegistrationResult:
+        if view.turns is not None:
+            raise RegistrationError("the two views contradict each other")
+        return register_sweeps(previous, view, *rest)
+
+    monkeypatch.setattr(scan_matching, "_register_sweeps", refuse_corrected)
+    session = walk_round(Config(), (0.0, math.radians(30.0)))
+    _, view = session.views
+    assert view.turns is None
+    assert view.registration is not None
+    assert view.registration.converged
 
 
 def test_sweeps_stay_as_they_are_where_the_look_around_has_shown_the_turns() -> None:

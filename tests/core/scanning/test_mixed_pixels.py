@@ -44,6 +44,21 @@ def test_what_hangs_between_two_surfaces_is_dropped_along_and_across_lines(image
     assert (clean.codes[~mixed] == VALID).all()
 
 
+@pytest.mark.parametrize("off", [-0.06, 0.06])
+@pytest.mark.parametrize("side", [1, -1])
+def test_what_hangs_beside_a_silhouette_is_dropped_where_nothing_is_behind(image, off, side):
+    wall = 1.0 / np.cos(image.yaws[:, :1])
+    ranges = np.array(np.broadcast_to(wall, image.ranges.shape))
+    ranges[30::side] = np.nan
+    clean = remove_mixed_pixels(with_ranges(image, ranges), CONFIG)
+    np.testing.assert_array_equal(np.isnan(clean.ranges), np.isnan(ranges))
+    last = 30 - side
+    ranges[last, :200] += off
+    clean = remove_mixed_pixels(with_ranges(image, ranges), CONFIG)
+    ranges[last, :200] = np.nan
+    np.testing.assert_array_equal(clean.ranges, ranges)
+
+
 def test_steep_surfaces_thin_things_and_noise_stay(image):
     yaw = image.yaws[:, :1]
     wall = 1.0 / np.cos(yaw + math.radians(50.0))  # seen at 35 to 75 deg or so

@@ -9,7 +9,7 @@ from paper import paper_config
 from synthetic import THREE_BOXES, Box, observe
 
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.scanning.target.selection import find_target, is_empty_room
+from scan3d_twin.core.scanning.target.selection import find_target, find_targets, is_empty_room
 from scan3d_twin.core.types import VALID, Observation, Pose2, read_only
 
 CONFIG = paper_config()
@@ -62,6 +62,35 @@ def test_a_thing_at_a_wall_is_preferred_to_the_wall(y: float) -> None:
     assert hint.min(axis=0) == pytest.approx([0.0, -0.35], abs=0.07)
     assert hint[:, 0].max() < 0.4
     assert hint[:, 1].max() == pytest.approx(0.35, abs=0.07)
+
+
+STEPPED = (Box((0.22, -0.8, 0.0), (0.5, 0.0, 0.6)), Box((0.0, 0.0, 0.0), (0.5, 0.4, 0.6)))
+RECEDING = (Box((0.0, 0.0, 0.0), (0.9, 0.2, 0.5)),)
+
+
+@pytest.mark.parametrize(
+    ("thing", "spawn"),
+    [(STEPPED, (-1.7, 0.0)), (STEPPED, (-1.7, -0.3)), (RECEDING, (-1.4, -0.6))],
+)
+def test_a_thing_in_pieces_is_preferred_to_a_small_one_at_a_wall(
+    thing: tuple[Box, ...], spawn: tuple[float, float]
+) -> None:
+    """Two lines on a face that recedes, or beside a step, are far apart, with nothing between."""
+    x, y = spawn
+    room = (
+        Box((x - 0.7, -3.0, 0.0), (x - 0.6, 3.0, 2.5)),  # close behind the robot
+        Box((2.5, -2.5, 0.0), (2.6, 2.5, 2.5)),
+        Box((-2.5, 2.5, 0.0), (2.5, 2.6, 2.5)),
+        Box((-2.5, -2.6, 0.0), (2.5, -2.5, 2.5)),
+    )
+    small = Box((-1.4, 2.15, 0.0), (-1.2, 2.35, 0.25))
+    seen = look((*thing, *room, small), room=False, spawn=Pose2(x, y, 0.0))
+    first, *others = (hint + spawn for hint in find_targets(seen, 3, CONFIG))
+    low, high = (np.array([getattr(box, end)[:2] for box in thing]) for end in ("low", "high"))
+    assert np.ptp(first, axis=0).max() > 0.65
+    assert np.all((first > low.min(axis=0) - 0.02) & (first < high.max(axis=0) + 0.02))
+    (other,) = others
+    assert other[:, 1].min() > 2.1
 
 
 def test_readings_scattered_in_the_air_are_no_thing() -> None:

@@ -13,7 +13,15 @@ static inline int step_between(double a, double b, double angle, double noise, d
     return (b - a > most) - (b - a < -most);
 }
 
-/* Mark the readings with a step of the same sign on both sides, along or across lines. */
+/* Return whether reading 0 of a row, of which reading -1 is missing, is off the plane through readings 1 and 2:
+ * on a plane the inverse range is linear. Readings are `stride` doubles apart. */
+static inline int is_off_end(const double *r, int64_t stride, double noise) {
+    double next = r[stride], second = r[2 * stride], straight = next * second / (2 * second - next);
+    return isnan(r[-stride]) && fabs(r[0] - next) > noise && fabs(r[0] - straight) > noise;
+}
+
+/* Mark the readings with a step of the same sign on both sides, along or across lines, and those off the end
+ * of a surface beside which nothing was read. */
 static void mark_mixed_pixels(const double *ranges, const double *elevations, int64_t own,
                               const double *yaws, int64_t n_lines, int64_t n_beams, double noise,
                               double steepest, uint8_t *mixed) {
@@ -30,6 +38,12 @@ static void mark_mixed_pixels(const double *ranges, const double *elevations, in
             int before = step_between(ranges[above], ranges[at], yaws[above] - yaws[at], noise, steepest);
             int after = step_between(ranges[at], ranges[below], yaws[at] - yaws[below], noise, steepest);
             mixed[at] |= before * after == 1;
+        }
+    for (int64_t i = 1; i < n_lines - 1; i++)
+        for (int64_t j = 0; j < n_beams; j++) {
+            const double *r = ranges + i * n_beams + j;
+            mixed[i * n_beams + j] |= (i + 2 < n_lines && is_off_end(r, n_beams, noise))
+                                   || (i > 1 && is_off_end(r, -n_beams, noise));
         }
 }
 

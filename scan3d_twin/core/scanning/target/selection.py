@@ -145,19 +145,58 @@ def _find_groups(panorama: Observation, config: Config) -> list[_Group]:
     labels = np.full(len(sweep), -1)
     labels[rest] = group_top_view(top[rest], gap) if rest.any() else 0
     members = [labels == label for label in np.unique(labels[rest])]
+    members = [member for member in members if np.count_nonzero(member) >= least]
 
     # Describe groups and walls
     passage = 2 * (config.motion.robot_radius + config.motion.clearance)
-    groups = [
-        _describe_group(image, sweep, member, foremost, limit, list(walls), passage)
-        for member in members
-        if np.count_nonzero(member) >= least
+
+    def describe(member: BoolArray) -> _Group:
+        return _describe_group(image, sweep, member, foremost, limit, list(walls), passage)
+
+    groups = [describe(member) for member in members]
+    pieces = [
+        member for member, group in zip(members, groups, strict=True) if not group.stands_free
     ]
+    groups = [group for group in groups if group.stands_free]
+    groups += [describe(thing) for thing in _join_pieces(image, sweep, pieces, foremost)]
     groups += [
         _Group(top[on_wall], _measure_salience(image, sweep.points[on_wall]))
         for on_wall in walls.values()
     ]
     return groups
+
+
+def _join_pieces(
+    image: RangeImage, sweep: Scan3D, pieces: list[BoolArray], foremost: FloatArray
+) -> list[BoolArray]:
+    """Return the things (n,) that ``pieces`` (n,) make, none of which stands free by itself.
+
+    The lines on a face that recedes are farther apart than what separates groups, and so are two
+    faces with a step between them. Where no line passes between two pieces, and the step from one
+    to the other may be that of a surface, they are one thing.
+
+    Args:
+        image: The panorama.
+        sweep: Its n points.
+        pieces: Which points are of each piece.
+        foremost: Distance of the nearest point in each line (n_lines,) [m].
+    """
+    # Find whose point is the foremost one of each line
+    owner = np.full(image.n_lines, -1)
+    for k, piece in enumerate(pieces):
+        own = _find_nearest_per_line(sweep.points[piece], sweep.lines[piece], image.n_lines)
+        owner[np.isfinite(own) & (own <= foremost)] = k
+
+    # Join what goes on from one line to the next
+    label, most = np.arange(len(pieces)), 1 + _limit_wall_step(image)
+    for line, (a, b) in enumerate(zip(np.roll(owner, 1), owner, strict=True)):
+        before, here = foremost[line - 1], foremost[line]
+        if min(a, b) >= 0 and max(before, here) <= most * min(before, here):
+            label[label == label[b]] = label[a]
+    return [
+        np.any([pieces[k] for k in np.flatnonzero(label == thing)], axis=0)
+        for thing in np.unique(label)
+    ]
 
 
 def count_least_points(config: Config) -> int:
