@@ -37,8 +37,11 @@ from scipy.stats import spearmanr
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.motion_prior import motion_prior
-from scan3d_twin.core.planning.error_prediction import ErrorPrediction
-from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
+from scan3d_twin.core.planning.prediction.error_prediction import ErrorPrediction
+from scan3d_twin.core.planning.prediction.simulated_registration import (
+    SimulatedRegistration,
+    displace_prior,
+)
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels, register
 from scan3d_twin.core.registration.multistart import MIN_CONTRADICTION_GAP
 from scan3d_twin.core.types import FloatArray, Pose2, RangeImage

@@ -16,8 +16,8 @@ from scan3d_twin.core.model.mesh import Mesh
 from scan3d_twin.core.navigation.odometry import DeadReckoning
 from scan3d_twin.core.navigation.wheel_kinematics import split_velocity
 from scan3d_twin.core.options import number
+from scan3d_twin.core.planning.candidates.hidden_views import termination_plan
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.overlap_or_default import plan_with_overlap
 from scan3d_twin.core.types import (
     VALID,

@@ -10,6 +10,8 @@ import pytest
 
 import scan3d_twin  # noqa: F401 - before NumPy: the tests compare bits with those of the program
 
+from pixels import SOON  # isort: skip
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the ports of a real robot, to run the contract on it."""
@@ -89,6 +91,7 @@ def open_page(browser):
     def opening(url, *, width=1000, height=800, **options):
         """Open ``url`` and return the watched page."""
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        context.set_default_timeout(SOON)
         contexts.append(context)
         watched = Watched(context.new_page())
         watched.page.goto(url)

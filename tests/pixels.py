@@ -8,8 +8,8 @@ from PIL import Image
 
 from scan3d_twin.recording.colours import view_colour
 
-SOON = 60_000
-"""Patience with a busy computer [ms]."""
+SOON = 120_000
+"""Patience of every page with a busy computer, which draws without a graphics card [ms]."""
 SMALL = {"width": 700, "height": 400}
 """Window that a computer without a graphics card draws quickly."""
 SCENE = {"x": 0, "y": 150, "width": 370, "height": 250}
@@ -28,6 +28,14 @@ def share_of(png, colour, within=30):
     bright = np.maximum(1.0, flat @ wanted) / (wanted @ wanted)
     off = np.abs(flat - bright[:, None] * wanted).max(axis=1)
     return np.mean((off < within * bright) & (bright > 0.4) & (bright < 1.4))
+
+
+def until(page, holds):
+    """Return whether ``holds()`` becomes true on ``page`` before patience ends."""
+    end = time.monotonic() + SOON / 1000
+    while not holds() and time.monotonic() < end:
+        page.wait_for_timeout(50)
+    return holds()
 
 
 def drawn(page, wanted, views=(0, 1, 2)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from scan3d_twin.core.planning.context import MIN_LINES, PlanningContext
 from scan3d_twin.core.planning.planners.curvature import score_features
-from scan3d_twin.core.planning.surface_patches import extract_patches, lidar_height
+from scan3d_twin.core.planning.surface.surface_patches import extract_patches, lidar_height
 from scan3d_twin.core.session import Session
 
 SCORED_SHARE = 0.5

@@ -360,9 +360,8 @@ def test_a_dot_is_hit_beside_it_and_leads_to_its_run(shown):
     page.mouse.move(*place)
     assert page.locator(".plot .pointed").first.inner_text() in words
     page.mouse.click(*place)
-    assert page.evaluate("location.hash").startswith("#run-")
-    focused = page.evaluate("document.activeElement.id")
-    assert f"#{focused}" == page.evaluate("location.hash")
+    page.wait_for_function("location.hash.startsWith('#run-')")
+    page.wait_for_function("location.hash === '#' + document.activeElement.id")
     assert target.startswith("#run-")
 
 

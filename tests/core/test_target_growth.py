@@ -10,7 +10,7 @@ from synthetic import Box
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import integrate
-from scan3d_twin.core.planning.hidden_surface import _recall_profiles
+from scan3d_twin.core.planning.candidates.hidden_surface import _recall_profiles
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.target_growth import extend_targets
 from scan3d_twin.core.types import Pose2

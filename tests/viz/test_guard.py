@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 import pytest
 import viser
-from pixels import SMALL, SOON
+from pixels import SMALL
 
 from scan3d_twin.core.errors import LinkError
 from scan3d_twin.viz.served.live import open_live_view
@@ -185,7 +185,7 @@ def test_a_page_of_another_origin_gets_no_byte_and_presses_no_button(view, open_
 
     opened, address = view
     shown = open_page(address, **SMALL)
-    shown.page.get_by_role("button", name="Pause").wait_for(timeout=SOON)
+    shown.page.get_by_role("button", name="Pause").wait_for()
     place = json.dumps(urlsplit(address).netloc)
     with other_origin(tmp_path, EVIL % place) as url:
         evil = shown.page.context.new_page()  # the same browser, with the cookie of the view
@@ -195,10 +195,10 @@ def test_a_page_of_another_origin_gets_no_byte_and_presses_no_button(view, open_
     assert len(opened._server.get_clients()) == 1
     assert opened.command() == "go"
     shown.page.get_by_role("button", name="Pause").click()  # the user's own page can
-    shown.page.get_by_role("button", name="Continue").wait_for(timeout=SOON)
+    shown.page.get_by_role("button", name="Continue").wait_for()
     assert opened.command() == "pause"
     shown.page.goto(address.partition("?")[0])  # the cookie keeps the page open
-    shown.page.get_by_role("button", name="Continue").wait_for(timeout=SOON)
+    shown.page.get_by_role("button", name="Continue").wait_for()
     assert shown.errors == []
 
 
@@ -208,7 +208,7 @@ def test_text_of_a_session_is_shown_and_never_obeyed(session, open_page):
     with open_server(LOOPBACK, 0, HOSTILE) as (server, address):
         SessionView(server, HOSTILE, named)
         shown = open_page(address, **SMALL)
-        shown.page.get_by_text("**f**").first.wait_for(timeout=SOON)
+        shown.page.get_by_text("**f**").first.wait_for()
         assert shown.page.get_by_text("<iframe src=http").count() >= 2
         assert shown.page.locator("img[src^=http], iframe").count() == 0
         assert shown.page.evaluate("globalThis.taken") is None
@@ -219,9 +219,9 @@ def test_an_event_of_a_run_is_text_too(view, open_page):
     opened, address = view
     shown = open_page(address, **SMALL)
     opened.on_event(HOSTILE)
-    shown.page.get_by_text("**f**").first.wait_for(timeout=SOON)
+    shown.page.get_by_text("**f**").first.wait_for()
     opened.finish(HOSTILE.replace("**f**", "the end"))
-    shown.page.get_by_text("the end").first.wait_for(timeout=SOON)
+    shown.page.get_by_text("the end").first.wait_for()
     assert shown.page.evaluate("globalThis.taken") is None
     assert (shown.errors, shown.asked) == ([], [])
 

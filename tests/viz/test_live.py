@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from paper import paper_config
-from pixels import SMALL, SOON, drawn
+from pixels import SMALL, drawn
 from scipy.spatial import cKDTree
 
 from scan3d_twin.api.watch import RunWatcher
@@ -260,18 +260,18 @@ def test_a_run_can_be_watched_paused_continued_and_stopped_in_a_browser(open_pag
         run.start()
         shown = open_page(notes[0].removeprefix("live view: "), **SMALL)
         page = shown.page
-        page.get_by_text("paused", exact=True).wait_for(timeout=SOON)
-        page.get_by_text("1 views").wait_for(timeout=SOON)
+        page.get_by_text("paused", exact=True).wait_for()
+        page.get_by_text("1 views").wait_for()
         assert drawn(page, {0}, views=(0, 2)) == {0}
-        page.get_by_text("predicted error").wait_for(timeout=SOON)
+        page.get_by_text("predicted error").wait_for()
         view._set_speed("10x")
         page.get_by_role("button", name="Continue").click()
-        page.get_by_text("driving to viewpoint 1").wait_for(timeout=SOON)
+        page.get_by_text("driving to viewpoint 1").wait_for()
         assert run.is_alive()
         page.get_by_role("button", name="Stop").click()
         run.join(10)
         assert not run.is_alive()
         assert isinstance(run.error, KeyboardInterrupt)
-        page.get_by_text("over", exact=True).wait_for(timeout=SOON)
-        assert not page.get_by_role("button", name="Stop").is_visible()
+        page.get_by_text("over", exact=True).wait_for()
+        page.get_by_role("button", name="Stop").wait_for(state="hidden")
         assert (shown.errors, shown.asked) == ([], [])

@@ -380,8 +380,8 @@ def test_every_control_is_reached_by_the_keyboard(open_page, url):
 
 def test_in_print_nothing_lies_on_the_still_picture(open_page, url):
     page = open_page(url).page
-    settle(page)
     page.select_option("#colouring", "height")
+    settle(page)
     assert page.locator("#model .scale").is_visible()
     assert page.locator("#model .legend").is_visible()
     page.emulate_media(media="print")

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pixels import SMALL, SOON, drawn, pixels
+from pixels import SMALL, drawn, pixels, until
 
 from scan3d_twin.viz.served.server import LOOPBACK, open_server
 from scan3d_twin.viz.served.session_view import SessionView
@@ -17,7 +17,7 @@ def test_a_page_that_comes_while_the_camera_is_aimed_looks_at_the_target(session
         aimed = server.initial_camera.look_at
         server.initial_camera.look_at = (0.0, 0.0, 9.0)  # what the page begins with
         shown = open_page(address, **SMALL)
-        shown.page.get_by_text("view 2 (3 of 3 views)").wait_for(timeout=SOON)
+        shown.page.get_by_text("view 2 (3 of 3 views)").wait_for()
         assert drawn(shown.page, {0, 1, 2}) == {0, 1, 2}
         (client,) = server.get_clients().values()
         np.testing.assert_allclose(client.camera.look_at, aimed, atol=1e-3)
@@ -28,18 +28,18 @@ def test_a_session_is_shown_by_view_back_and_forth_light_and_dark(session, open_
         SessionView(server, "boxes", session)
         shown = open_page(address, **SMALL)
         page = shown.page
-        page.get_by_text("view 2 (3 of 3 views)").wait_for(timeout=SOON)
+        page.get_by_text("view 2 (3 of 3 views)").wait_for()
         assert drawn(page, {0, 1, 2}) == {0, 1, 2}
 
         page.get_by_role("slider").first.focus()
         page.keyboard.press("ArrowLeft")
-        page.get_by_text("view 1 (2 of 3 views)").wait_for(timeout=SOON)
-        page.get_by_text("15.0 mm").first.wait_for(timeout=SOON)  # what its plan predicted
+        page.get_by_text("view 1 (2 of 3 views)").wait_for()
+        page.get_by_text("15.0 mm").first.wait_for()  # what its plan predicted
         assert drawn(page, {0, 1}) == {0, 1}
 
         page.get_by_role("checkbox").nth(1).check(force=True)
         dark = "document.querySelector('[data-mantine-color-scheme=dark]') !== null"
-        page.wait_for_function(dark, timeout=SOON)
+        page.wait_for_function(dark)
         assert (shown.errors, shown.asked) == ([], [])
 
 
@@ -171,13 +171,13 @@ def test_a_recording_plays_fits_and_is_saved_as_a_picture(moved, open_page):
         view = SessionView(server, "boxes", session, track=track, truth=lambda: triangle)
         shown = open_page(address, **SMALL)
         page = shown.page
-        page.get_by_role("status").get_by_text("finished").wait_for(timeout=SOON)
+        page.get_by_role("status").get_by_text("finished").wait_for()
         assert page.title() == "boxes - scan3d_twin"
 
         # The true surface
         assert server.scene.get_handle_by_name("/truth") is None
         page.get_by_role("checkbox").nth(3).check(force=True)
-        page.wait_for_timeout(300)
+        assert until(page, lambda: server.scene.get_handle_by_name("/truth") is not None)
         assert len(server.scene.get_handle_by_name("/truth").vertices) == 3
 
         # The camera
@@ -185,12 +185,11 @@ def test_a_recording_plays_fits_and_is_saved_as_a_picture(moved, open_page):
         before, middle = client.camera.position, client.camera.look_at
         client.camera.position = before + 1.0
         page.get_by_role("button", name="Fit to target").click()
-        page.wait_for_timeout(300)
-        np.testing.assert_allclose(client.camera.position, before, atol=1e-3)
-        np.testing.assert_allclose(client.camera.look_at, middle, atol=1e-3)
+        assert until(page, lambda: np.allclose(client.camera.position, before, atol=1e-3))
+        assert until(page, lambda: np.allclose(client.camera.look_at, middle, atol=1e-3))
 
         # A picture
-        with page.expect_download(timeout=SOON) as download:
+        with page.expect_download() as download:
             page.get_by_role("button", name="Screenshot").click()
         picture = pixels(Path(download.value.path()).read_bytes())
         assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 10
@@ -199,10 +198,10 @@ def test_a_recording_plays_fits_and_is_saved_as_a_picture(moved, open_page):
         page.get_by_role("combobox", name="Speed").click()
         page.get_by_role("option", name="30x").click()
         page.get_by_role("button", name="Play").click()
-        page.get_by_text("no view (0 of 3 views)").wait_for(timeout=SOON)
-        page.get_by_text("view 0 (1 of 3 views)").wait_for(timeout=SOON)
+        page.get_by_text("no view (0 of 3 views)").wait_for()
+        page.get_by_text("view 0 (1 of 3 views)").wait_for()
         page.get_by_role("button", name="Pause").click()
-        page.get_by_role("button", name="Play").wait_for(timeout=SOON)
+        page.get_by_role("button", name="Play").wait_for()
         stopped = view._time.value
         assert stopped < view._timeline.end
         page.wait_for_timeout(300)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
-from scan3d_twin.core.planning.surface_prediction import Prediction, predict_surface
+from scan3d_twin.core.planning.surface.surface_prediction import Prediction, predict_surface
 from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.scanning.smoothing import smooth
 from scan3d_twin.core.session import Session, View

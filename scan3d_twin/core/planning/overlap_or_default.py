@@ -15,7 +15,7 @@ from statistics import median
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.planning.context import PlanningContext, blocked_plan, to_world
-from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.planning.prediction.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, Plan, Pose2

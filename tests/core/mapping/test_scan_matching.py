@@ -19,7 +19,7 @@ from scan3d_twin.core.mapping.motion_prior import motion_prior
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.error_prediction import ErrorPrediction
+from scan3d_twin.core.planning.prediction.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.pose_prior import PLANAR

@@ -14,13 +14,13 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.digitize import digitize
 from scan3d_twin.core.observer import Unobserved
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.error_prediction import predict_by_odometry
 from scan3d_twin.core.planning.overlap_or_default import (
     describe_shortfall,
     expect_accuracy,
     plan_smallest_overlap,
 )
 from scan3d_twin.core.planning.planners.fisher import FisherPlanner
+from scan3d_twin.core.planning.prediction.error_prediction import predict_by_odometry
 from scan3d_twin.core.types import Plan, Pose2
 from scan3d_twin.core.viewpoints import MAX_FRONT_ANGLE, measure_angle
 from scan3d_twin.sim.robot import open_sim

@@ -12,11 +12,11 @@ from paper import paper_config, paper_planning, paper_sweep
 from sessions import session_at
 from synthetic import THREE_BOXES, Box
 
-from scan3d_twin.core.planning import hidden_views as closing
+from scan3d_twin.core.planning.candidates import hidden_views as closing
+from scan3d_twin.core.planning.candidates.hidden_surface import FACE_DEPTH, HiddenSurface
+from scan3d_twin.core.planning.candidates.hidden_views import termination_plan
+from scan3d_twin.core.planning.candidates.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.context import Placement, PlanningContext
-from scan3d_twin.core.planning.hidden_surface import FACE_DEPTH, HiddenSurface
-from scan3d_twin.core.planning.hidden_views import termination_plan
-from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2
 

@@ -10,7 +10,7 @@ from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.planners.curvature import score_features
 from scan3d_twin.core.planning.planners.pito import measure_resampled_area
-from scan3d_twin.core.planning.surface_patches import Eye, Patches, extract_view_patches
+from scan3d_twin.core.planning.surface.surface_patches import Eye, Patches, extract_view_patches
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 

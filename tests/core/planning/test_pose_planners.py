@@ -11,10 +11,14 @@ from paper import paper_config
 from sessions import BOX, WALL, session_at, with_baselines
 
 from scan3d_twin.core.planning import make_planner
+from scan3d_twin.core.planning.candidates.pose_candidates import (
+    MAX_STANDOFFS,
+    MIN_STANDOFFS,
+    PoseCandidates,
+)
 from scan3d_twin.core.planning.planners.ig import compute_gain, compute_utility, rate_share
 from scan3d_twin.core.planning.planners.see import find_frontier
-from scan3d_twin.core.planning.pose_candidates import MAX_STANDOFFS, MIN_STANDOFFS, PoseCandidates
-from scan3d_twin.core.planning.voxels import FREE, OCCUPIED, UNKNOWN, Rays, VoxelMap
+from scan3d_twin.core.planning.surface.voxels import FREE, OCCUPIED, UNKNOWN, Rays, VoxelMap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 from scan3d_twin.core.viewpoints import MAX_FRONT_ANGLE

@@ -9,7 +9,7 @@ import pytest
 from sessions import BOX, session_at
 from synthetic import Box
 
-from scan3d_twin.core.planning.profiles import Edge, Profile, _find_ranked
+from scan3d_twin.core.planning.candidates.profiles import Edge, Profile, _find_ranked
 from scan3d_twin.core.types import FloatArray, Pose2
 
 GAP = (Box((1.0, 0.05, 0.0), (1.4, 0.6, 0.6)), Box((1.0, -0.6, 0.0), (1.4, -0.05, 0.6)))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import betabinom
 
-from scan3d_twin.core.planning.sequential_test import (
+from scan3d_twin.core.planning.prediction.sequential_test import (
     _probability_at_most,
     count_allowed_failures,
     is_decided,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scan3d_twin.core.planning.set_cover import Cover, solve_chain_cover, solve_set_cover
+from scan3d_twin.core.planning.surface.set_cover import Cover, solve_chain_cover, solve_set_cover
 from scan3d_twin.core.types import BoolArray
 
 

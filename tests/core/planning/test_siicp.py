@@ -13,9 +13,12 @@ from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.errors import UnknownNameError
 from scan3d_twin.core.planning import list_planners, make_planner
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
 from scan3d_twin.core.planning.overlap_or_default import list_overlaps
 from scan3d_twin.core.planning.planners.siicp import simulate_error
+from scan3d_twin.core.planning.prediction.motion_error import (
+    sample_motion_noise,
+    scale_motion_error,
+)
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Plan, Pose2
 

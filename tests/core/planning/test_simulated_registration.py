@@ -18,9 +18,12 @@ from scan3d_twin.core.mapping.motion_prior import motion_prior
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning import make_planner
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
-from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration, displace_prior
-from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
-from scan3d_twin.core.planning.visibility import NextSweep
+from scan3d_twin.core.planning.prediction.simulated_registration import (
+    SimulatedRegistration,
+    displace_prior,
+)
+from scan3d_twin.core.planning.prediction.virtual_scan import DrawnNoise, Planes, Surface
+from scan3d_twin.core.planning.surface.visibility import NextSweep
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels import grid as surfel_grid
 from scan3d_twin.core.registration.surfels.extraction import N

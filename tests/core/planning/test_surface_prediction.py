@@ -11,7 +11,7 @@ from paper import paper_config
 from sessions import WALL, session_at
 
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.surface_prediction import (
+from scan3d_twin.core.planning.surface.surface_prediction import (
     HOLD_OUT_SHARE,
     PROFILE_STEP,
     predict_surface,

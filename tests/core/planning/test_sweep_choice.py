@@ -11,8 +11,8 @@ from sessions import BOX, PILASTERS, WALL, session_at
 
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.planners.fisher import FisherPlanner
+from scan3d_twin.core.planning.prediction.error_prediction import ErrorPrediction
 from scan3d_twin.core.planning.sweep_choice import SectorError, measure_sector, narrow_sweep
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2

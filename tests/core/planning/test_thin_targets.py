@@ -11,8 +11,11 @@ from synthetic import Box, observe
 from scan3d_twin.core.config import Scope
 from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.error_prediction import MIN_SHARED_SURFELS, ErrorPrediction
-from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
+from scan3d_twin.core.planning.prediction.error_prediction import (
+    MIN_SHARED_SURFELS,
+    ErrorPrediction,
+)
+from scan3d_twin.core.planning.prediction.simulated_registration import SimulatedRegistration
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Observation, Pose2
 

@@ -9,14 +9,14 @@ import synthetic
 from paper import paper_config
 from sessions import BOX, session_at
 
-from scan3d_twin.core.planning.surface_patches import (
+from scan3d_twin.core.planning.surface.surface_patches import (
     Eye,
     Patches,
     extract_patches,
     extract_view_patches,
     merge_patches,
 )
-from scan3d_twin.core.planning.voxels import (
+from scan3d_twin.core.planning.surface.voxels import (
     FREE,
     OCCUPIED,
     UNKNOWN,

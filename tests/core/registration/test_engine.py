@@ -35,7 +35,7 @@ from scan3d_twin.core.config import MountConfig
 from scan3d_twin.core.errors import ConfigError, FileError
 from scan3d_twin.core.grids import dilate, label_cells
 from scan3d_twin.core.navigation.costmap import RESOLUTION
-from scan3d_twin.core.planning.virtual_scan import _list_rays
+from scan3d_twin.core.planning.prediction.virtual_scan import _list_rays
 from scan3d_twin.core.registration import native
 from scan3d_twin.core.registration.algebra import find_determined, invert_information, marginalise
 from scan3d_twin.core.registration.clouds.pairs import PAIR

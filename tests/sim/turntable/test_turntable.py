@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from scan3d_twin.core.config import Config, MotionConfig, MountConfig, SweepConfig
 from scan3d_twin.core.errors import ConfigError, MotionTimeoutError
-from scan3d_twin.core.planning.voxels import is_passed
+from scan3d_twin.core.planning.surface.voxels import is_passed
 from scan3d_twin.core.registration import extract_surfels
 from scan3d_twin.core.scanning.calibration.extrinsics import (
     apply_mount,

@@ -16,10 +16,10 @@ import math
 
 import numpy as np
 
+from scan3d_twin.core.planning.candidates.hidden_views import termination_plan
 from scan3d_twin.core.planning.context import PlanningContext, to_world
-from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.overlap_or_default import list_overlaps, plan_with_overlap
-from scan3d_twin.core.planning.surface_patches import Patches, extract_patches, lidar_height
+from scan3d_twin.core.planning.surface.surface_patches import Patches, extract_patches, lidar_height
 from scan3d_twin.core.planning_config import Feature
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Candidate, Plan

@@ -10,11 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.planning.candidates.hidden_views import termination_plan
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.error_prediction import ErrorPrediction, predict_by_odometry
-from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.overlap_or_default import plan_smallest_overlap
-from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
+from scan3d_twin.core.planning.prediction.error_prediction import (
+    ErrorPrediction,
+    predict_by_odometry,
+)
+from scan3d_twin.core.planning.prediction.simulated_registration import SimulatedRegistration
 from scan3d_twin.core.planning.sweep_choice import narrow_sweep
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from scan3d_twin.core.planning.candidates.hidden_views import termination_plan
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.hidden_views import termination_plan
 from scan3d_twin.core.planning.overlap_or_default import plan_with_overlap
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan

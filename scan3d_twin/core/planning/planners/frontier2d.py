@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scan3d_twin.core.planning.candidates.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.context import stop_plan
-from scan3d_twin.core.planning.pose_candidates import PoseCandidates
-from scan3d_twin.core.planning.surface_patches import Eye
-from scan3d_twin.core.planning.voxels import (
+from scan3d_twin.core.planning.surface.surface_patches import Eye
+from scan3d_twin.core.planning.surface.voxels import (
     FLOOR_TOP,
     FREE,
     RAY_START,

@@ -21,9 +21,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from scan3d_twin.core.planning.candidates.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.context import stop_plan
-from scan3d_twin.core.planning.pose_candidates import PoseCandidates
-from scan3d_twin.core.planning.voxels import OCCUPIED, UNKNOWN, Rays, VoxelMap
+from scan3d_twin.core.planning.surface.voxels import OCCUPIED, UNKNOWN, Rays, VoxelMap
 from scan3d_twin.core.planning_config import Gain
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan

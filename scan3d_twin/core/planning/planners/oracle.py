@@ -25,6 +25,7 @@ from scan3d_twin.core.model.coverable import (
 )
 from scan3d_twin.core.model.pose_errors import find_true_pose, lay_on_truth
 from scan3d_twin.core.model.truth import Truth
+from scan3d_twin.core.planning.candidates.pose_candidates import MAX_STANDOFFS, MIN_STANDOFFS
 from scan3d_twin.core.planning.context import (
     PlanningContext,
     blocked_plan,
@@ -32,8 +33,7 @@ from scan3d_twin.core.planning.context import (
     stop_plan,
 )
 from scan3d_twin.core.planning.overlap_or_default import predict_error
-from scan3d_twin.core.planning.pose_candidates import MAX_STANDOFFS, MIN_STANDOFFS
-from scan3d_twin.core.planning.set_cover import Cover, solve_chain_cover, solve_set_cover
+from scan3d_twin.core.planning.surface.set_cover import Cover, solve_chain_cover, solve_set_cover
 from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, Candidate, FloatArray, IntArray, Plan, Pose2

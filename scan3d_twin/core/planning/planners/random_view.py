@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from scan3d_twin.core.planning.candidates.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.context import stop_plan
-from scan3d_twin.core.planning.pose_candidates import PoseCandidates
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan
 

@@ -13,11 +13,11 @@ import math
 
 import numpy as np
 
+from scan3d_twin.core.planning.candidates.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.context import stop_plan
-from scan3d_twin.core.planning.pose_candidates import PoseCandidates
-from scan3d_twin.core.planning.set_cover import Cover, solve_set_cover
-from scan3d_twin.core.planning.surface_patches import PATCH_SIZE
-from scan3d_twin.core.planning.voxels import VOXEL_SIZE
+from scan3d_twin.core.planning.surface.set_cover import Cover, solve_set_cover
+from scan3d_twin.core.planning.surface.surface_patches import PATCH_SIZE
+from scan3d_twin.core.planning.surface.voxels import VOXEL_SIZE
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, Plan
 

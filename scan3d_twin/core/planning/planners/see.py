@@ -23,9 +23,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
+from scan3d_twin.core.planning.candidates.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.context import stop_plan
-from scan3d_twin.core.planning.pose_candidates import PoseCandidates
-from scan3d_twin.core.planning.surface_patches import Patches, lidar_height
+from scan3d_twin.core.planning.surface.surface_patches import Patches, lidar_height
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import BoolArray, FloatArray, Plan, Pose2
 

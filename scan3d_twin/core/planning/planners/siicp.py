@@ -16,12 +16,15 @@ from collections.abc import Callable
 import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
+from scan3d_twin.core.planning.candidates.hidden_views import termination_plan
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.planning.error_measure import measure_error
-from scan3d_twin.core.planning.hidden_views import termination_plan
-from scan3d_twin.core.planning.motion_error import sample_motion_noise, scale_motion_error
 from scan3d_twin.core.planning.overlap_or_default import list_overlaps, plan_smallest_overlap
-from scan3d_twin.core.planning.simulated_registration import SimulatedRegistration
+from scan3d_twin.core.planning.prediction.error_measure import measure_error
+from scan3d_twin.core.planning.prediction.motion_error import (
+    sample_motion_noise,
+    scale_motion_error,
+)
+from scan3d_twin.core.planning.prediction.simulated_registration import SimulatedRegistration
 from scan3d_twin.core.planning_config import PlanningConfig
 from scan3d_twin.core.registration.icp import find_border, register
 from scan3d_twin.core.registration.kd_tree import Tree

@@ -20,8 +20,8 @@ from functools import cached_property
 import numpy as np
 
 from scan3d_twin.core.grids import dilate, erode
-from scan3d_twin.core.planning.profiles import Edge, Profile
-from scan3d_twin.core.planning.voxels import is_passed
+from scan3d_twin.core.planning.candidates.profiles import Edge, Profile
+from scan3d_twin.core.planning.surface.voxels import is_passed
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.session import Session, View, Workspace
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2

@@ -20,14 +20,14 @@ from scan3d_twin.core.planning.context import (
     stop_plan,
 )
 from scan3d_twin.core.planning.overlap_or_default import predict_error
-from scan3d_twin.core.planning.surface_patches import (
+from scan3d_twin.core.planning.surface.surface_patches import (
     Eye,
     Patches,
     extract_view_patches,
     measure_overlap,
     merge_patches,
 )
-from scan3d_twin.core.planning.voxels import (
+from scan3d_twin.core.planning.surface.voxels import (
     VOXEL_SIZE,
     Rays,
     VoxelMap,

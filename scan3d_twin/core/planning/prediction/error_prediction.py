@@ -27,7 +27,12 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.mapping.motion_model import MotionModel
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
-from scan3d_twin.core.planning.visibility import NextSweep, Visible, find_visible, measure_ranges
+from scan3d_twin.core.planning.surface.visibility import (
+    NextSweep,
+    Visible,
+    find_visible,
+    measure_ranges,
+)
 from scan3d_twin.core.registration import SurfelGrid
 from scan3d_twin.core.registration.algebra import find_determined, marginalise
 from scan3d_twin.core.registration.point_to_plane import (

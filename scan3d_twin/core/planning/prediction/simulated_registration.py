@@ -21,10 +21,10 @@ from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.mapping.motion_model import MotionModel
 from scan3d_twin.core.mapping.scan_matching import surfels_of
 from scan3d_twin.core.planning.context import PlanningContext, mask_readings
-from scan3d_twin.core.planning.error_prediction import MIN_SHARED_SHARE
-from scan3d_twin.core.planning.sequential_test import is_decided
-from scan3d_twin.core.planning.virtual_scan import DrawnNoise, Planes, Surface
-from scan3d_twin.core.planning.visibility import NextSweep
+from scan3d_twin.core.planning.prediction.error_prediction import MIN_SHARED_SHARE
+from scan3d_twin.core.planning.prediction.sequential_test import is_decided
+from scan3d_twin.core.planning.prediction.virtual_scan import DrawnNoise, Planes, Surface
+from scan3d_twin.core.planning.surface.visibility import NextSweep
 from scan3d_twin.core.registration import PosePrior, SurfelGrid, register
 from scan3d_twin.core.registration.pose_prior import PLANAR
 from scan3d_twin.core.registration.surfels.extraction import X

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scan3d_twin.core.moving_windows import open_by_box
-from scan3d_twin.core.planning.surface_patches import Eye
+from scan3d_twin.core.planning.surface.surface_patches import Eye
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import (
     UNMEASURED,

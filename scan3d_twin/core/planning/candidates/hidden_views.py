@@ -16,11 +16,11 @@ import numpy as np
 
 from scan3d_twin.core.errors import RegistrationError
 from scan3d_twin.core.model.fused_cloud import thin_by_voxel
+from scan3d_twin.core.planning.candidates.hidden_surface import SETTLED_DISTANCE, HiddenSurface
+from scan3d_twin.core.planning.candidates.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.context import PlanningContext, stop_plan
-from scan3d_twin.core.planning.error_prediction import ErrorPrediction
-from scan3d_twin.core.planning.hidden_surface import SETTLED_DISTANCE, HiddenSurface
 from scan3d_twin.core.planning.overlap_or_default import expect_accuracy, list_overlaps
-from scan3d_twin.core.planning.pose_candidates import PoseCandidates
+from scan3d_twin.core.planning.prediction.error_prediction import ErrorPrediction
 from scan3d_twin.core.registration.kd_tree import Tree
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, Plan, Pose2, wrap

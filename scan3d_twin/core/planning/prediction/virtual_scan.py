@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from scan3d_twin.core.moving_windows import moving_mean
-from scan3d_twin.core.planning.visibility import NextSweep, find_visible, measure_ranges
+from scan3d_twin.core.planning.surface.visibility import NextSweep, find_visible, measure_ranges
 from scan3d_twin.core.registration import SurfelGrid, extract_surfels
 from scan3d_twin.core.registration.native import engine
 from scan3d_twin.core.registration.surfels.extraction import (

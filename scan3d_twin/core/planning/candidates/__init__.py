@@ -1,0 +1,1 @@
+"""Viewpoints a planner may choose from: along the contour, and of what the contour hides."""

@@ -1,0 +1,1 @@
+"""The error of the next registration, predicted: in closed form and by simulation."""

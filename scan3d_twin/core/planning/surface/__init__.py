@@ -1,0 +1,1 @@
+"""The surface a planner knows of: what is seen, predicted, hidden and covered."""
