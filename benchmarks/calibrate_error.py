@@ -38,8 +38,11 @@ from scan3d_twin.run.settings import build_settings
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 
-ALPHA = 0.10
-"""Share of the steps whose error may exceed k times the prediction."""
+ALPHA_PLANNED = 0.05
+"""Share of the steps whose error may exceed k times what was predicted before driving: a tour is
+kept only if each of its steps is."""
+ALPHA_REPORTED = 0.10
+"""Share of the errors that may exceed k times what their registration reports."""
 MOST_VIEWS = 7
 """Views of a loop: enough for a small target's tour, and no more time than needed."""
 
@@ -102,18 +105,19 @@ def fit(found: list[Step], epsilon: float) -> dict[str, dict[str, Any]]:
     known = [s for s in found if math.isfinite(s.predicted) and s.predicted > 0]
     registered = [s for s in found if math.isfinite(s.reported) and s.reported > 0]
     odd, even = ([s for s in known if s.seed % 2 == k] for k in (1, 0))
-    factor = conformal((s.error / s.predicted for s in odd), ALPHA)
-    whole = conformal((s.error / s.predicted for s in known), ALPHA)
+    factor = conformal((s.error / s.predicted for s in odd), ALPHA_PLANNED)
+    whole = conformal((s.error / s.predicted for s in known), ALPHA_PLANNED)
     rows = {
         "calibration": (factor, "ratio", len(odd)),
         "all_seeds": (whole, "ratio", len(known)),
         "exceeded": (_share(s.error > factor * s.predicted for s in even), "share", len(even)),
         "registration_calibration": (
-            conformal((s.error / s.reported for s in registered if s.seed % 2), ALPHA),
+            conformal((s.error / s.reported for s in registered if s.seed % 2), ALPHA_REPORTED),
             "ratio", sum(s.seed % 2 for s in registered),
         ),
         "registration_all_seeds": (
-            conformal((s.error / s.reported for s in registered), ALPHA), "ratio", len(registered),
+            conformal((s.error / s.reported for s in registered), ALPHA_REPORTED),
+            "ratio", len(registered),
         ),
         "above_epsilon": (_share(s.error > epsilon for s in known), "share", len(known)),
         "pred_over_true": (
