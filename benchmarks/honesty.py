@@ -40,12 +40,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scan3d_twin.core.planning.hidden_views import termination_plan
 from scipy import stats
 from watched_loop import Watcher, run_watched
 
 from scan3d_twin.core.config import preset_options
 from scan3d_twin.core.model.pose_errors import find_true_pose
+from scan3d_twin.core.planning.candidates.hidden_views import termination_plan
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.overlap_or_default import plan_with_overlap
 from scan3d_twin.core.registration.pose_prior import PLANAR
