@@ -10,8 +10,6 @@ import pytest
 
 import scan3d_twin  # noqa: F401 - before NumPy: the tests compare bits with those of the program
 
-from pixels import SOON  # isort: skip
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the ports of a real robot, to run the contract on it."""
@@ -86,6 +84,8 @@ class Watched:
 @pytest.fixture
 def open_page(browser):
     """Open a page of a size and colour scheme, watched."""
+    from pixels import SOON
+
     contexts = []
 
     def opening(url, *, width=1000, height=800, **options):
