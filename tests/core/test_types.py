@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,3 +94,13 @@ def test_some_readings_lie_where_they_lie_among_all() -> None:
     lines, beams = (rng.integers(0, n, 500) for n in image.ranges.shape)
     assert np.array_equal(image.points_at(lines, beams), image.points[lines, beams], equal_nan=True)
     assert np.array_equal(image.directions_at(lines, beams), image.directions[lines, beams])
+
+
+def test_rounding_does_not_decide_on_readings_at_a_limit() -> None:
+    image = synthetic.observe(Pose2(-0.4, 0.0, 0.0)).image
+    ranges = np.full(image.ranges.shape, 4.0)
+    ranges[0], ranges[1], ranges[2] = 4.0 + 1e-12, 4.001, np.nan
+    within = replace(image, ranges=read_only(ranges)).ranges_within(4.0)
+    assert within[0].all()
+    assert not within[1:3].any()
+    assert within[3:].all()

@@ -48,7 +48,7 @@ MOST_TILT = 0.25
 """Standard deviation of a normal [rad] from which on it tells nothing."""
 LIMB_COSINE = 0.5
 """Cosine of incidence (60 deg) up to which a reading may lie anywhere in its window."""
-MOST_OFF_CENTRE = 1.0
+MOST_OFF_CENTRE = 1.01
 """Squared distance of a reading from its window's middle, in variances of the window along it."""
 MIN_COSINE = 0.05
 """Flatter than this (87 deg from the normal) no plane is believed."""

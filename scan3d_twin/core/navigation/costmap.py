@@ -264,7 +264,7 @@ def _find_floor(image: RangeImage, config: Config) -> Floor:
     heights = image.heights
     with np.errstate(invalid="ignore"):
         low = (heights >= -config.target.floor_height) & (heights < top)
-        low &= image.ranges <= config.target.max_range
+        low &= image.ranges_within(config.target.max_range)
     points, lines, beams, distance = SweepPoints.of(image, low)
 
     # Separate things from floor

@@ -7,9 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scan3d_twin.core.compression import compress_fields, compressible
-from scan3d_twin.core.types.arrays import FloatArray, IntArray
+from scan3d_twin.core.types.arrays import BoolArray, FloatArray, IntArray
 from scan3d_twin.core.types.pose import Pose2
 from scan3d_twin.core.types.readings import LidarSpec
+
+HALF_MILLIMETRE = 0.0005
+"""Half a step of a lidar that reads whole millimetres [m]."""
 
 
 @compressible("yaws", "ranges", "codes", "elevations")
@@ -100,6 +103,15 @@ class RangeImage:
         if self._axis is not None:
             return np.asarray(self.points[..., 2])
         return np.asarray(self.T_base_lidar[2, 3] + self.ranges * self.beams[..., 2])
+
+    def ranges_within(self, limit: float) -> BoolArray:
+        """Return which readings (n_lines, n_beams) are at most ``limit`` [m] away.
+
+        Most lidars read whole millimetres. Half of one more is allowed, so that rounding does not
+        decide on those that read the limit itself.
+        """
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.ranges <= limit + HALF_MILLIMETRE)
 
     def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``points`` of some readings (n, 3) [m], by their lines (n,) and beams (n,)."""

@@ -13,8 +13,9 @@
 #define MAX_TILT 0.25           /* standard deviation of a normal [rad]: with more it tells nothing */
 #define MAX_RSS_SIGMAS 0.7      /* residual sum of squares of a fit, in sigma above that of noise alone */
 #define LIMB_COSINE 0.5         /* of incidence (60 deg): a surface seen flatter may be the limb of a round body */
-#define MAX_OFF_CENTRE 1.0     /* squared distance of a reading from its window's middle, in variances of the
-                                 * window along it: up to half the way to the window's end */
+#define MAX_OFF_CENTRE 1.01    /* squared distance of a reading from its window's middle, in variances of the
+                                 * window along it: up to half the way to the window's end. Many
+                                 * readings are exactly there; rounding must not decide on them */
 #define MIN_COSINE 0.05         /* of incidence: a plane seen flatter (87 deg) is not trusted */
 
 enum {

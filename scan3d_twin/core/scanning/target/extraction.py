@@ -56,7 +56,7 @@ def extract_points(image: RangeImage, config: Config) -> Scan3D:
     the distance. Of a thing of 0.1 m, its lowest 3 cm are a third.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        keep = image.ranges <= config.target.max_range
+        keep = image.ranges_within(config.target.max_range)
         share = np.maximum(image.ranges / FLOOR_DISTANCE, LIDAR_HEIGHT / image.ranges)
         share = np.clip(share, 0.5, 1.0)
         keep &= image.heights > config.target.floor_height * share
