@@ -11,8 +11,8 @@ from scan3d_twin.core.types.arrays import BoolArray, FloatArray, IntArray
 from scan3d_twin.core.types.pose import Pose2
 from scan3d_twin.core.types.readings import LidarSpec
 
-HALF_MILLIMETRE = 0.0005
-"""Half a step of a lidar that reads whole millimetres [m]."""
+ROUNDING = 1e-6
+"""Far less than any lidar resolves, far more than rounding [m]."""
 
 
 @compressible("yaws", "ranges", "codes", "elevations")
@@ -107,11 +107,10 @@ class RangeImage:
     def ranges_within(self, limit: float) -> BoolArray:
         """Return which readings (n_lines, n_beams) are at most ``limit`` [m] away.
 
-        Most lidars read whole millimetres. Half of one more is allowed, so that rounding does not
-        decide on those that read the limit itself.
+        Most lidars read whole millimetres: rounding does not decide on what reads the limit itself.
         """
         with np.errstate(invalid="ignore"):
-            return np.asarray(self.ranges <= limit + HALF_MILLIMETRE)
+            return np.asarray(self.ranges <= limit + ROUNDING)
 
     def points_at(self, lines: IntArray, beams: IntArray) -> FloatArray:
         """Return the ``points`` of some readings (n, 3) [m], by their lines (n,) and beams (n,)."""
