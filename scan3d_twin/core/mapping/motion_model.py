@@ -276,9 +276,9 @@ class MotionModel:
         measured, information = remove_prior(result, self.prior(move, legs, errors))
         shift = shift_to_target(result.T_target_source)[np.ix_(PLANAR, PLANAR)]
         information = shift.T @ information @ shift
-        off, A = self._displace(move, legs, errors)
+        assumed, A = self._displace(move, legs, errors)
         d = np.array([measured.x - move.x, measured.y - move.y, wrap(measured.yaw - move.yaw)])
-        d += A @ errors - off
+        d += A @ errors - assumed
 
         # Weigh it by what may differ this time
         N = self._changing(move)

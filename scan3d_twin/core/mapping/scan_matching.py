@@ -29,7 +29,6 @@ from scan3d_twin.core.viewpoints import is_end_in_view
 MIN_CHANGE = 0.5
 """Change of the known scale of turns, in its standard deviations, for which sweeps are corrected
 anew (assumption)."""
-
 MAX_BEND = 0.001
 """Displacement of the prior's mean by how a move bends for which views are registered again [m]: a
 small part of the errors of registration."""

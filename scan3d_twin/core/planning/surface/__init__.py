@@ -1,1 +1,1 @@
-"""The surface a planner knows of: what is seen, predicted, hidden and covered."""
+"""The surface a planner knows of: patches and voxels, what is seen of it and what is predicted."""
