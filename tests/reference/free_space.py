@@ -51,6 +51,8 @@ def violations(
 def share_in_front(target: Target, rows: FloatArray, T: FloatArray) -> float:
     """Return the share of surfels in front of what the target met on their rays, 0..1.
 
+    What the lines before and after met must lie behind them, too.
+
     Args:
         target: The scan that is asked.
         rows: Surfels of the other scan (m, 8).
@@ -59,7 +61,13 @@ def share_in_front(target: Target, rows: FloatArray, T: FloatArray) -> float:
     points = rows[:, X] @ T[:3, :3].T + T[:3, 3]
     at = lookup(target.projection, points, target.row_of >= 0)
     seen = (at >= 0) & (target.row_of[at] >= 0)
-    met = target.rows[target.row_of[at]]
-    e = np.sum(met[:, N] * (points - met[:, X]), axis=1)
-    margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + met[:, VARIANCE]))
-    return float(np.mean(e[seen] >= margin[seen])) if seen.any() else 0.0
+    beams = target.projection.yaws.shape[1]
+    in_front = np.ones(len(rows), dtype=bool)
+    for beside in (at - beams, at, at + beams):
+        inside = (beside >= 0) & (beside < len(target.row_of))
+        row = np.where(inside, target.row_of[np.where(inside, beside, 0)], -1)
+        met = target.rows[row]
+        e = np.sum(met[:, N] * (points - met[:, X]), axis=1)
+        margin = np.maximum(MARGIN, SIGMAS * np.sqrt(rows[:, VARIANCE] + met[:, VARIANCE]))
+        in_front &= (row >= 0) & (e >= margin)
+    return float(np.mean(in_front[seen])) if seen.any() else 0.0

@@ -49,6 +49,27 @@ static Violations sum_violations(const Target *target, const uint8_t *known, dou
     return sum;
 }
 
+/* Return whether a point lies in front of a surfel by the distance of a full violation; `variance` is the point's
+ * own. */
+static int is_in_front(const double *met, const double point[3], double variance) {
+    double e = met[NX] * (point[0] - met[X]) + met[NY] * (point[1] - met[Y]) + met[NZ] * (point[2] - met[Z]);
+    double margin = VIOLATION_SIGMAS * sqrt(variance + met[VARIANCE]);
+    return e >= (margin > VIOLATION_DISTANCE ? margin : VIOLATION_DISTANCE);
+}
+
+/* Return whether a point whose ray met the surfel `row` lies in front of what the lines before and after met, too.
+ * The space between two lines was not seen: what stands beside the last ray that passes an edge, or the last line
+ * of all, contradicts nothing. */
+static int is_between_free_rays(const Target *target, int32_t row, const double point[3], double variance) {
+    const Projection *p = &target->projection;
+    int32_t at = reading_of(point[0], point[1], point[2], AHEAD, p);
+    if (at < 0 || target->index[at] != row) at = reading_of(point[0], point[1], point[2], BEHIND, p);
+    if (at < p->n_beams || at >= (p->n_lines - 1) * p->n_beams) return 0;
+    int32_t before = target->index[at - p->n_beams], after = target->index[at + p->n_beams];
+    return before >= 0 && after >= 0 && is_in_front(target->rows + SURFEL * before, point, variance)
+        && is_in_front(target->rows + SURFEL * after, point, variance);
+}
+
 /* Return the share of a sample's surfels at T in front of the target's surface, by the distance of a full
  * violation, of those on whose rays it met one. */
 static double find_share_in_front(const Target *target, const Sample *sample, const double *T, Chunk *w) {
@@ -56,6 +77,7 @@ static double find_share_in_front(const Target *target, const Sample *sample, co
     const double t6 = T[6], t7 = T[7], t8 = T[8], t9 = T[9], t10 = T[10], t11 = T[11];
     const double least = VIOLATION_DISTANCE * VIOLATION_DISTANCE, sigmas = VIOLATION_SIGMAS * VIOLATION_SIGMAS;
     int64_t seen = 0, in_front = 0;
+    uint8_t candidates[CHUNK];
     for (int64_t first = 0; first < sample->count; first += CHUNK) {
         int64_t n = sample->count - first < CHUNK ? sample->count - first : CHUNK;
         gather_pairs(target, sample, first, n, T, w);
@@ -69,7 +91,16 @@ static double find_share_in_front(const Target *target, const Sample *sample, co
             margin = margin > least ? margin : least;
             int met = w->row[k] >= 0;
             seen += met;
-            in_front += met & (e > 0) & (e * e >= margin);
+            candidates[k] = (uint8_t)(met & (e > 0) & (e * e >= margin));
+        }
+
+        /* few are left to be looked at by themselves */
+        for (int64_t k = 0; k < n; k++) {
+            if (!candidates[k]) continue;
+            double px = w->source[X][k], py = w->source[Y][k], pz = w->source[Z][k];
+            const double point[3] = {t0 * px + t1 * py + t2 * pz + t3, t4 * px + t5 * py + t6 * pz + t7,
+                                     t8 * px + t9 * py + t10 * pz + t11};
+            in_front += is_between_free_rays(target, w->row[k], point, w->source[VARIANCE][k]);
         }
     }
     return seen > 0 ? (double)in_front / (double)seen : 0;

@@ -49,7 +49,8 @@ def find_contradicted_share(
     """Return the share of a sweep that lies in front of the other's surfaces, 0..1.
 
     It is that of the surfels on whose rays the other sweep met a surface; of both sweeps the larger
-    one.
+    one. What the lines before and after met must lie behind a surfel, too: the space between two
+    lines was not seen.
 
     Args:
         target: A sweep.
