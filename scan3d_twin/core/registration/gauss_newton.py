@@ -112,13 +112,17 @@ class RunResult:
 
 @dataclass(frozen=True)
 class Problem:
-    """Two sweeps to register, the prior, and the options."""
+    """Two sweeps to register, the prior, and the options.
+
+    The steps use a sample of the source's surfels unless it is ``whole``.
+    """
 
     target: SurfelGrid
     source: SurfelGrid
     prior: PosePrior | None = None
     dof: Dof = "planar"
     criteria: Criteria = field(default_factory=Criteria)
+    whole: bool = False
 
     def __post_init__(self) -> None:
         if self.dof not in ("planar", "se3"):
@@ -144,8 +148,10 @@ class Problem:
 
     @cached_property
     def stride(self) -> int:
-        """Stride of the source's surfels in the steps at the final gate: 2 to 4."""
-        return min(4, max(2, round(math.sqrt(self.source.count / SAMPLE_SIZE))))
+        """Stride of the source's surfels in the steps at the final gate: 2 to 4, 1 if whole."""
+        return (
+            1 if self.whole else min(4, max(2, round(math.sqrt(self.source.count / SAMPLE_SIZE))))
+        )
 
     @property
     def last_stride(self) -> int:

@@ -87,7 +87,13 @@ def register_grids(
     """
     problem = Problem(target, source, prior, dof, criteria or Criteria())
     init = first_guess(init_T_target_source, prior)
-    outcome, gap = search_basins(problem, init, starts)
+
+    # Use all surfels where a sample has too few in common
+    try:
+        outcome, gap = search_basins(problem, init, starts)
+    except RegistrationError:
+        problem = replace(problem, whole=True)
+        outcome, gap = search_basins(problem, init, starts)
     result = make_result(problem, outcome, gap)
 
     # Distrust a match with another surface

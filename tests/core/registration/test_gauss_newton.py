@@ -231,6 +231,23 @@ def test_an_overlap_too_narrow_for_thinned_surfels_is_registered_from_the_prior(
     assert math.isnan(several.ambiguity_gap)
 
 
+def test_what_a_large_sweep_shares_with_a_small_one_is_found() -> None:
+    """A box of 40 cm and, from round its corner, its room too: every 4th line and beam of that."""
+    box = (synthetic.Box((0.9, -0.2, 0.0), (2.1, 0.2, 0.35)),)
+    pose, rng = Pose2(0.6, -1.0, math.radians(70.0)), np.random.default_rng(2)
+    wide = synthetic.observe(pose, box, width=math.radians(120.0), sigma=SIGMA, rng=rng).image
+    target, source = no_floor(take(Pose2(), box, 1)), no_floor(wide)
+    assert target.count < 0.05 * source.count
+    prior = prior_at(Pose2(0.01, -0.01, 0.02) @ pose)
+    with pytest.raises(RegistrationError, match="no overlap"):
+        align(Problem(target, source, prior), prior.T)
+    result = register_grids(target, source, prior=prior, starts=16)
+    assert result.converged
+    off = Pose2.from_matrix(result.T_target_source) @ pose.inverse()
+    assert abs(off.x) < 0.001
+    assert abs(off.yaw) < 3 * math.sqrt(result.covariance[5, 5])
+
+
 def test_bad_options_are_refused() -> None:
     target, source = featureful()
     with pytest.raises(ConfigError, match="finite"):
