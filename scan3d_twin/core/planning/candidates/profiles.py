@@ -18,7 +18,7 @@ import numpy as np
 from scan3d_twin.core.planning.context import mask_readings
 from scan3d_twin.core.registration.surfels.edges import (
     MIN_BEAMS,
-    MIN_COSINE,
+    MIN_EDGE_COSINE,
     MIN_RANGE_STEP,
     SURFEL_OFFSET,
 )
@@ -146,7 +146,7 @@ def _fit_edge(places: FloatArray, side: int) -> Edge | None:
     onwards = _fit_direction(surface)
     normal = side * rotate_clockwise(onwards)
     ray = end / np.linalg.norm(end)
-    if -normal @ ray <= MIN_COSINE or spacing > MAX_LINE_SPACING:
+    if -normal @ ray <= MIN_EDGE_COSINE or spacing > MAX_LINE_SPACING:
         return None
 
     # Extend it to the last ray

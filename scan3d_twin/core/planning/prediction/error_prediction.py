@@ -7,9 +7,14 @@ information of one point-to-plane pair, times the density of the readings from O
     E^2 = mean over the points of tr(G C G^T),  G = (I, -[a]x).
 
 The common bias and the yaw scale, the test for spurious information, edges, and the motion prior L0
-about O2 enter as in the real registration. A range error that all readings share has the gradient
-g = sum w J (b_there - b_here), with b the cosines between normals and rays, and displaces the pose
-by d = (H + H_edges + L0)^-1 g. Its variance, as far as the pairs do not determine it, times d d^T
+about O2 enter as in the real registration. So does the range error that depends on the range and
+is the same in both sweeps, the curve f of ``registration.shared_errors``. The derivatives by its
+knots are c = b_there p(r_there) - b_here p(r_here), with b the cosines between normals and rays and
+p the weights of linear interpolation. With Q = sum w J c^T, K = sum w c c^T and the prior's
+covariance P it displaces the pose by D = (H + H_edges + L0)^-1 Q, and
+
+    D (P^-1 + K - Q^T D)^-1 D^T
+
 is added to C. E times the calibration is compared with epsilon. There is no sampling and no ICP,
 so that wrong basins are not predicted.
 """
@@ -46,9 +51,10 @@ from scan3d_twin.core.registration.pose_prior import (
     Moments,
     predict_rmse_of_moments,
 )
-from scan3d_twin.core.registration.surfels.edges import linearise_edges
+from scan3d_twin.core.registration.surfels.edges import MIN_EDGE_COSINE, linearise_edges
 from scan3d_twin.core.registration.surfels.extraction import NORMAL_VARIANCE, VARIANCE, X
 from scan3d_twin.core.registration.surfels.grid import Sample
+from scan3d_twin.core.registration.surfels.scan_noise import CURVE_RANGES
 from scan3d_twin.core.types import (
     BoolArray,
     FloatArray,
@@ -57,21 +63,11 @@ from scan3d_twin.core.types import (
 
 WANTED_SURFELS = 4000
 """Wanted number of surfels; each represents the readings that were left out around it."""
-INFORMATION_MARGIN = 1.5
-"""Factor by which the information of a direction must exceed what registration requires, as the
-next scan may show less of it."""
-MAX_NORMAL_VARIANCE = 0.003
-"""Variance of a normal above which (3 deg) a surfel does not count [rad2]: it is from a small
-window over a corner, which looks different from another viewpoint."""
 MIN_SHARED_SURFELS = 10
 """Number of shared surfels of the target below which there is no overlap."""
 MIN_SHARED_SHARE = 0.2
 """The same as a share of the target's surfels, where these are few: the smallest overlap. A thin
 thing may have none: then its surroundings alone are registered."""
-SHARED_FACTOR = 1.2
-"""Factor on the standard deviations of what errs alike in all steps of a run, a range error that
-readings share and the odometry of the robot. The calibration is for one step in ten that is
-beyond it, but of runs 95 % are to keep epsilon: 1.96 / 1.64, quantiles of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +127,11 @@ class ErrorPrediction:
         ratio = _compare_cosines(again[3:6], a, again[:3], t[2, 3])
         variance = again[VARIANCE] * (1.0 + ratio)
         w = self._area * seen.density / (variance * self.grid.inflation)
-        w[again[NORMAL_VARIANCE] > MAX_NORMAL_VARIANCE] = 0.0
 
         # Predict covariance and displacement
         equations = self._equations(seen, again, a, J, w)
-        pull = _pull_of_offset(again, a, J, w, t[2, 3])
-        covariance = self._covariance(equations, viewpoint, sweep, pull)
+        curve = _linearise_curve(again, a, J, w, t[2, 3])
+        covariance = self._covariance(equations, viewpoint, sweep, curve)
         return config.planning.calibration * predict_rmse_of_moments(
             self._target.turned(viewpoint.yaw), covariance
         )
@@ -200,8 +195,10 @@ class ErrorPrediction:
     ) -> Equations:
         """Return the normal equations of perfect pairs, whose gradient is 0.
 
-        Noise of the normals of one scan adds the spurious information F = sum w nu (B B^T - J J^T),
-        the mean normals of a pair of scans half of it: pairs will have H - F + F / 2.
+        Noise of the normals of one scan adds the spurious information F = sum w nu (B B^T - J J^T)
+        to H, the mean normals of a pair have half of it. A direction of a pair must have 2 F / 2 in
+        H - F / 2, and F / 2 of it is spurious. Here it must have 2 F in H, of which F is spurious:
+        the same is left, and the next scan may show a quarter less of it.
 
         Args:
             seen: The surfels that O2 sees again.
@@ -217,10 +214,9 @@ class ErrorPrediction:
         J = np.concatenate([J, g[None]])
         information = (J * w) @ J.T
 
-        # Remove spurious information and jitter
+        # Find what is spurious and what jitter takes
         nu = again[NORMAL_VARIANCE] + self.grid.noise.tilt_variance
-        spurious = spurious_information(w * nu, a, J[:6]) / 2
-        information[:6, :6] -= spurious
+        spurious = spurious_information(w * nu, a, J[:6])
         lost = self._lost(seen.yaws, w, swing, J)
         return Equations(information, lost, np.zeros(7), spurious, len(w), 0.0)
 
@@ -239,7 +235,7 @@ class ErrorPrediction:
         return np.asarray((sums[:7] / (self._stride + sums[7])) @ sums[:7].T)
 
     def _covariance(
-        self, equations: Equations, viewpoint: Pose2, sweep: NextSweep, pull: _Pull
+        self, equations: Equations, viewpoint: Pose2, sweep: NextSweep, curve: _Curve
     ) -> FloatArray:
         """Return the covariance (6, 6) about O2 of a planar registration.
 
@@ -247,7 +243,7 @@ class ErrorPrediction:
             equations: The normal equations.
             viewpoint: O2.
             sweep: The sweep there.
-            pull: What a range error does that all readings share.
+            curve: What the curve of the range error does.
         """
         # Marginalise the yaw scale
         noise = self.grid.noise
@@ -255,24 +251,20 @@ class ErrorPrediction:
         H = marginalise(equations.information - equations.lost, prior)
 
         # Keep honestly determined directions
-        raw, spurious = (
-            equations.information[:6, :6][PLANAR_BLOCK],
-            equations.spurious[PLANAR_BLOCK],
-        )
-        honest = find_determined(raw, INFORMATION_MARGIN * spurious, self._reach)[1]
+        raw = equations.information[:6, :6][PLANAR_BLOCK]
+        honest = find_determined(raw, equations.spurious[PLANAR_BLOCK], self._reach)[1]
 
         # Add edges and the prior
-        rest = self._edges(viewpoint, sweep)[PLANAR_BLOCK] + self._motion_model.spread(
-            viewpoint, SHARED_FACTOR
-        ).information(PLANAR)
+        motion = self._motion_model.spread(viewpoint).information(PLANAR)
+        rest = self._edges(viewpoint, sweep)[PLANAR_BLOCK] + motion
         C = np.linalg.inv(honest @ H[PLANAR_BLOCK] @ honest.T + rest)
 
-        # Add what a range error that both sweeps share displaces
-        g = honest @ pull.gradient[list(PLANAR)]
+        # Add what the curve of the range error displaces
+        g = honest @ curve.gradient[list(PLANAR)]
         off = np.linalg.solve(honest @ raw @ honest.T + rest, g)
-        variance = SHARED_FACTOR**2 * (noise.offset_sigma**2 + noise.linearity_sigma**2)
-        known = max(pull.information - float(g @ off), 0.0)
-        C += variance / (1.0 + known * variance) * np.outer(off, off)
+        known = curve.information - g.T @ off
+        left = np.linalg.inv(np.linalg.inv(noise.curve_covariance) + (known + known.T) / 2)
+        C += off @ left @ off.T
         covariance = np.zeros((6, 6))
         covariance[PLANAR_BLOCK] = C
         return covariance
@@ -289,44 +281,50 @@ class ErrorPrediction:
         return linearise_edges(again, moved, viewpoint.matrix(), 1.0, 1e3)[0]
 
     def _still_edges(self, viewpoint: Pose2) -> BoolArray:
-        """Return which edges are edges from O2, too: those behind which it sees no other face.
+        """Return which edges are edges from O2, too.
 
-        The face behind an edge is assumed to be at a right angle to the surface that ends there.
+        Registration finds none where a surface is seen too flat, or where another face goes on
+        behind it: one is assumed to be at a right angle to the surface that ends there.
         """
+        normals, outwards = self._edge_directions
         towards = np.array([viewpoint.x, viewpoint.y]) - self.grid.edges.places
-        return np.asarray(np.sum(self._outwards * towards, axis=1) <= 0.0)
+        cosines = np.sum(normals * towards, axis=1) / np.linalg.norm(towards, axis=1)
+        turned_away = np.sum(outwards * towards, axis=1) <= 0.0
+        return np.asarray(turned_away & (cosines > MIN_EDGE_COSINE))
 
     @cached_property
-    def _outwards(self) -> FloatArray:
-        """Directions (n, 2) along the surface out across each edge, by the nearest surfel."""
+    def _edge_directions(self) -> tuple[FloatArray, FloatArray]:
+        """Normals (n, 2) at the edges, and directions along the surface out across them (n, 2).
+
+        They are those of the nearest surfels.
+        """
         edges, rows = self.grid.edges, self._rows
         apart = rows[:, None, :2] - edges.places
         normals = rows[np.argmin(np.sum(apart * apart, axis=2), axis=0), 3:5]
         sideways = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
-        return np.asarray(
-            sideways * (-edges.sides * np.sign(np.sum(sideways * edges.across, axis=1)))[:, None]
-        )
+        signs = -edges.sides * np.sign(np.sum(sideways * edges.across, axis=1))
+        return normals, sideways * signs[:, None]
 
 
-class _Pull(NamedTuple):
-    """What a range error that all readings of both sweeps share does to their pairs.
+class _Curve(NamedTuple):
+    """What a range error that depends on the range, the same in both sweeps, does to their pairs.
 
     Attributes:
-        gradient: Its information shared with the pose (6,) [1/m2, 1/m].
-        information: Its own [1/m2].
+        gradient: The information that it shares with the pose (6, k) [1/m2, 1/m].
+        information: Its own (k, k) [1/m2].
     """
 
     gradient: FloatArray
-    information: float
+    information: FloatArray
 
 
-def _pull_of_offset(
+def _linearise_curve(
     again: FloatArray, a: FloatArray, J: FloatArray, w: FloatArray, height: float
-) -> _Pull:
-    """Return the equations of a range error that all readings of both sweeps share.
+) -> _Curve:
+    """Return the equations of the range error at ``CURVE_RANGES``.
 
-    It displaces every surface along the rays. As far as these differ between the two sweeps, as
-    round a curved thing, it looks like a motion.
+    It displaces every surface along the rays. As far as these or their lengths differ between the
+    two sweeps, as round a curved thing, it looks like a motion.
 
     Args:
         again: Columns (8, k) of the surfels that O2 sees again.
@@ -335,12 +333,25 @@ def _pull_of_offset(
         w: Their weights (k,).
         height: Height of the lidar [m].
     """
-    n, up = again[3:6], np.array([[0.0], [0.0], [height]])
-    here, there = again[:3] - up, a - up
-    shift = np.sum(n * there, axis=0) / np.linalg.norm(there, axis=0)
-    shift -= np.sum(n * here, axis=0) / np.linalg.norm(here, axis=0)
-    weighted = w * shift
-    return _Pull(np.asarray(J @ weighted), float(weighted @ shift))
+    up = np.array([[0.0], [0.0], [height]])
+    c = _differentiate_by_curve(again[3:6], a - up) - _differentiate_by_curve(
+        again[3:6], again[:3] - up
+    )
+    weighted = w * c
+    return _Curve(J @ weighted.T, weighted @ c.T)
+
+
+def _differentiate_by_curve(normals: FloatArray, rays: FloatArray) -> FloatArray:
+    """Return by how much range errors at ``CURVE_RANGES`` move points along ``normals`` (24, k).
+
+    Args:
+        normals: Unit normals (3, k).
+        rays: From the lidar to the points (3, k) [m].
+    """
+    ranges, step = np.linalg.norm(rays, axis=0), CURVE_RANGES[1]
+    apart = np.abs(np.minimum(ranges, CURVE_RANGES[-1]) - CURVE_RANGES[:, None])
+    cosines = np.sum(normals * rays, axis=0) / ranges
+    return np.asarray(cosines * np.maximum(0.0, 1.0 - apart / step))
 
 
 def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:
@@ -356,7 +367,7 @@ def predict_by_odometry(context: PlanningContext, viewpoint: Pose2) -> float:
     session = context.session
     motion = MotionModel.of(session.views, session.config, session.workspace)
     target = Moments.of(context.view.target.points).turned(viewpoint.yaw)
-    expected = predict_rmse_of_moments(target, motion.spread(viewpoint, SHARED_FACTOR).covariance)
+    expected = predict_rmse_of_moments(target, motion.spread(viewpoint).covariance)
     return session.config.planning.calibration * expected
 
 

@@ -12,8 +12,10 @@ from scan3d_twin.core.registration.surfels.extraction import X
 from scan3d_twin.core.registration.surfels.projection import Projection
 from scan3d_twin.core.types import BoolArray, FloatArray, IntArray, Pose2, RangeImage, read_only
 
-MIN_COSINE = 0.10
-"""Cosine of the incidence below which (84 deg) a surfel does not count as visible."""
+MIN_COSINE = 0.25
+"""Cosine of the incidence below which (75 deg) a surfel does not count as visible: of those seen
+at 80 to 85 deg by a sweep of random scenes, 45 % have a match there, up to 75 deg 90 % (3879 and
+236531 surfels)."""
 DEPTH_CELL = (4, 6)
 """Lines and beams of a cell in which the nearest surface hides what is behind it."""
 SURFACE_DEPTH, DEPTH_PER_METRE = 0.04, 0.03

@@ -29,7 +29,7 @@ MIN_RANGE_STEP = 0.10
 """Least range step at an edge [m]: several sigma, and more than a steep face gives per line."""
 MIN_BEAMS = 8
 """Least number of adjacent beams in an edge."""
-MIN_COSINE = 0.35
+MIN_EDGE_COSINE = 0.35
 """Least cosine of incidence at an edge (70 deg): a surface seen flatter may be a silhouette."""
 SURFEL_OFFSET = 2
 """Lines from an edge to the surfel of its face: windows nearer by would cross the edge."""
