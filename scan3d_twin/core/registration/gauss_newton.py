@@ -155,8 +155,8 @@ class Problem:
 
     @property
     def last_stride(self) -> int:
-        """Stride of the source's surfels in the last step."""
-        return max(1, round(math.sqrt(self.source.count / LAST_SAMPLE_SIZE)))
+        """Stride of the source's surfels in the last step; 1 if whole."""
+        return 1 if self.whole else max(1, round(math.sqrt(self.source.count / LAST_SAMPLE_SIZE)))
 
     @cached_property
     def moments(self) -> Moments:
