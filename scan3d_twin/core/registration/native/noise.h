@@ -75,7 +75,7 @@ static void assign_quartiles(const double *values, int64_t n, uint8_t *quartiles
  * slope over the yaw, likewise. Both are NaN where a line has no reading. */
 typedef struct {
     double *difference, *slope;
-    Stencil stencil;
+    const Stencil *stencil;
 } Across;
 
 /* Return what the difference at a reading owes to the lines' own elevations. */
@@ -136,15 +136,14 @@ static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i,
                             Across *out) {
     const double *ranges = sweep->ranges + i * sweep->stride, *lines[ACROSS];
     double *restrict difference = out->difference, *restrict slope = out->slope;
-    out->stencil = weigh_lines(sweep, i);
     invert_lines(sweep, valid, i, inverse, lines);
 
     /* sums across the lines, NaN where one has no reading, and slopes */
     for (int64_t j = 0; j < sweep->n_beams; j++) {
         double sum = 0, per_yaw = 0, r = ranges[j];
         for (int k = 0; k < ACROSS; k++) {
-            sum += out->stencil.difference[k] * lines[k][j];
-            per_yaw += out->stencil.slope[k] * lines[k][j];
+            sum += out->stencil->difference[k] * lines[k][j];
+            per_yaw += out->stencil->slope[k] * lines[k][j];
         }
         difference[j] = sum, slope[j] = r * r * per_yaw;
     }
@@ -152,12 +151,13 @@ static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i,
     /* without what the lines' own elevations add */
     for (int64_t j = 0; sweep->ray_stride > 0 && j < sweep->n_beams; j++)
         if (!isnan(difference[j]))
-            difference[j] -= difference_by_elevation(sweep, valid, i, j, &out->stencil);
+            difference[j] -= difference_by_elevation(sweep, valid, i, j, out->stencil);
     for (int64_t j = 0; j < sweep->n_beams; j++) difference[j] *= ranges[j] * ranges[j];
 }
 
-/* Write the range sigma at 0 m and its growth per metre. */
-static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, double noise[2]) {
+/* Write the range sigma at 0 m and its growth per metre, by the `stencils` of the lines. */
+static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, const Stencil *stencils,
+                                 double noise[2]) {
     noise[RANGE_SIGMA] = DEFAULT_SIGMA, noise[RANGE_GROWTH] = DEFAULT_GROWTH;
     int64_t n_lines = sweep->n_lines, n_beams = sweep->n_beams, whole = 0;
     for (int64_t i = REACH; i < n_lines - REACH; i++)
@@ -168,17 +168,15 @@ static void estimate_range_noise(const Sweep *sweep, const uint8_t *valid, doubl
     int64_t step = whole / MAX_READINGS > 1 ? whole / MAX_READINGS : 1, next = 1, n = 0;
     double r[2 * MAX_READINGS], deviation[2 * MAX_READINGS], part[2 * MAX_READINGS];
     uint8_t quartiles[2 * MAX_READINGS];
-    for (int64_t i = REACH; i < n_lines - REACH; i++) {
-        const Stencil stencil = weigh_lines(sweep, i);
+    for (int64_t i = REACH; i < n_lines - REACH; i++)
         for (int64_t j = 0; j < n_beams; j++) {
             if (!valid[i * sweep->stride + j] || --next > 0) continue;
             next = step;
-            double found = difference_across(sweep, valid, i, j, &stencil);
+            double found = difference_across(sweep, valid, i, j, &stencils[i]);
             if (isnan(found)) continue;
             r[n] = sweep->ranges[i * sweep->stride + j];
             deviation[n++] = fabs(found) * (MAD / sqrt(SQUARES));
         }
-    }
     if (n < MIN_READINGS / 2) return;
 
     /* median of each quartile by range */
@@ -301,7 +299,7 @@ static void add_regression(const Sweep *sweep, int64_t i, const double noise[2],
     if (!(own > 0)) return;
     double gain = 0;
     for (int k = 0; k < ACROSS; k++) {
-        double moved = lines[i % ACROSS].stencil.difference[k] * shared[k] / own;
+        double moved = lines[i % ACROSS].stencil->difference[k] * shared[k] / own;
         gain += moved * moved;
     }
     double turn = onto / own;
@@ -346,12 +344,18 @@ static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise
     const int correlated = isnan(noise[CORRELATION]), jittery = isnan(noise[YAW_SIGMA]);
     const size_t beams = (size_t)sweep->n_beams, n_lines = (size_t)sweep->n_lines;
     double *room = malloc(sizeof *room * ((3 * ACROSS + 1) * beams + 2 * LANES + 3 * n_lines));
-    if (!room) return -1;
-    if (isnan(noise[RANGE_SIGMA])) estimate_range_noise(sweep, valid, noise);
+    Stencil *stencils = malloc(sizeof *stencils * n_lines);
+    if (!room || !stencils) {
+        free(room);
+        free(stencils);
+        return -1;
+    }
+    weigh_lines(sweep, stencils);
+    if (isnan(noise[RANGE_SIGMA])) estimate_range_noise(sweep, valid, stencils, noise);
 
     /* products and regressions of the lines' differences */
     Across lines[ACROSS];
-    for (size_t k = 0; k < ACROSS; k++) lines[k] = (Across){room + 2 * k * beams, room + (2 * k + 1) * beams, {{0}, {0}}};
+    for (size_t k = 0; k < ACROSS; k++) lines[k] = (Across){room + 2 * k * beams, room + (2 * k + 1) * beams, NULL};
     InverseRanges inverse = {room + 2 * ACROSS * beams, 0};
     double *scratch = room + 3 * ACROSS * beams, *square = scratch + beams + 2 * LANES;
     Lagged lagged = {0};
@@ -360,6 +364,7 @@ static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise
     for (int64_t i = REACH; i < sweep->n_lines - REACH; i++) {
         int multiplied = correlated && (i - REACH) % (step > 1 ? step : 1) == 0;
         if (!multiplied && !jittery) continue;
+        lines[i % ACROSS].stencil = &stencils[i];
         difference_line(sweep, valid, i, &inverse, &lines[i % ACROSS]);
         if (multiplied) add_line_products(sweep, i, noise, lines[i % ACROSS].difference, scratch, &lagged);
         if (jittery && i >= 3 * REACH)  /* the slopes of the neighbours on both sides are known */
@@ -368,5 +373,6 @@ static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise
     if (correlated) noise[CORRELATION] = find_correlation(&lagged);
     if (jittery) noise[YAW_SIGMA] = find_yaw_jitter(&regressions, noise[CORRELATION]);
     free(room);
+    free(stencils);
     return 0;
 }

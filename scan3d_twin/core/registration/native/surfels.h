@@ -116,19 +116,18 @@ static inline __attribute__((always_inline)) void read_beams(const Sweep *sweep,
     if (sweep->sigmas) memcpy(w->sigma, sweep->sigmas + at, sizeof *w->sigma * (size_t)n);
 }
 
-/* Read the beams of a line from `first` on, as far as it goes; return how many want a surfel. */
-static int64_t read_block(const Sweep *sweep, int64_t line, const uint8_t *wanted, const double *turns,
-                          const double noise[2], int64_t first, Block *w) {
-    int64_t n = sweep->n_beams - first, open = 0;
-    for (int64_t k = 0; k < BLOCK; k++) {
-        w->open[k] = k < n && wanted[first + k];
-        open += w->open[k] > 0;
-    }
+static double sum_block(const double values[BLOCK]) { return total(load(values) + load(values + LANES)); }
+
+/* Read the beams of a line from `first` on, as far as it goes; return whether one wants a surfel. */
+static int read_block(const Sweep *sweep, int64_t line, const uint8_t *wanted, const double *turns,
+                      const double noise[2], int64_t first, Block *w) {
+    int64_t n = sweep->n_beams - first;
+    for (int64_t k = 0; k < BLOCK; k++) w->open[k] = k < n && wanted[first + k];
     w->first = first;
-    if (open == 0) return 0;
+    if (!(sum_block(w->open) > 0)) return 0;
     if (n >= BLOCK) read_beams(sweep, line, turns, noise, BLOCK, w);
     else read_beams(sweep, line, turns, noise, n, w);
-    return open;
+    return 1;
 }
 
 /* Two rows of the summed-area table, and the lines between them. */
@@ -174,24 +173,42 @@ static void follow_curvature(const Inner *inner, const double (*restrict moments
         double by_near = (near[6][k] * nx + near[7][k] * ny + near[8][k] * nz) * distance;
         double of_near = nx * (xx * nx + 2 * (xy * ny + xz * nz)) + ny * (yy * ny + 2 * yz * nz) + zz * nz * nz;
         double of_all = (moments[6][k] * nx + moments[7][k] * ny + moments[8][k] * nz) * distance;
-        double off = by_near / of_near - 1, swing = (ny * x - nx * y) / distance;
-        double noise = q * q * made[VARIANCE][k] * correlation * (1 / of_near - 1 / of_all) + swing * swing * by_lines;
+        double per_near = 1 / of_near, off = by_near * per_near - 1, swing = (ny * x - nx * y) / distance;
+        double noise = q * q * made[VARIANCE][k] * correlation * (per_near - 1 / of_all) + swing * swing * by_lines;
 
         /* what exceeds the noise, along the ray */
         double share = off * off > noise ? 1 - noise / (off * off) : 0;
         double onto = nx * w->ray[0][k] + ny * w->ray[1][k] + nz * w->ray[2][k];
-        double farther = distance * (1 / (1 + inner->gain * share * off) - 1) / onto;
+        double bent = inner->gain * share * off, farther = -distance * bent / ((1 + bent) * onto);
         made[X][k] += farther * w->ray[0][k], made[Y][k] += farther * w->ray[1][k];
         made[Z][k] += farther * w->ray[2][k];
     }
 }
 
+/* Take none of the planes on what may be a `limb` unless the reading is near the middle of its window, whose
+ * points count by q^2; `made` are relative to the lidar's height. */
+static void drop_limbs(const double (*restrict moments)[BLOCK], const double (*restrict made)[BLOCK],
+                       const double *restrict limb, double *restrict taken) {
+    for (int64_t k = 0; k < BLOCK; k++) {
+        double xx = moments[0][k], xy = moments[1][k], xz = moments[2][k];
+        double yy = moments[3][k], yz = moments[4][k], zz = moments[5][k], qq = moments[9][k];
+        double gx = moments[6][k] / qq, gy = moments[7][k] / qq, gz = moments[8][k] / qq;
+        double ux = gx - made[X][k], uy = gy - made[Y][k], uz = gz - made[Z][k];
+        double off = ux * ux + uy * uy + uz * uz, at_middle = ux * gx + uy * gy + uz * gz;
+        double second = ux * (xx * ux + 2 * (xy * uy + xz * uz)) + uy * (yy * uy + 2 * yz * uz)
+                      + zz * uz * uz;
+        int central = off * off <= MAX_OFF_CENTRE * (second / qq - at_middle * at_middle);
+        taken[k] = limb[k] > 0 && !central ? 0 : taken[k];
+    }
+}
+
 /* Fit planes to windows of `half` beams to either side and keep those that fit for open readings; return
- * how many stay open. */
-static int64_t fit_planes(const Strip *strip, int64_t half, const Inner *inner, double height,
+ * whether any stays open. */
+static int fit_planes(const Strip *strip, int64_t half, const Inner *inner, double height,
                           double yaw_variance, double correlation, Block *restrict w) {
-    const double lines = (double)strip->lines, per_line = 1 + MAX_RSS_SIGMAS * sqrt(2.0 / lines);
-    double moments[MOMENTS][BLOCK], area[BLOCK], made[SURFEL][BLOCK], taken[BLOCK];
+    const double lines = (double)strip->lines, per_lines = 1 / lines;
+    const double most_by_yaw = 1 + MAX_RSS_SIGMAS * sqrt(2 * per_lines);
+    double moments[MOMENTS][BLOCK], area[BLOCK], made[SURFEL][BLOCK], taken[BLOCK], limb[BLOCK];
 
     /* sums over the windows, and their size */
     sum_windows(strip, half, w->first, MOMENTS, moments);
@@ -220,54 +237,44 @@ static int64_t fit_planes(const Strip *strip, int64_t half, const Inner *inner, 
         /* point on the ray, and noise along the normal; the plane is relative to the lidar's height */
         double along = mx * dx + my * dy + mz * dz, square = mx * mx + my * my + mz * mz;
         double r = (1 - (mx * ox + my * oy)) / along;
-        double x = ox + r * dx, y = oy + r * dy, z = height + r * dz;
+        double x = ox + r * dx, y = oy + r * dy, z = r * dz;
         double by_range = along * along * sigma * sigma, scatter = q * q * by_range;
 
         /* does the plane fit? */
         double rss = qq - mx * bx - my * by - mz * bz, swing = my * x - mx * y;
         double by_yaw = readings * q * q * swing * swing * yaw_variance;
         double free = readings - 3 > 1 ? readings - 3 : 1;
-        double most = scatter * (free + MAX_RSS_SIGMAS * sqrt(2 * free)) + by_yaw * per_line;
+        double most = scatter * (free + MAX_RSS_SIGMAS * sqrt(2 * free)) + by_yaw * most_by_yaw;
 
         /* noise of the normal */
+        double per_square = 1 / square;
         double onto = mx * (c_xx * mx + 2 * (c_xy * my + c_xz * mz)) + my * (c_yy * my + 2 * c_yz * mz)
                     + c_zz * mz * mz;
-        double tangents = (c_xx + c_yy + c_zz - onto / square) * inverse;
-        double tilt = tangents * (scatter * correlation + by_yaw / lines) / (2 * square);
-
-        /* where it may be a limb, is the reading near the middle of its window, whose points count by q^2? */
-        double gx = bx / qq, gy = by / qq, gz = bz / qq, ux = gx - x, uy = gy - y, uz = gz - r * dz;
-        double off = ux * ux + uy * uy + uz * uz, at_middle = ux * gx + uy * gy + uz * gz;
-        double second = ux * (xx * ux + 2 * (xy * uy + xz * uz)) + uy * (yy * uy + 2 * yz * uz)
-                      + zz * uz * uz;
-        int central = (along * along > LIMB_COSINE * LIMB_COSINE * square)
-                    | (off * off <= MAX_OFF_CENTRE * (second / qq - at_middle * at_middle));
+        double tangents = (c_xx + c_yy + c_zz - onto * per_square) * inverse;
+        double tilt = tangents * (scatter * correlation + by_yaw * per_lines) * per_square / 2;
 
         /* take it? */
         int fits = (w->open[k] > 0) & (readings >= MIN_FILLED_SHARE * area[k]) & (readings > 5)
-                 & (r > 0) & central & (rss <= most) & (det > 1e-12 * trace * trace * trace)
+                 & (r > 0) & (rss <= most) & (det > 1e-12 * trace * trace * trace)
                  & (along * along > MIN_COSINE * MIN_COSINE * square) & (tilt < MAX_TILT * MAX_TILT);
-        double towards = (along > 0 ? -1 : 1) / sqrt(square);
+        double towards = (along > 0 ? -1 : 1) * sqrt(per_square);
         made[X][k] = x, made[Y][k] = y, made[Z][k] = z;
         made[NX][k] = towards * mx, made[NY][k] = towards * my, made[NZ][k] = towards * mz;
-        made[VARIANCE][k] = by_range / square;
+        made[VARIANCE][k] = by_range * per_square;
         made[NORMAL_VARIANCE][k] = tilt;
         taken[k] = fits ? 1 : 0;
+        limb[k] = fits & !(along * along > LIMB_COSINE * LIMB_COSINE * square) ? 1 : 0;
     }
+    if (sum_block(limb) > 0) drop_limbs(moments, made, limb, taken);
 
     /* keep the planes that fit, on the surface */
-    double kept = 0;
-    int64_t open = 0;
-    for (int64_t k = 0; k < BLOCK; k++) {
-        w->open[k] -= taken[k];
-        kept += taken[k], open += w->open[k] > 0;
-    }
-    if (kept > 0 && inner->gain > 0)
+    for (int64_t k = 0; k < BLOCK; k++) w->open[k] -= taken[k], made[Z][k] += height;
+    if (sum_block(taken) > 0 && inner->gain > 0)
         follow_curvature(inner, moments, lines, height, yaw_variance, correlation, w, made);
     for (int m = 0; m < SURFEL; m++)
         for (int64_t k = 0; k < BLOCK; k++)
             w->found[m][k] = taken[k] > 0 ? made[m][k] : w->found[m][k];
-    return open;
+    return sum_block(w->open) > 0;
 }
 
 /* Return the distance of a window's plane from the middle of a paraboloid over its distance from the readings of
@@ -357,9 +364,9 @@ static int64_t fit_surfels(const Sweep *sweep, const uint8_t *valid, const uint8
         const uint8_t *wanted = keep + i * stride;
         const double *turned = turns + i % depth * 2 * n_beams;
         for (int64_t first = 0; first < n_beams; first += BLOCK) {
-            int64_t open = read_block(&needed, i, wanted, turned, noise, first, &w);
-            if (open == 0) continue;
-            for (int64_t k = 0; k < windows.count && open > 0; k++)
+            int open = read_block(&needed, i, wanted, turned, noise, first, &w);
+            if (!open) continue;
+            for (int64_t k = 0; k < windows.count && open; k++)
                 open = fit_planes(&strips[k], windows.half[k][1], &inner[k], sweep->lever[2],
                                   noise[YAW_SIGMA] * noise[YAW_SIGMA], noise[CORRELATION], &w);
             count = append_surfels(&w, wanted, sweep->yaws + i * stride, n_beams, count, rows, of_rows,
