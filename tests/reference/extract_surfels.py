@@ -39,7 +39,7 @@ class ScanSurfels(NamedTuple):
 
     Attributes:
         rows: Surfels (m, 8), columns as in ``surfels``, line by line.
-        yaws: At which each was measured, from the middle of the sweep (m,) [rad].
+        yaws: At which each was measured, from the middle of its even part (m,) [rad].
         row_of: Row of each reading (n_lines, n_beams), -1 where there is no surfel.
         valid: Readings that are distances (n_lines, n_beams).
         noise: Range sigma at 0 [m], its growth per metre, the sigma of a line's yaw [rad] and the
@@ -80,7 +80,9 @@ def extract_surfels(swept: Swept, keep: BoolArray, noise: FloatArray) -> ScanSur
     rows, of_rows, found = fit_surfels(ranges, yaws, beams, lever, part, wanted, noise, windows)
     row_of = np.full(valid.shape, -1, dtype=np.int32)
     row_of[l0:l1, b0:b1] = found
-    of_rows -= np.mean(middles)
+    reach = min(np.max(middles), -np.min(middles)) + 1.5 * line_spacing
+    even = middles[np.abs(middles) <= reach] if reach > 0 else middles
+    of_rows -= np.mean(even)
     return ScanSurfels(rows, of_rows, row_of, valid, noise, line_spacing)
 
 

@@ -10,11 +10,14 @@ import numpy as np
 
 from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.session import Session, View
-from scan3d_twin.core.types import FloatArray, Pose2, rms, wrap_all
+from scan3d_twin.core.types import BoolArray, FloatArray, Pose2, rms, wrap_all
 
 TRUTH_LINES = 64
 """About the number of lines whose mean pose is the true one of a sweep: their errors of 0.6 mrad
 leave 0.1."""
+
+EVEN_LINES = 1.5
+"""Lines that one side of an even sweep may have more than the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +56,27 @@ def find_true_pose(view: View, truth: Truth) -> Pose2:
 
     # Average over lines, relative to the one in the middle
     start = there @ Pose2(0.0, 0.0, -float(headings[middle]))
+    even = find_even_lines(headings)
+    headings, stamps = headings[even], stamps[even]
     every = max(1, len(stamps) // TRUTH_LINES)
     poses = truth.poses_at(stamps[::every])
     poses[:, 2] = wrap_all(poses[:, 2] - headings[::every] - start.yaw)
     x, y, turned = poses.mean(axis=0).tolist()
     return Pose2(x, y, start.yaw + turned)
+
+
+def find_even_lines(headings: FloatArray) -> BoolArray:
+    """Return which lines lie about heading 0 as far as there are lines to both sides (n,).
+
+    All of them where there are none to one side. As the surfels of a registration have it
+    (``native/extract_surfels.h``): an error of the yaw scale moves nothing at their mean.
+
+    Args:
+        headings: Of the lines (n,) [rad].
+    """
+    spacing = float(np.median(np.abs(np.diff(headings)))) if len(headings) > 1 else 0.0
+    reach = min(np.max(headings), -np.min(headings)) + EVEN_LINES * spacing
+    return np.asarray((np.abs(headings) <= reach) | (reach <= 0))
 
 
 def lay_on_truth(session: Session, truth: Truth) -> Pose2:

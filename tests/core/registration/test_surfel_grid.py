@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cloud_scenes
@@ -115,6 +116,22 @@ def test_yaw_jitter_is_estimated_where_surfaces_are_seen_flat_enough(jitter: flo
     shaken = replace(image, yaws=read_only(image.yaws + errors[:, None]))
     found = extract_surfels(shaken).noise.yaw_sigma
     assert found == pytest.approx(jitter, abs=0.0007)
+
+
+@pytest.mark.parametrize(("first", "last"), [(60.0, -20.0), (20.0, -60.0)])
+def test_yaws_of_a_sweep_that_goes_on_to_one_side_count_from_heading_zero(
+    first: float, last: float
+) -> None:
+    image = synthetic.observe(Pose2(), width=math.radians(120.0)).image
+    front = np.degrees(image.yaws[:, image.spec.n_beams // 2])
+    kept = (front <= first) & (front >= last)
+    image = replace(
+        image, stamps=image.stamps[kept], yaws=image.yaws[kept], ranges=image.ranges[kept],
+        codes=image.codes[kept],
+    )  # fmt: skip
+    grid = extract_surfels(image)
+    found = grid.index >= 0
+    assert np.allclose(grid.yaws[grid.index[found]], image.yaws[found], atol=math.radians(0.5))
 
 
 def test_points_project_back_to_the_reading_they_came_from() -> None:

@@ -4,6 +4,7 @@
 #include "noise.h"
 
 #define DEGREES (TAU / 360)
+#define EVEN_LINES 1.5          /* lines that one side of an even sweep may have more than the other */
 #define HALF_WINDOWS {2.1 * DEGREES, 1.45 * DEGREES, 0.85 * DEGREES, 0} /* half sizes, largest first */
 
 enum {
@@ -67,6 +68,25 @@ static Sweep crop_sweep(const Sweep *sweep, Extent extent) {
     return part;
 }
 
+/* Return the mean yaw of the lines about yaw 0, as far as there are lines to both sides; of all lines where there
+ * are none on one side. It is the yaw at which an error of the yaw scale moves nothing. */
+static double find_middle(const Sweep *sweep, double spacing) {
+    const double *middle = sweep->yaws + sweep->n_beams / 2;
+    double left = -INFINITY, right = INFINITY, sum = 0;
+    int64_t count = 0;
+    for (int64_t i = 0; i < sweep->n_lines; i++) {
+        double yaw = middle[i * sweep->stride];
+        left = yaw > left ? yaw : left, right = yaw < right ? yaw : right;
+    }
+    double reach = (left < -right ? left : -right) + EVEN_LINES * spacing;
+    for (int64_t i = 0; i < sweep->n_lines; i++) {
+        double yaw = middle[i * sweep->stride];
+        if (reach > 0 && fabs(yaw) > reach) continue;
+        sum += yaw, count++;
+    }
+    return sum / (double)count;
+}
+
 /* Write the surfels and the noise of a sweep, whose valid readings are marked. Those that are `wanted`, too, get
  * a surfel; where `noise` is NaN it is estimated. Return 0, or -1 if memory runs out. */
 static int extract_surfels(const Sweep *sweep, const uint8_t *wanted, ScanSurfels *out) {
@@ -104,11 +124,7 @@ static int extract_surfels(const Sweep *sweep, const uint8_t *wanted, ScanSurfel
 
     out->count = fit_surfels(&part, valid, wanted + offset, out->noise, windows, out->rows, out->yaws, index);
 
-    /* yaws relative to the middle of the sweep */
-    double mean = 0;
-    for (int64_t i = 0; i < sweep->n_lines; i++)
-        mean += sweep->yaws[i * sweep->stride + sweep->n_beams / 2];
-    mean /= (double)sweep->n_lines;
+    double mean = find_middle(sweep, out->line_spacing);
     for (int64_t k = 0; k < out->count; k++) out->yaws[k] -= mean;
 done:
     free(spacings);

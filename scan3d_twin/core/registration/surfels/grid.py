@@ -75,7 +75,7 @@ class Sample:
 
     @cached_property
     def yaws(self) -> FloatArray:
-        """Yaw at which each was measured, relative to the middle of the sweep (m,) [rad]."""
+        """Yaw at which each was measured, as in ``SurfelGrid`` (m,) [rad]."""
         return self.whole[1].take(self.chosen)
 
     def __len__(self) -> int:
@@ -90,7 +90,8 @@ class SurfelGrid:
         image: The sweep, its columns packed if it has several for each beam.
         noise: Noise of its readings.
         rows: Surfels (m, 8) line by line, columns as in ``surfels``.
-        yaws: Yaw at which each was measured, relative to the middle of the sweep (m,) [rad].
+        yaws: Yaw at which each was measured, from the mean yaw of the lines about heading 0, as
+            far as there are lines to both sides, else of all (m,) [rad].
         index: Row of each reading's surfel (n_lines, n_beams), -1 where there is none.
         valid: Whether a reading is a distance (n_lines, n_beams).
         line_spacing: Typical angle between two lines [rad].
