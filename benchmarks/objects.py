@@ -11,7 +11,10 @@ the seed 1000 s + i, in either room and by every planner; the cases are numbered
 share of successes is thus one over robots, not that of one robot.
 
 With several ``--planners`` (those of ``twin planners``, with the preset `best`) each has its own
-figures, and the others are compared with the first: the ratio of the times to the same coverage.
+figures, and the others are compared with the first: the ratio of the times to the same coverage,
+and ``done_in_time``, the share of runs that have covered 95 % with every error within epsilon by
+the time at which the first one's run of that scene and seed ends (``done_in_time_p``: sign test
+over the runs in which only one of both has).
 
 A run succeeds when every registration error is at most epsilon. A body of revolution on an open
 floor has no observable yaw about its axis, so it is counted apart, in ``none_revolution_kept``: a
@@ -44,6 +47,7 @@ import mujoco
 import numpy as np
 import tomli_w
 from object_shapes import MESH_CASES, make_object, place_on_floor
+from scipy import stats
 
 from scan3d_twin.sim.room import NO_ROOM, parse_room
 from scan3d_twin.sim.scenes.load import load_scene
@@ -52,6 +56,8 @@ from scan3d_twin.sim.scenes.walls import add_walls
 Row = dict[str, Any]
 REACHED = 0.80
 """Coverage from which the times of two builds are compared."""
+DONE = 0.95
+"""Coverage from which a run is done when planners are compared at equal time."""
 EXPECTED_FACTOR = 3.0
 """Error of an open direction in units of the expected one that is accepted."""
 SEED_STRIDE = 1000
@@ -278,6 +284,30 @@ def compare_times(ours: Iterable[Row], theirs: Iterable[Row]) -> tuple[float, in
     return float(np.median(medians)), len(ratios), sum(len(each) for each in ratios.values())
 
 
+def compare_done_in_time(own: list[Row], first: list[Row], peer: str) -> dict[str, Row]:
+    """Return the share of ``own`` runs that are done by the time at which the peer's end."""
+    ends = {(row["scene"], row["seed"]): row for row in first}
+    pairs = [(row, ends[row["scene"], row["seed"]]) for row in own]
+    done = [is_done(row, end["duration"] or 0.0) for row, end in pairs]
+    peers = [is_done(end, end["duration"] or 0.0) for _, end in pairs]
+    better = sum(b and not a for a, b in zip(done, peers, strict=True))
+    worse = sum(a and not b for a, b in zip(done, peers, strict=True))
+    p = stats.binomtest(better, better + worse).pvalue if better + worse else 1.0
+    return {
+        "done_in_time": _figure(float(np.mean(done)), "share", peer, len(done)),
+        "done_in_time_p": _figure(float(p), "p of no difference", peer, better + worse),
+    }
+
+
+def is_done(row: Row, time: float) -> bool:
+    """Return whether ``row`` has covered ``DONE`` by ``time`` [s], each error within epsilon."""
+    steps = [step for step in row["steps"] if step["time"] <= time]
+    within = all(
+        step["error"] is not None and step["error"] <= row["epsilon"] for step in steps[1:]
+    )
+    return within and any(step["coverage"] >= DONE for step in steps)
+
+
 def _time_to(row: Row, coverage: float) -> float:
     """Return the simulated time [s] until ``row``'s run covered as much as ``coverage``."""
     return float(next(s["time"] for s in row["steps"] if s["coverage"] >= coverage - 1e-9))
@@ -303,6 +333,7 @@ def compare_planners(rows: list[Row], planners: list[str]) -> dict[str, Row]:
         ratio, objects, runs = compare_times(own, first)
         found["time_to_same_coverage"] = _figure(ratio, "ratio", planners[0], runs)
         found["time_to_same_coverage_objects"] = _figure(objects, "scenes", planners[0], runs)
+        found.update(compare_done_in_time(own, first, planners[0]))
         figures.update((f"{name}_{key}", figure) for key, figure in found.items())
     return figures
 
