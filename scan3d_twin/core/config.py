@@ -222,10 +222,10 @@ class AlignmentConfig:
 class MotionConfig:
     """Driving from one viewpoint to the next."""
 
-    speed: float = number(0.2, most=0.5)
-    """Driving speed [m/s]; well under the 0.5 m/s of the base, so that bumps are gentle."""
-    turn_rate: float = number(math.radians(45.0), most=5.0)
-    """Turn rate on the spot [rad/s]."""
+    speed: float = number(0.25, most=0.5)
+    """Driving speed [m/s]; half the 0.5 m/s of the base, so that bumps are gentle."""
+    turn_rate: float = number(math.radians(90.0), most=5.0)
+    """Turn rate on the spot [rad/s]: the wheels are then no faster than on the way, 0.2 m/s."""
     acceleration: float = number(0.5, most=10.0)
     """Acceleration of the wheels when starting and stopping [m/s2]; the base is capable of 1.8."""
     robot_radius: float = number(0.17)

@@ -69,7 +69,7 @@ def test_attendants_see_the_whole_way():
         Robot(base, None, JumpingClock(base)), lambda: seen.append(base.odometry().T_odom_base.x)
     )
     drive_to(robot, 1.0, 0.0, MotionConfig())
-    assert np.max(np.diff(seen)) <= 0.2 * 0.031
+    assert np.max(np.diff(seen)) <= MotionConfig().speed * 0.031
     assert seen[-1] > 0.98
 
 

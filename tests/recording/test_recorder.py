@@ -11,6 +11,7 @@ from rosbags.highlevel import AnyReader
 from same import same
 
 from scan3d_twin.api.run import open_recorder
+from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import FileError
 from scan3d_twin.recording.load import load_session, read_commands, read_lines
 from scan3d_twin.recording.mcap import file as mcap_file
@@ -123,7 +124,7 @@ def test_a_beam_up_in_the_lidar_is_a_beam_to_the_left_in_the_laser(path):
 def test_the_way_and_the_commands_are_complete(path):
     sent = list(read_commands(path))
     assert [stamp for stamp, _, _ in sent] == sorted(stamp for stamp, _, _ in sent)
-    assert max(linear for _, linear, _ in sent) == 0.2
+    assert max(linear for _, linear, _ in sent) == Config().motion.speed
     assert sent[-1][1:] == (0.0, 0.0)
     with AnyReader([path]) as reader:
         wanted = [c for c in reader.connections if c.topic == "/odom"]

@@ -177,7 +177,9 @@ def test_the_way_driven_is_drawn_as_it_is_driven(watched):
 def test_in_the_twin_the_realised_errors_and_the_true_surface_are_shown(watched):
     view, session, evaluation, _ = watched
     error = evaluation.pairs[0].error
-    assert f"| {1e3 * error:.1f} mm |" in view._errors.content
+    shown = f"{1e3 * error:.1f} mm"
+    shown = f"**{shown}**" if error > session.config.planning.epsilon else shown
+    assert f"| {shown} |" in view._errors.content
     assert "realised" in view._errors.content
 
     # The true surface lies on the model

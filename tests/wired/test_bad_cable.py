@@ -23,8 +23,11 @@ from scan3d_twin.wired import HazardFreeClock
 pytestmark = pytest.mark.slow
 
 CONFIG = replace(
-    Config(), sweep=replace(Config().sweep, width=math.radians(40.0), margin=math.radians(5.0))
+    Config(),
+    sweep=replace(Config().sweep, width=math.radians(40.0), margin=math.radians(5.0)),
+    motion=replace(Config().motion, turn_rate=math.radians(45.0)),
 )
+"""Times of turns decide which byte a fault hits, and the seeds stand for certain ones."""
 
 
 class RecordedLidar:
