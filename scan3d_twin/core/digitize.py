@@ -24,6 +24,7 @@ from scan3d_twin.core.observer import Observer, Unobserved
 from scan3d_twin.core.placed_views import integrate_placed
 from scan3d_twin.core.planning import Planner, make_planner
 from scan3d_twin.core.planning.overlap_or_default import describe_shortfall
+from scan3d_twin.core.planning.sweep_choice import choose_sector
 from scan3d_twin.core.scanning.gap_filling import fill_gaps
 from scan3d_twin.core.scanning.mixed_pixels import remove_mixed_pixels
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
@@ -203,8 +204,8 @@ def observe(robot: Robot, viewpoint: Pose2, session: Session, observer: Observer
         observer.on_event(f"driving to viewpoint {len(session.views)}")
         touched = drive(robot, viewpoint, session, observer)
     observer.on_event(f"scanning view {len(session.views)}")
-    half = session.plans[-1].half_width if session.plans else None
-    observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line, half)
+    sector = choose_sector(session, viewpoint)
+    observation = sweep(robot, viewpoint.yaw, session.config, observer.on_line, *sector)
 
     # Keep how the wheels moved since the latest view
     poses = [sample.T_odom_base for sample in robot.base.odometry_since(started)]

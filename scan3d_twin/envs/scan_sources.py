@@ -16,6 +16,7 @@ from scan3d_twin.core.model.truth import Truth
 from scan3d_twin.core.navigation.costmap import Costmap, build_costmap
 from scan3d_twin.core.navigation.legs import measure_legs
 from scan3d_twin.core.navigation.motion_control import follow_path
+from scan3d_twin.core.planning.sweep_choice import choose_sector
 from scan3d_twin.core.scanning.sweep import sweep, take_panorama
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import FloatArray, LidarSpec, Observation, Pose2, ScanLine
@@ -56,8 +57,10 @@ class EpisodeScanSource(ABC):
         """See ``ScanSource``; there is no session before the first panorama."""
 
     @abstractmethod
-    def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:
-        """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep about ``yaw``.
+    def _go(
+        self, path: FloatArray, yaw: float, half: float | None, beyond: float
+    ) -> tuple[Observation, list[Pose2]]:
+        """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep a sector about ``yaw``.
 
         Returns:
             The sweep, and the poses by odometry on the way.
@@ -74,7 +77,7 @@ class EpisodeScanSource(ABC):
         path = _find_path(self.costmap_from(here, session), viewpoint)
         places = [np.array([here.x, here.y]), *path]
         self.driven += sum(float(np.linalg.norm(b - a)) for a, b in pairwise(places))
-        seen, poses = self._go(path, viewpoint.yaw)
+        seen, poses = self._go(path, viewpoint.yaw, *choose_sector(session, viewpoint))
 
         # Keep how the wheels moved since the latest view
         before = session.views[-1].observation.T_odom_scan if session.views else poses[0]
@@ -147,10 +150,12 @@ class PhysicsScanSource(EpisodeScanSource):
         """See ``EpisodeScanSource``."""
         return take_panorama(self._robot, self.config, _ignore_line)
 
-    def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:
+    def _go(
+        self, path: FloatArray, yaw: float, half: float | None, beyond: float
+    ) -> tuple[Observation, list[Pose2]]:
         started = self.time
         follow_path(self._robot, path, self.config.motion)
-        seen = sweep(self._robot, yaw, self.config, _ignore_line)
+        seen = sweep(self._robot, yaw, self.config, _ignore_line, half, beyond)
         return seen, [each.T_odom_base for each in self._robot.base.odometry_since(started)]
 
 
@@ -190,9 +195,11 @@ class KinematicScanSource(EpisodeScanSource):
         """See ``EpisodeScanSource``."""
         return self._robot.take_panorama()
 
-    def _go(self, path: FloatArray, yaw: float) -> tuple[Observation, list[Pose2]]:
+    def _go(
+        self, path: FloatArray, yaw: float, half: float | None, beyond: float
+    ) -> tuple[Observation, list[Pose2]]:
         poses = [self.here]
         for x, y in path.tolist():
             heading = math.atan2(y - poses[-1].y, x - poses[-1].x)
             poses += [Pose2(poses[-1].x, poses[-1].y, heading), Pose2(x, y, heading)]
-        return self._robot.observe(path, yaw), poses
+        return self._robot.observe(path, yaw, half, beyond), poses

@@ -16,6 +16,7 @@ import numpy as np
 from scan3d_twin.core.config import Config
 from scan3d_twin.core.errors import ConfigError
 from scan3d_twin.core.hal import default_mount
+from scan3d_twin.core.scanning.sweep import find_ends
 from scan3d_twin.core.types import (
     FloatArray,
     IntArray,
@@ -186,17 +187,23 @@ class KinematicRobot:
     def take_panorama(self) -> Observation:
         """Return a panorama, a coarse sweep all round, from where the robot stands."""
         sweep = self._config.sweep
-        return self._sweep(self.here.yaw, math.pi, sweep.look_rate, self._thinning.looks)
+        ends = math.pi, math.pi
+        return self._sweep(self.here.yaw, ends, sweep.look_rate, self._thinning.looks)
 
-    def observe(self, path: FloatArray, yaw: float) -> Observation:
-        """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep about the heading ``yaw`` there."""
+    def observe(
+        self, path: FloatArray, yaw: float, half: float | None = None, beyond: float = 0.0
+    ) -> Observation:
+        """Drive along ``path`` (n, 2) in ``odom`` [m] and sweep about the heading ``yaw`` there.
+
+        ``half`` and ``beyond`` [rad] are those of ``sweep``.
+        """
         motion, sweep = self._config.motion, self._config.sweep
         near = self._rng.uniform(-0.5, 0.5, 2) * motion.position_tolerance
         places = path.copy()
         places[-1:] += near
         self._move(places, yaw)
-        half = sweep.width / 2 + sweep.margin
-        return self._sweep(yaw, half, sweep.yaw_rate, self._thinning.lines)
+        ends = find_ends(sweep.width / 2 + sweep.margin, half, beyond)
+        return self._sweep(yaw, ends, sweep.yaw_rate, self._thinning.lines)
 
     def _move(self, path: FloatArray, yaw: float) -> None:
         """Follow ``path`` (n, 2) in ``odom`` [m] and turn to ``yaw`` [rad]."""
@@ -210,17 +217,18 @@ class KinematicRobot:
         x, y = places[-1].tolist()
         self.here = Pose2(x, y, yaw)
 
-    def _sweep(self, yaw: float, half: float, rate: float, every: int) -> Observation:
-        """Turn right from ``half`` to -``half`` about the heading ``yaw``, reading lines."""
+    def _sweep(self, yaw: float, ends: tuple[float, float], rate: float, every: int) -> Observation:
+        """Turn right between ``ends`` to the left and right of ``yaw``, reading lines."""
         # Compute the headings of all beams
         spec, scale = self._scanner.spec, turn_scale(self._errors)
         period = spec.line_period * every
-        first = half - rate * period * float(self._rng.random())
-        count = math.floor((first + half) / (rate * period)) + 1
+        left, right = ends
+        first = left - rate * period * float(self._rng.random())
+        count = math.floor((first + right) / (rate * period)) + 1
         yaws = first - rate * (period * np.arange(count)[:, None] + spec.beam_times)
 
         # Turn and measure
-        started = self._turn_through(half, rate) + (half - first) / rate
+        started = self._turn_through(ends, rate) + (left - first) / rate
         true = self.world.pose
         ranges, codes = self._measure(true, scale * yaws)
 
@@ -235,16 +243,16 @@ class KinematicRobot:
         )
         return Observation(image, Pose2(self.here.x, self.here.y, yaw))
 
-    def _turn_through(self, half: float, rate: float) -> float:
-        """Let the time of a sweep pass and return its start [s]; the robot ends in its middle."""
-        world, motion = self.world, self._config.motion
-        middle, scaled = world.pose, half * turn_scale(self._errors)
-        left = Pose2(middle.x, middle.y, middle.yaw + scaled)
-        world.add(half / motion.turn_rate + self._config.sweep.settle, left, scaled)
+    def _turn_through(self, ends: tuple[float, float], rate: float) -> float:
+        """Let the time of a sweep pass and return its start [s]; the robot ends at its heading."""
+        world, motion, scale = self.world, self._config.motion, turn_scale(self._errors)
+        here, (left, right) = world.pose, ends
+        first = Pose2(here.x, here.y, here.yaw + left * scale)
+        world.add(left / motion.turn_rate + self._config.sweep.settle, first, left * scale)
         started = world.time
-        right = Pose2(middle.x, middle.y, middle.yaw - scaled)
-        world.add(2 * half / rate, right, -2 * scaled)
-        world.add(half / motion.turn_rate, middle, scaled)
+        last = Pose2(here.x, here.y, here.yaw - right * scale)
+        world.add((left + right) / rate, last, -(left + right) * scale)
+        world.add(right / motion.turn_rate, here, right * scale)
         return started
 
     def _measure(self, true: Pose2, yaws: FloatArray) -> tuple[FloatArray, IntArray]:

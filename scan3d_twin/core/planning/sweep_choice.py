@@ -3,9 +3,10 @@
 A sweep turns at 5 deg/s, so that its angle is most of the time that a view takes. What shows the
 target is often a small part of it; the rest shows the surroundings, by which the view is
 registered, too. Sectors of growing angle are candidates, and the first one whose predicted error
-meets epsilon is taken: where the surroundings are needed, the sweep stays wide. So it does where
-the floor is not known yet on which the next move would end, if it is like this one: a panorama to
-look for it takes longer than what a narrow sweep saves.
+meets epsilon is taken: where the surroundings are needed, the sweep stays wide. Where nothing meets
+it, the first one is taken that is not worse than the whole. To one side the sweep goes on as far as
+shows the floor on which the next move would end, if it is like this one and that floor is not
+known yet: a panorama to look for it takes longer.
 """
 
 from __future__ import annotations
@@ -16,14 +17,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from scan3d_twin.core.config import Config
 from scan3d_twin.core.planning.context import PlanningContext
-from scan3d_twin.core.types import Plan, Pose2
+from scan3d_twin.core.session import Session
+from scan3d_twin.core.types import FloatArray, Plan, Pose2
 
 FREE_ANGLE = math.radians(5.0)
 """Angle seen beyond the gap that ends a target [rad]: ten lines."""
 NEXT_STEPS = (1.0, 1.3)
 """Lengths of the next move, in those of this one, for which the floor must be known: steps differ
 by the share of the surface that the target's next side has more."""
+AS_GOOD = 1.02
+"""Error of a narrow sector, in those of the whole one, up to which it is not worse."""
 TARGET_STRIDE = 13
 """Stride of the target's points whose bearings are compared; a prime, so that all beams count."""
 
@@ -32,7 +37,9 @@ SectorError = Callable[[Pose2, float], float]
 
 
 def narrow_sweep(context: PlanningContext, plan: Plan, error: SectorError) -> Plan:
-    """Return ``plan`` with the smallest sector whose error meets epsilon; else as it is.
+    """Return ``plan`` with the smallest sector that will do; else as it is.
+
+    Its error meets epsilon or, where the plan's does not, is no larger than that.
 
     Args:
         context: After the latest view.
@@ -40,13 +47,12 @@ def narrow_sweep(context: PlanningContext, plan: Plan, error: SectorError) -> Pl
         error: The predicted error.
     """
     config = context.session.config
-    if plan.viewpoint is None or plan.fell_back or config.planning.sector == "whole":
+    if plan.viewpoint is None or config.planning.sector == "whole":
         return plan
-
-    # Look at the floor ahead where it is not known
     viewpoint = context.view.T_world_scan.inverse() @ plan.viewpoint
-    if not (context.is_contour_done or _is_floor_known_ahead(context, viewpoint)):
-        return plan
+    largest = config.planning.epsilon
+    if plan.fell_back:
+        largest = max(largest, AS_GOOD * plan.predicted_rmse)
 
     # Try the target's own sector and one between it and the whole
     whole, least = config.sweep.width / 2 + config.sweep.margin, measure_sector(context, viewpoint)
@@ -54,15 +60,26 @@ def narrow_sweep(context: PlanningContext, plan: Plan, error: SectorError) -> Pl
         if half >= whole:
             break
         predicted = error(viewpoint, half)
-        if predicted <= config.planning.epsilon:
-            return replace(plan, half_width=half, predicted_rmse=predicted)
+        if predicted <= largest:
+            beyond = _look_ahead(context, viewpoint, half, whole)
+            return replace(plan, half_width=half, beyond=beyond, predicted_rmse=predicted)
     return plan
 
 
-def _is_floor_known_ahead(context: PlanningContext, step: Pose2) -> bool:
-    """Return whether the next move after this ``step`` can be planned by what is known now."""
+def _look_ahead(context: PlanningContext, step: Pose2, half: float, whole: float) -> float:
+    """Return the angle beyond ``half`` [rad] that shows the floor of the next move, if not known.
+
+    It is positive to the left; a sweep ends ``whole`` [rad] from its middle at the latest. Where
+    the contour is complete the next move is not like this ``step``.
+    """
     moves = (Pose2(factor * step.x, factor * step.y, step.yaw) for factor in NEXT_STEPS)
-    return all(context.is_feasible(step @ move) for move in moves)
+    if context.is_contour_done or all(context.is_feasible(step @ move) for move in moves):
+        return 0.0
+    motion = context.session.config.motion
+    body, length = motion.robot_radius + motion.clearance, math.hypot(step.x, step.y)
+    bearing = math.atan2(step.y, step.x)
+    end = abs(bearing) + math.asin(min(1.0, body / max(length, body))) + FREE_ANGLE
+    return math.copysign(max(0.0, min(end, whole) - half), bearing)
 
 
 def measure_sector(context: PlanningContext, viewpoint: Pose2) -> float:
@@ -75,14 +92,35 @@ def measure_sector(context: PlanningContext, viewpoint: Pose2) -> float:
     session, config = context.session, context.session.config
     if context.is_contour_done:
         return config.sweep.width / 2
-
-    # Measure the bearings of the known target
     there = context.view.T_world_scan @ viewpoint
     seen = [view.T_world_scan.apply(view.target.points[::TARGET_STRIDE]) for view in session.views]
-    points = there.inverse().apply(np.concatenate(seen))
-    bearings = np.abs(np.arctan2(points[:, 1], points[:, 0]))
+    return _measure_half(there.inverse().apply(np.concatenate(seen)), config)
 
-    # Look beyond its end
+
+def choose_sector(session: Session, viewpoint: Pose2) -> tuple[float | None, float]:
+    """Return ``half_width`` and ``beyond`` [rad] of the next sweep, at ``viewpoint`` in ``odom``.
+
+    They are those of the latest plan. Before the first view, a panorama shows too little to predict
+    how well the next one will be registered on it: the sweep ends halfway between what shows the
+    target and the whole.
+    """
+    config = session.config
+    if session.plans:
+        return session.plans[-1].half_width, session.plans[-1].beyond
+    if config.planning.sector == "whole":
+        return None, 0.0
+    half = _measure_half(viewpoint.inverse().apply(session.hint), config)
+    return (half + config.sweep.width / 2 + config.sweep.margin) / 2, 0.0
+
+
+def _measure_half(points: FloatArray, config: Config) -> float:
+    """Return half the angle [rad] of a sweep that shows the target's ``points`` and where it ends.
+
+    Args:
+        points: In the frame of the sweep (n, 2) or (n, 3) [m].
+        config: ``sweep.width`` counts at most.
+    """
+    bearings = np.abs(np.arctan2(points[:, 1], points[:, 0]))
     beyond = config.target.cluster_gap / config.planning.standoff + FREE_ANGLE
     extent = float(np.max(bearings[bearings <= math.pi / 2], initial=0.0))
     return min(extent, config.sweep.width / 2) + beyond

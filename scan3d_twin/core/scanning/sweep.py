@@ -86,6 +86,7 @@ def sweep(
     config: Config,
     on_line: Callable[[ScanLine], None],
     half: float | None = None,
+    beyond: float = 0.0,
     rightwards: bool | None = None,
 ) -> Observation:
     """Scan ``config.sweep.width`` and margins around the heading ``yaw`` in ``odom`` [rad].
@@ -99,6 +100,8 @@ def sweep(
         config: The effective configuration.
         on_line: Called with each line as it arrives.
         half: Half the angle of a narrower sweep [rad].
+        beyond: Angle by which that goes on to one side, to the left where positive [rad]; a
+            turntable goes on to both.
         rightwards: Direction of the turn; None starts at the nearer end, where that is not settled.
 
     Raises:
@@ -109,20 +112,34 @@ def sweep(
     whole, rate = config.sweep.width / 2 + config.sweep.margin, config.sweep.yaw_rate
     if robot.base.spec.is_stand:
         whole = half = math.pi
-    half = whole if half is None else min(half, whole)
+    left, right = find_ends(whole, half, beyond)
+    middle, half = (left - right) / 2, (left + right) / 2
     turner = choose_turner(robot, yaw, config)
     if robot.turntable is not None:
         yaw, rate = robot.base.odometry().T_odom_base.yaw, turner.choose_rate(rate)
+        middle, half = 0.0, max(left, right)
         half = turner.limit(half, whole, RUN_UP_LINES * rate * robot.lidar.spec.line_period)
         if rightwards is None:
             rightwards = robot.base.spec.is_stand or turner.heading() >= -MIDDLE
     started = robot.clock.now()
-    sector = _Sector(yaw, half, rate, LOST_LINE_GAP, turner, rightwards)
+    sector = _Sector(yaw, half, rate, LOST_LINE_GAP, turner, rightwards, middle)
     lines = _scan_sector(robot, sector, config, on_line)
     spacing = rate * robot.lidar.spec.line_period
-    kept = [item for item in lines if abs(_front_yaw(item[1])) <= half + spacing / 2]
+    kept = [item for item in lines if abs(_front_yaw(item[1]) - middle) <= half + spacing / 2]
     observation = _assemble_observation(robot, kept, sector, started, config)
     return correct_extrinsics(observation, config.mount)
+
+
+def find_ends(whole: float, half: float | None, beyond: float) -> tuple[float, float]:
+    """Return how far a sweep goes to the left and to the right of its heading [rad].
+
+    Args:
+        whole: The same of the whole sweep, at most [rad].
+        half: Of a narrower one [rad]; None for the whole.
+        beyond: Angle by which that goes on to one side, to the left where positive [rad].
+    """
+    half = whole if half is None else half
+    return min(half + max(beyond, 0.0), whole), min(half - min(beyond, 0.0), whole)
 
 
 def take_panorama(
@@ -204,12 +221,13 @@ class _Sector:
     """The sector to be scanned.
 
     Attributes:
-        yaw: Heading of its middle in ``odom`` [rad].
+        yaw: Heading in ``odom`` to which the yaws of its lines are relative [rad].
         half: Half its angle [rad].
         rate: Turn rate of the robot [rad/s].
         gap: See ``find_missing``.
         turner: What turns the lidar.
         rightwards: Direction of the first pass; None to start at the nearer end.
+        middle: Yaw of its middle [rad].
     """
 
     yaw: float
@@ -218,6 +236,7 @@ class _Sector:
     gap: float
     turner: Turner
     rightwards: bool | None = None
+    middle: float = 0.0
 
 
 def _scan_sector(
@@ -229,7 +248,7 @@ def _scan_sector(
     """Return the lines of ``sector`` and slightly beyond, after scanning lost lines again."""
     # Scan all of it
     half = sector.half
-    heading = sector.turner.heading()
+    heading = sector.turner.heading() - sector.middle
     rightwards = heading >= 0 if sector.rightwards is None else sector.rightwards
     ends = (half, -half) if rightwards else (-half, half)
     lines = _scan_pass(robot, sector, ends, config, on_line)
@@ -241,7 +260,11 @@ def _scan_sector(
             break
         for ends in missing:
             again = _scan_pass(robot, sector, ends, config, on_line)
-            inside = [item for item in again if min(ends) < _front_yaw(item[1]) < max(ends)]
+            inside = [
+                item
+                for item in again
+                if min(ends) < _front_yaw(item[1]) - sector.middle < max(ends)
+            ]
             lines.extend(inside)
 
     # Give up on lasting gaps
@@ -259,10 +282,10 @@ def _find_gaps(
 ) -> list[tuple[float, float]]:
     """Return the intervals in which lines are missing or parts of them too wide to be filled.
 
-    Where parts are missing, intervals whose run-ups overlap are one, in the order and direction of
-    the way from the end at which the robot stands.
+    They are relative to the sector's middle. Where parts are missing, intervals whose run-ups
+    overlap are one, in the order and direction of the way from the end at which the robot stands.
     """
-    front, spacing = _front_yaws(lines), sector.rate * spec.line_period
+    front, spacing = _front_yaws(lines) - sector.middle, sector.rate * spec.line_period
     missing = find_missing(front, sector.half, spacing, sector.gap)
     codes = [line.codes for line, _ in drop_doubtful(lines)]
     if not codes:
@@ -301,7 +324,8 @@ def _scan_pass(
     turner, rate, period = sector.turner, sector.rate, robot.lidar.spec.line_period
     direction = math.copysign(1.0, ends[1] - ends[0])
     margin = RUN_UP_LINES * rate * period
-    first, last = ends[0] - direction * margin, ends[1] + direction * margin
+    first = sector.middle + ends[0] - direction * margin
+    last = sector.middle + ends[1] + direction * margin
     turner.go_to(first)
     robot.clock.sleep(config.sweep.settle)
 

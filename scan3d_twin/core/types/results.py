@@ -108,6 +108,8 @@ class Plan:
         reason: Why the planner decided so, in words.
         needs_panorama: Whether a panorama from here may show that a better viewpoint is free.
         half_width: Half the angle of the sweep there [rad]; None for all of it.
+        beyond: Angle swept beyond that to one side, to the left where positive [rad]: it shows the
+            floor of the next move.
 
     >>> plan = session.plans[0]
     >>> plan.viewpoint is not None, 0.0 < plan.overlap < 1.0
@@ -122,3 +124,4 @@ class Plan:
     reason: str
     needs_panorama: bool = renamed(False, "needs_look")
     half_width: float | None = None
+    beyond: float = 0.0

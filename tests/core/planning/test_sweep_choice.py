@@ -13,7 +13,12 @@ from scan3d_twin.core.config import Config
 from scan3d_twin.core.planning.context import PlanningContext
 from scan3d_twin.core.planning.planners.fisher import FisherPlanner
 from scan3d_twin.core.planning.prediction.error_prediction import ErrorPrediction
-from scan3d_twin.core.planning.sweep_choice import SectorError, measure_sector, narrow_sweep
+from scan3d_twin.core.planning.sweep_choice import (
+    SectorError,
+    choose_sector,
+    measure_sector,
+    narrow_sweep,
+)
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.types import Plan, Pose2
 
@@ -59,15 +64,43 @@ def test_the_smallest_sector_within_epsilon_is_taken(box: Session) -> None:
     assert narrow_sweep(context, plan, needs(WHOLE)) == plan
 
 
-def test_the_sweep_stays_whole_where_epsilon_is_not_met_or_it_is_wanted(box: Session) -> None:
-    context = PlanningContext(box)
-    fallen, last = plan_to(Pose2(), fell_back=True), plan_to(None)
-    assert narrow_sweep(context, fallen, needs(0.0)) is fallen
-    assert narrow_sweep(context, last, needs(0.0)) is last
+def test_the_sweep_stays_whole_where_there_is_none_or_it_is_wanted(box: Session) -> None:
+    last = plan_to(None)
+    assert narrow_sweep(PlanningContext(box), last, needs(0.0)) is last
     planning = replace(box.config.planning, sector="whole")
     whole = PlanningContext(replace(box, config=replace(box.config, planning=planning)))
     plan = plan_to(Pose2())
     assert narrow_sweep(whole, plan, needs(0.0)) is plan
+
+
+def test_where_nothing_meets_epsilon_a_narrow_sweep_is_as_good_or_it_stays_whole(
+    box: Session,
+) -> None:
+    context, step = PlanningContext(box), Pose2(0.0, -0.1, 0.1)
+    fallen = replace(plan_to(step, fell_back=True), predicted_rmse=0.015)
+    narrow = narrow_sweep(context, fallen, lambda viewpoint, half: 0.0152)
+    assert narrow.half_width == pytest.approx(measure_sector(context, step))
+    assert narrow.predicted_rmse == 0.0152
+    assert narrow_sweep(context, fallen, lambda viewpoint, half: 0.0155) is fallen
+    unknown = replace(fallen, predicted_rmse=math.inf)
+    assert narrow_sweep(context, unknown, lambda viewpoint, half: math.nan) is unknown
+
+
+def test_the_first_sweep_ends_halfway_between_the_target_and_the_whole(box: Session) -> None:
+    session = replace(box, views=())
+    half, beyond = choose_sector(session, Pose2())
+    own = math.atan2(0.3, 1.0) + 0.2 + math.radians(5.0)
+    assert half == pytest.approx((own + WHOLE) / 2, abs=math.radians(1.0))
+    assert beyond == 0.0
+    planning = replace(box.config.planning, sector="whole")
+    session = replace(session, config=replace(box.config, planning=planning))
+    assert choose_sector(session, Pose2()) == (None, 0.0)
+
+
+def test_later_sweeps_are_those_of_the_latest_plan(box: Session) -> None:
+    plans = (plan_to(Pose2()), replace(plan_to(Pose2()), half_width=0.5, beyond=-0.2))
+    assert choose_sector(replace(box, plans=plans), Pose2()) == (0.5, -0.2)
+    assert choose_sector(replace(box, plans=plans[:1]), Pose2()) == (None, 0.0)
 
 
 def test_a_narrower_sweep_is_never_predicted_to_register_better() -> None:
@@ -80,10 +113,12 @@ def test_a_narrower_sweep_is_never_predicted_to_register_better() -> None:
     assert errors[0] < errors[1] < errors[2]
 
 
-def test_the_sweep_stays_whole_where_the_floor_ahead_is_not_known(
-    box: Session, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_sweep_goes_on_to_where_the_floor_ahead_is_not_known(
+    box: Session, monkeypatch: pytest.MonkeyPatch, side: float
 ) -> None:
-    context, step = PlanningContext(box), Pose2(0.0, -0.1, 0.1)
+    context, step = PlanningContext(box), Pose2(0.6, side * 0.8, side * 0.1)
+    assert narrow_sweep(context, plan_to(step), needs(0.0)).beyond == 0.0
     asked: list[Pose2] = []
 
     def is_feasible(self: PlanningContext, viewpoint: Pose2) -> bool:
@@ -91,10 +126,13 @@ def test_the_sweep_stays_whole_where_the_floor_ahead_is_not_known(
         return False
 
     monkeypatch.setattr(PlanningContext, "is_feasible", is_feasible)
-    assert narrow_sweep(context, plan_to(step), needs(0.0)).half_width is None
+    plan = narrow_sweep(context, plan_to(step), needs(0.0))
     assert asked[0].distance(step @ step) < 1e-9
+    assert plan.half_width == pytest.approx(measure_sector(context, step))
+    body = math.atan2(0.8, 0.6) + math.asin(0.22) + math.radians(5.0)
+    assert plan.beyond == pytest.approx(side * (min(body, WHOLE) - plan.half_width))
     context.__dict__["is_contour_done"] = True
-    assert narrow_sweep(context, plan_to(step), needs(0.0)).half_width is not None
+    assert narrow_sweep(context, plan_to(step), needs(0.0)).beyond == 0.0
 
 
 def test_a_view_of_hidden_surface_shows_all_that_counts(box: Session) -> None:

@@ -191,8 +191,9 @@ class HiddenSurface:
         for view in views:
             faces = faces.select(~faces.are_passed_in(view))
         for view in views:
-            half = float(np.max(np.abs(view.image.yaws), initial=0.0))
-            faces = faces.select(~self._shown(faces, view.T_world_scan, half))
+            yaws = view.image.yaws
+            ends = (float(np.min(yaws, initial=0.0)), float(np.max(yaws, initial=0.0)))
+            faces = faces.select(~self._shown(faces, view.T_world_scan, ends))
         return faces
 
     def _edges(self, index: int) -> list[Edge]:
@@ -215,15 +216,18 @@ class HiddenSurface:
         cosines = np.array([faces.cosines(pose).sum() for faces, pose in shown])
         return SLICE_CELL * SLICE_THICKNESS * cosines
 
-    def _shown(self, faces: Faces, pose: Pose2, half: float = math.inf) -> BoolArray:
-        """Return which ``faces`` (n,) a sweep at ``pose`` shows, ``half`` [rad] to either side."""
+    def _shown(
+        self, faces: Faces, pose: Pose2, ends: tuple[float, float] = (-math.inf, math.inf)
+    ) -> BoolArray:
+        """Return which ``faces`` (n,) a sweep at ``pose`` shows, between its ``ends`` [rad]."""
         # Check width, incidence and distance
         config = self.session.config
-        half = min(half, config.sweep.width / 2)
+        half = config.sweep.width / 2
         ways = np.array([pose.x, pose.y]) - faces.points
         distance = np.linalg.norm(ways, axis=1)
         local = pose.inverse().apply(faces.points)
-        shown = np.abs(np.arctan2(local[:, 1], local[:, 0])) <= half
+        bearings = np.arctan2(local[:, 1], local[:, 0])
+        shown = (bearings >= max(ends[0], -half)) & (bearings <= min(ends[1], half))
         shown &= faces.cosines(pose) >= math.cos(MAX_INCIDENCE)
         shown &= distance <= 2 * config.planning.standoff
 
