@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from paper import paper_config, paper_planning, paper_sweep
 from sessions import session_at
-from synthetic import THREE_BOXES, Box
+from synthetic import THREE_BOXES, Box, observe
 
+from scan3d_twin.core.digitize import integrate
 from scan3d_twin.core.planning.candidates import hidden_views as closing
 from scan3d_twin.core.planning.candidates.hidden_surface import FACE_DEPTH, HiddenSurface
 from scan3d_twin.core.planning.candidates.hidden_views import termination_plan
 from scan3d_twin.core.planning.candidates.pose_candidates import PoseCandidates
 from scan3d_twin.core.planning.context import Placement, PlanningContext
 from scan3d_twin.core.session import Session
-from scan3d_twin.core.types import FloatArray, Plan, Pose2
+from scan3d_twin.core.types import FloatArray, Observation, Plan, Pose2
 
 pytestmark = pytest.mark.slow
 
@@ -80,6 +81,24 @@ def test_what_a_view_into_the_gap_settled_is_hidden_no_more(seen: Session) -> No
     assert np.count_nonzero(before < depth) > 10
     assert np.count_nonzero(after < depth) <= 2
     assert np.count_nonzero(after > depth) > 10
+
+
+@pytest.mark.parametrize(("right", "left", "hidden"), [(-5.0, 45.0, True), (-45.0, 5.0, False)])
+def test_a_sweep_to_one_side_settles_nothing_on_the_other(
+    seen: Session, right: float, left: float, hidden: bool
+) -> None:
+    """The gap lies to the right, at 20 to 25 deg."""
+    there = standing(-0.1, 0.7)
+    image = observe(there, BOXES, room=False, width=math.radians(90.0)).image
+    front = np.degrees(image.yaws[:, image.spec.n_beams // 2])
+    kept = (front >= right) & (front <= left)
+    image = replace(
+        image, stamps=image.stamps[kept], yaws=image.yaws[kept], ranges=image.ranges[kept],
+        codes=image.codes[kept],
+    )  # fmt: skip
+    more = integrate(seen, Observation(image, there))
+    before, after = (np.count_nonzero(on_face(each, 0.25, 1.0) < 1.17) for each in (seen, more))
+    assert after > 0.8 * before if hidden else after <= 2
 
 
 @pytest.mark.parametrize("seed", range(8))
