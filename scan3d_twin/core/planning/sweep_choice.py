@@ -4,9 +4,10 @@ A sweep turns at 5 deg/s, so that its angle is most of the time that a view take
 target is often a small part of it; the rest shows the surroundings, by which the view is
 registered, too. Sectors of growing angle are candidates, and the first one whose predicted error
 meets epsilon is taken: where the surroundings are needed, the sweep stays wide. Where nothing meets
-it, the first one is taken that is not worse than the whole. To one side the sweep goes on as far as
-shows the floor on which the next move would end, if it is like this one and that floor is not
-known yet: a panorama to look for it takes longer.
+it, the first one is taken that is not worse than the whole, unless the target reaches beyond it:
+the next view is registered on what this one shows. To one side the sweep goes on as far as shows
+the floor on which the next move would end, if it is like this one and that floor is not known yet:
+a panorama to look for it takes longer.
 """
 
 from __future__ import annotations
@@ -50,12 +51,13 @@ def narrow_sweep(context: PlanningContext, plan: Plan, error: SectorError) -> Pl
     if plan.viewpoint is None or config.planning.sector == "whole":
         return plan
     viewpoint = context.view.T_world_scan.inverse() @ plan.viewpoint
+    least, is_shown = measure_sector(context, viewpoint)
     largest = config.planning.epsilon
-    if plan.fell_back:
+    if plan.fell_back and is_shown:
         largest = max(largest, AS_GOOD * plan.predicted_rmse)
 
     # Try the target's own sector and one between it and the whole
-    whole, least = config.sweep.width / 2 + config.sweep.margin, measure_sector(context, viewpoint)
+    whole = config.sweep.width / 2 + config.sweep.margin
     for half in (least, (least + whole) / 2):
         if half >= whole:
             break
@@ -82,8 +84,8 @@ def _look_ahead(context: PlanningContext, step: Pose2, half: float, whole: float
     return math.copysign(max(0.0, min(end, whole) - half), bearing)
 
 
-def measure_sector(context: PlanningContext, viewpoint: Pose2) -> float:
-    """Return half the angle [rad] of a sweep that shows the target and where it ends.
+def measure_sector(context: PlanningContext, viewpoint: Pose2) -> tuple[float, bool]:
+    """Return half the angle [rad] of a sweep that shows the target, and whether it shows all of it.
 
     What counts is at most ``sweep.width``, and all of it where a view is for hidden surface, which
     may be anywhere in it. Along the contour the known part of the target lies on one side of a
@@ -91,7 +93,7 @@ def measure_sector(context: PlanningContext, viewpoint: Pose2) -> float:
     """
     session, config = context.session, context.session.config
     if context.is_contour_done:
-        return config.sweep.width / 2
+        return config.sweep.width / 2, False
     there = context.view.T_world_scan @ viewpoint
     seen = [view.T_world_scan.apply(view.target.points[::TARGET_STRIDE]) for view in session.views]
     return _measure_half(there.inverse().apply(np.concatenate(seen)), config)
@@ -102,25 +104,28 @@ def choose_sector(session: Session, viewpoint: Pose2) -> tuple[float | None, flo
 
     They are those of the latest plan. Before the first view, a panorama shows too little to predict
     how well the next one will be registered on it: the sweep ends halfway between what shows the
-    target and the whole.
+    target and the whole, which it is if the target reaches beyond ``sweep.width``.
     """
     config = session.config
     if session.plans:
         return session.plans[-1].half_width, session.plans[-1].beyond
     if config.planning.sector == "whole":
         return None, 0.0
-    half = _measure_half(viewpoint.inverse().apply(session.hint), config)
-    return (half + config.sweep.width / 2 + config.sweep.margin) / 2, 0.0
+    half, is_shown = _measure_half(viewpoint.inverse().apply(session.hint), config)
+    return (half + config.sweep.width / 2 + config.sweep.margin) / 2 if is_shown else None, 0.0
 
 
-def _measure_half(points: FloatArray, config: Config) -> float:
+def _measure_half(points: FloatArray, config: Config) -> tuple[float, bool]:
     """Return half the angle [rad] of a sweep that shows the target's ``points`` and where it ends.
 
     Args:
         points: In the frame of the sweep (n, 2) or (n, 3) [m].
         config: ``sweep.width`` counts at most.
+
+    Returns:
+        The angle, and whether all points lie in it.
     """
     bearings = np.abs(np.arctan2(points[:, 1], points[:, 0]))
     beyond = config.target.cluster_gap / config.planning.standoff + FREE_ANGLE
     extent = float(np.max(bearings[bearings <= math.pi / 2], initial=0.0))
-    return min(extent, config.sweep.width / 2) + beyond
+    return min(extent, config.sweep.width / 2) + beyond, extent <= config.sweep.width / 2

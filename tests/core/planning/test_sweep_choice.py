@@ -42,20 +42,21 @@ def needs(half: float) -> SectorError:
 
 
 def test_a_small_target_needs_a_small_sector(box: Session) -> None:
-    half = measure_sector(PlanningContext(box), Pose2())
+    half, is_shown = measure_sector(PlanningContext(box), Pose2())
+    assert is_shown
     extent, gap = math.atan2(0.3, 0.9), 0.2
     assert half == pytest.approx(extent + gap + math.radians(5.0), abs=math.radians(2.0))
 
 
 def test_a_wide_target_needs_the_width_and_what_shows_its_end() -> None:
     wall = session_at(WALL, Config(), half=3.0)
-    half = measure_sector(PlanningContext(wall), Pose2())
+    half, _ = measure_sector(PlanningContext(wall), Pose2())
     assert half == pytest.approx(math.radians(30.0 + 5.0) + 0.2, abs=1e-6)
 
 
 def test_the_smallest_sector_within_epsilon_is_taken(box: Session) -> None:
     context, plan = PlanningContext(box), plan_to(Pose2(0.0, -0.1, 0.1))
-    least = measure_sector(context, Pose2(0.0, -0.1, 0.1))
+    least, _ = measure_sector(context, Pose2(0.0, -0.1, 0.1))
     narrow = narrow_sweep(context, plan, needs(0.0))
     assert narrow.half_width == pytest.approx(least)
     assert narrow.predicted_rmse == 0.005
@@ -79,11 +80,21 @@ def test_where_nothing_meets_epsilon_a_narrow_sweep_is_as_good_or_it_stays_whole
     context, step = PlanningContext(box), Pose2(0.0, -0.1, 0.1)
     fallen = replace(plan_to(step, fell_back=True), predicted_rmse=0.015)
     narrow = narrow_sweep(context, fallen, lambda viewpoint, half: 0.0152)
-    assert narrow.half_width == pytest.approx(measure_sector(context, step))
+    assert narrow.half_width == pytest.approx(measure_sector(context, step)[0])
     assert narrow.predicted_rmse == 0.0152
     assert narrow_sweep(context, fallen, lambda viewpoint, half: 0.0155) is fallen
     unknown = replace(fallen, predicted_rmse=math.inf)
     assert narrow_sweep(context, unknown, lambda viewpoint, half: math.nan) is unknown
+
+
+def test_of_a_target_that_goes_on_all_is_swept_where_nothing_meets_epsilon() -> None:
+    """The next view is registered on what this one shows."""
+    wall = session_at(WALL, Config(), half=3.0)
+    step = Pose2(0.0, -0.6, 0.0)
+    assert measure_sector(PlanningContext(wall), step)[1] is False
+    fallen = replace(plan_to(step, fell_back=True), predicted_rmse=0.015)
+    assert narrow_sweep(PlanningContext(wall), fallen, lambda viewpoint, half: 0.015) is fallen
+    assert choose_sector(replace(wall, views=()), Pose2()) == (None, 0.0)
 
 
 def test_the_first_sweep_ends_halfway_between_the_target_and_the_whole(box: Session) -> None:
@@ -128,7 +139,7 @@ def test_the_sweep_goes_on_to_where_the_floor_ahead_is_not_known(
     monkeypatch.setattr(PlanningContext, "is_feasible", is_feasible)
     plan = narrow_sweep(context, plan_to(step), needs(0.0))
     assert asked[0].distance(step @ step) < 1e-9
-    assert plan.half_width == pytest.approx(measure_sector(context, step))
+    assert plan.half_width == pytest.approx(measure_sector(context, step)[0])
     body = math.atan2(0.8, 0.6) + math.asin(0.22) + math.radians(5.0)
     assert plan.beyond == pytest.approx(side * (min(body, WHOLE) - plan.half_width))
     context.__dict__["is_contour_done"] = True
@@ -138,7 +149,7 @@ def test_the_sweep_goes_on_to_where_the_floor_ahead_is_not_known(
 def test_a_view_of_hidden_surface_shows_all_that_counts(box: Session) -> None:
     context = PlanningContext(box)
     context.__dict__["is_contour_done"] = True
-    assert measure_sector(context, Pose2(0.0, -0.1, 0.1)) == box.config.sweep.width / 2
+    assert measure_sector(context, Pose2(0.0, -0.1, 0.1))[0] == box.config.sweep.width / 2
 
 
 @pytest.mark.slow
