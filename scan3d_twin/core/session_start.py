@@ -20,7 +20,7 @@ from scan3d_twin.core.scanning.calibration.lidar_mount import (
     describe_suspicion,
 )
 from scan3d_twin.core.scanning.sweep import take_panorama
-from scan3d_twin.core.scanning.target.selection import find_target, is_empty_room
+from scan3d_twin.core.scanning.target.selection import find_target, is_empty
 from scan3d_twin.core.session import Session
 from scan3d_twin.core.stand import start_stand_session
 from scan3d_twin.core.types import Observation, Pose2
@@ -42,11 +42,11 @@ def begin_session(
     """Take a panorama; return an empty session and the first viewpoint in ``odom``.
 
     At 1.5 m the lines of a panorama are 5 cm apart, and a pole of 3 cm may stand between two: if
-    nothing seems to stand in a room, the robot looks again with half that spacing.
+    nothing seems to stand there, the robot looks again with half that spacing.
     """
     observer.on_event("looking around for the target")
     panorama = take_panorama(robot, config, observer.on_line)
-    if target is None and is_empty_room(panorama, config):
+    if target is None and is_empty(panorama, config):
         observer.on_event("nothing stands free: looking around again, more slowly")
         panorama = take_panorama(robot, halve_look_rate(config), observer.on_line)
 

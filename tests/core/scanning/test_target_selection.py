@@ -9,7 +9,7 @@ from paper import paper_config
 from synthetic import THREE_BOXES, Box, observe
 
 from scan3d_twin.core.errors import SceneError
-from scan3d_twin.core.scanning.target.selection import find_target, find_targets, is_empty_room
+from scan3d_twin.core.scanning.target.selection import find_target, find_targets, is_empty
 from scan3d_twin.core.types import VALID, Observation, Pose2, read_only
 
 CONFIG = paper_config()
@@ -122,9 +122,10 @@ def test_what_an_uneven_wall_leaves_is_no_thing_at_it() -> None:
 
 def test_a_room_is_empty_when_nothing_stands_in_it() -> None:
     wall = (Box((1.3, -5.0, 0.0), (1.4, 5.0, 2.5)),)
-    assert is_empty_room(look(()), CONFIG)
-    assert not is_empty_room(look(), CONFIG)
-    assert not is_empty_room(look(wall, room=False), CONFIG)
+    assert is_empty(look(()), CONFIG)
+    assert is_empty(look((), room=False), CONFIG)
+    assert not is_empty(look(), CONFIG)
+    assert not is_empty(look(wall, room=False), CONFIG)
 
 
 def test_the_wanted_place_overrides_what_is_salient() -> None:

@@ -95,15 +95,16 @@ def find_targets(panorama: Observation, count: int, config: Config) -> list[Floa
     return [panorama.T_odom_scan.apply(group.points) for group in (free or groups[:1])[:count]]
 
 
-def is_empty_room(panorama: Observation, config: Config) -> bool:
-    """Return whether a panorama shows a room in which nothing stands.
+def is_empty(panorama: Observation, config: Config) -> bool:
+    """Return whether a panorama shows nothing, or a room in which nothing stands.
 
     Nobody wants a model of that: a thin thing has fallen between two lines.
-
-    Raises:
-        SceneError: Nothing was seen.
     """
-    if any(group.rank for group in _find_groups(panorama, config)):
+    try:
+        groups = _find_groups(panorama, config)
+    except SceneError:
+        return True
+    if any(group.rank for group in groups):
         return False
     points = extract_points(panorama.image, config).points
     return len(find_walls(points, config.target.max_range)) >= MIN_ROOM_WALLS
