@@ -123,9 +123,10 @@ def _measure_half(points: FloatArray, config: Config) -> tuple[float, bool]:
         config: ``sweep.width`` counts at most.
 
     Returns:
-        The angle, and whether all points lie in it.
+        The angle, and whether the target ends within what counts.
     """
     bearings = np.abs(np.arctan2(points[:, 1], points[:, 0]))
     beyond = config.target.cluster_gap / config.planning.standoff + FREE_ANGLE
     extent = float(np.max(bearings[bearings <= math.pi / 2], initial=0.0))
-    return min(extent, config.sweep.width / 2) + beyond, extent <= config.sweep.width / 2
+    most = config.sweep.width / 2
+    return min(extent, most) + beyond, extent + beyond <= most

@@ -41,6 +41,19 @@ def test_a_narrow_gap_is_interpolated_linearly(image: RangeImage) -> None:
     assert filled.ranges[10, 100:103] == pytest.approx([1.51, 1.52, 1.53])
 
 
+@pytest.mark.parametrize(("step", "is_filled"), [(40, True), (41, False)])
+def test_rounding_does_not_decide_on_a_gap_whose_ends_differ_by_just_the_edge(
+    image: RangeImage, step: int, is_filled: bool
+) -> None:
+    """Readings are whole millimetres: 1.3 m and 40 mm more differ by more than 0.04 in binary."""
+    for nearer in range(500, 4000, 70):
+        ranges = flat(image)
+        ranges[:, 100] = np.nan
+        ranges[:, :100], ranges[:, 101:] = nearer / 1000, (nearer + step) / 1000
+        filled = fill_gaps(with_ranges(image, ranges), CONFIG)
+        assert np.isfinite(filled.ranges[5, 100]) == is_filled, nearer
+
+
 def test_a_gap_across_a_depth_edge_stays_open_in_both_directions(image: RangeImage) -> None:
     ranges = flat(image)
     ranges[:, 103:] = 1.60

@@ -5,11 +5,13 @@
 
 #include "cells.h"
 
+#define TIE 1e-6    /* readings of whole millimetres often differ by just the limit: rounding must not decide [m] */
+
 /* Return 1 if the range steps up from `a` to `b`, beams `angle` apart, by more than the steepest measurable
  * surface allows, -1 if it steps down, else 0. */
 static inline int step_between(double a, double b, double angle, double noise, double steepest) {
     double nearer = a < b ? a : b, most = nearer * angle * steepest;
-    most = most > noise ? most : noise;
+    most = (most > noise ? most : noise) + TIE;
     return (b - a > most) - (b - a < -most);
 }
 
@@ -17,7 +19,7 @@ static inline int step_between(double a, double b, double angle, double noise, d
  * on a plane the inverse range is linear. Readings are `stride` doubles apart. */
 static inline int is_off_end(const double *r, int64_t stride, double noise) {
     double next = r[stride], second = r[2 * stride], straight = next * second / (2 * second - next);
-    return isnan(r[-stride]) && fabs(r[0] - next) > noise && fabs(r[0] - straight) > noise;
+    return isnan(r[-stride]) && fabs(r[0] - next) > noise + TIE && fabs(r[0] - straight) > noise + TIE;
 }
 
 /* Mark the readings with a step of the same sign on both sides, along or across lines, and those off the end
@@ -59,7 +61,7 @@ static void fill_row(double *ranges, int64_t n, int64_t stride, const double *an
         if (a < 0 || first == k) continue;
         double start = sign * angles[a * angle_stride], width = sign * angles[k * angle_stride] - start;
         double from = ranges[a * stride], rise = ranges[k * stride] - from;
-        if (!(width <= max_angle && fabs(rise) <= depth_edge)) continue;
+        if (!(width <= max_angle && fabs(rise) <= depth_edge + TIE)) continue;
         for (int64_t gap = first; gap < k; gap++) {
             double share = (sign * angles[gap * angle_stride] - start) / (width > 0 ? width : 1);
             ranges[gap * stride] = from + share * rise;
@@ -182,7 +184,7 @@ static void count_neighbours(const double *ranges, const double *yaws, const dou
                 double rise = own ? elevations[here] - elevations[there] : elevations[j] - elevations[b];
                 double angle = hypot(yaws[here] - yaws[there], rise);
                 double most = nearer * angle * steepest;
-                counts[k] += there != here && fabs(r - s) <= (most > noise ? most : noise);
+                counts[k] += there != here && fabs(r - s) <= (most > noise ? most : noise) + TIE;
             }
     }
 }
