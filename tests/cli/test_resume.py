@@ -89,9 +89,11 @@ def test_a_finished_run_goes_on_with_other_options(finished, twin, tmp_path):
     assert report["path_m"] > finished[1]["path_m"]
     for name in ("views/000.npz", "views/001.npz"):
         with np.load(finished[0] / name) as was, np.load(Path("run", name)) as now:
-            # Only where a view lies may change: more views align all of them anew.
+            # More views align all of them anew, and may show that more belongs to the target.
             assert np.array_equal(was["ranges"], now["ranges"], equal_nan=True)
-            assert np.array_equal(was["target_points"], now["target_points"])
+            before, after = (set(map(tuple, each["target_points"])) for each in (was, now))
+            assert before <= after
+            assert len(after) <= 1.05 * len(before)
     assert len(load_session(Path("run")).session.views) == 3
 
 
