@@ -38,6 +38,8 @@ USUAL = 0.004, 0.0009
 """Range sigma at 0 [m] and its growth per metre of a URG-04LX, where nothing else is known."""
 BOUND = 3.0
 """Of a difference, in standard deviations: beyond is an edge."""
+MOST_JUMP = 5.66
+"""From line to line, beside the slope, in sigmas of a reading: beyond is an edge."""
 LAGS, FAR_LAG = 6, 10
 """Beams within which noise is correlated, and beams apart at which it is not."""
 MOST_CORRELATION = 8.0
@@ -48,10 +50,13 @@ MOST_INCIDENCE = 1.73
 MIN_LINES = 10
 """Least number of lines for an estimate of the jitter."""
 LIKELY_JITTER = np.radians(0.1)
-"""Yaw jitter at which the estimate starts [rad]."""
-OUTLIER, LEFT = 4.0, 0.92
-"""Cap of a squared difference, in expected ones, and the share of the mean square it leaves."""
-ROUNDS = 3
+"""Yaw jitter before the sweep is seen; its square is the mean [rad]."""
+LEAST_CLEAR = 0.2
+"""Share of a line's squared slopes that is not their noise."""
+OUTLIER, LEFT, SPREAD = 2.0, 0.742, 0.964
+"""Cap of a squared turn, in expected ones; the share of the mean square it leaves, and the variance
+of a capped square by the square of its mean."""
+ROUNDS = 8
 INDEPENDENT = 400.0
 """Of 924: the share of the lines' squares that are as good as independent."""
 TRUNCATED = 2.5465
@@ -73,6 +78,7 @@ def estimate_noise(
     middle = yaws[:, yaws.shape[1] // 2]
     at_zero, growth = range_noise(ranges, valid, D)
     sigma = at_zero + growth * ranges
+    D = without_jumps(D, slope, ranges, sigma, valid, yaws, rays is not None)
     c = correlation(D, sigma)
     return np.array([at_zero, growth, yaw_jitter(D, slope, sigma, c, ranges, middle), c])
 
@@ -172,6 +178,37 @@ def quarters(values: FloatArray) -> IntArray:
     return result
 
 
+def without_jumps(
+    D: FloatArray,
+    slope: FloatArray,
+    ranges: FloatArray,
+    sigma: FloatArray,
+    valid: BoolArray,
+    yaws: FloatArray,
+    own_elevations: bool,
+) -> FloatArray:
+    """Return ``D`` (n_lines, n_beams) without what lies across the end of a surface.
+
+    Where lines have their own elevations, what a beam's height changes is no jump.
+    """
+    kept = D.copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        q = np.where(valid, 1.0 / ranges, np.nan)
+    turns = np.diff(yaws[:, yaws.shape[1] // 2])[:, None]
+    limit = MOST_JUMP * (sigma + LIKELY_JITTER * np.abs(slope))
+    if own_elevations:
+        limit[:, BEAM_REACH:-BEAM_REACH] += np.abs(
+            ranges[:, 2 * BEAM_REACH :] - ranges[:, : -2 * BEAM_REACH]
+        ) / (2 * BEAM_REACH)
+    for i in range(REACH, len(D) - REACH):
+        steps = slice(i - REACH, i + REACH)
+        straight = slope[i] / ranges[i] ** 2 * turns[steps]
+        jumps = np.abs(np.diff(q[i - REACH : i + REACH + 1], axis=0) - straight)
+        with np.errstate(invalid="ignore"):
+            kept[i, np.max(jumps, axis=0) * ranges[i] ** 2 > limit[i]] = np.nan
+    return kept
+
+
 def correlation(D: FloatArray, sigma: FloatArray) -> float:
     """Return 1 + 2 sum rho_k: the factor on the variance of a mean along a line.
 
@@ -217,22 +254,37 @@ def yaw_jitter(
         own = np.sum(w * slope[at, good] ** 2)
         if not own > 0:
             continue
-        d = np.sum(w * slope[at, good] * D[at, good]) / own
-        alike = near[:, good] @ (w * slope[at, good]) / own
+        onto = np.sum(w * slope[at, good] * D[at, good])
+        alike = near[:, good] @ (w * slope[at, good]) - len(w) * slope_noise(yaws, at)
+        clear = alike[REACH]
+        if not clear > LEAST_CLEAR * own:
+            continue
         weights, _ = stencil(yaws[at - REACH : at + REACH + 1])
-        gain = np.sum((weights * alike) ** 2)
-        square.append(d * d / gain)
-        expected.append(SQUARES * c / own / gain)
-        found += np.sum((w * slope[at, good] * (D[at, good] - slope[at, good] * d)) ** 2)
+        gain = np.sum((weights * alike / clear) ** 2)
+        square.append((onto / clear) ** 2 / gain)
+        expected.append(SQUARES * c * own / clear**2 / gain)
+        off = D[at, good] - slope[at, good] * onto / own
+        found += np.sum((w * slope[at, good] * off) ** 2)
         assumed += SQUARES * own
     larger = max(1.0, found / assumed) if assumed > 0 else 1.0
     return jitter_of(np.array(square), larger * np.array(expected))
 
 
+def slope_noise(yaws: FloatArray, at: int) -> FloatArray:
+    """Return the covariances (7,) of a line's slope with those of the seven, by noise of size 1."""
+    per_yaw = np.zeros((2 * REACH + 1, 4 * REACH + 1))
+    for k in range(2 * REACH + 1):
+        first = at + k - 2 * REACH
+        per_yaw[k, k : k + 2 * REACH + 1] = stencil(yaws[first : first + 2 * REACH + 1])[1]
+    result: FloatArray = per_yaw @ per_yaw[REACH]
+    return result
+
+
 def jitter_of(square: FloatArray, expected: FloatArray) -> float:
     """Return the root of what ``square`` (n,) exceeds ``expected`` (n,) by; 0 for few lines.
 
-    Where it is not significant, the mean of the positive half of its distribution stands for it.
+    The mean of the posterior: a normal distribution times an exponential one from 0 on, which has
+    the mean ``LIKELY_JITTER`` squared.
     """
     if len(square) < MIN_LINES:
         return 0.0
@@ -242,7 +294,8 @@ def jitter_of(square: FloatArray, expected: FloatArray) -> float:
         weights = 1.0 / likely**2
         excess = np.sum(weights * (np.minimum(square, OUTLIER * likely) / LEFT - expected))
         excess /= np.sum(weights)
-        error = math.sqrt(SQUARES / INDEPENDENT * 2 * np.sum((weights * likely) ** 2))
-        error /= np.sum(weights)
-        jitter = (excess + math.sqrt(excess * excess + TRUNCATED * error * error)) / 2
+        variance = SQUARES / INDEPENDENT * SPREAD * np.sum((weights * likely) ** 2)
+        variance /= np.sum(weights) ** 2
+        likeliest = excess - variance / LIKELY_JITTER**2
+        jitter = (likeliest + math.sqrt(likeliest * likeliest + TRUNCATED * variance)) / 2
     return math.sqrt(jitter)

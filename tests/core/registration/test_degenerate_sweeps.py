@@ -16,6 +16,7 @@ from degenerate_pairs import PRIOR_XY, PRIOR_YAW, SweepPair, draw_pair
 from scan3d_twin.core.registration import register
 from scan3d_twin.core.registration.pose_prior import PLANAR, PosePrior
 from scan3d_twin.core.registration.surfels.grid import extract_surfels
+from scan3d_twin.core.types import Pose2
 
 UNDETERMINED = {
     "two planes": 0,
@@ -72,6 +73,25 @@ def test_pillars_on_others_are_not_believed(seed: int, is_right: bool) -> None:
     error = cloud_scenes.point_error(points, result.T_target_source, pair.truth.matrix())
     assert (error < 0.002) == is_right
     assert result.converged == is_right
+
+
+def test_pillars_have_the_stated_variance() -> None:
+    """Their ends are no yaw jitter, which would make yaw and slide too uncertain.
+
+    Squares are capped at two standard deviations, as some pairs end in another period; normal
+    errors keep .92 of their mean square.
+    """
+    ratios = []
+    for seed in range(60):
+        pair = take("pillars", seed)
+        prior = PosePrior.planar(pair.init, PRIOR_XY, PRIOR_YAW)
+        result = register(pair.target, pair.source, prior=prior)
+        off = Pose2.from_matrix(result.T_target_source) @ pair.truth.inverse()
+        variances = np.diag(result.covariance[np.ix_(PLANAR, PLANAR)])
+        ratios.append(np.square([off.x, off.y, off.yaw]) / variances)
+    found = np.minimum(ratios, 4.0).mean(axis=0) / 0.92
+    assert np.all(found > 1 / 3), found
+    assert np.all(found < 1.5), found
 
 
 def test_a_bare_floor_determines_nothing() -> None:

@@ -10,13 +10,17 @@
 #define MIN_RANGE_VARIANCE 2.5e-4   /* of the quartiles' mean ranges, to fit a growth with range [m2] */
 #define MAD 1.4826              /* standard deviation per median absolute deviation */
 #define MAX_DEVIATION 3.0       /* of a difference, in standard deviations: beyond is an edge */
+#define MAX_JUMP 5.66           /* from line to line, beside the slope, in sigmas of a reading: 4 of a jump's */
 #define MAX_CORRELATION 8.0     /* of the correlation's factor */
+#define INDEPENDENT 400.0       /* of SQUARES: the share of the lines' squares that are as good as independent */
 #define TRUNCATED 2.5465        /* 8 / pi: the mean of a normal distribution cut off at 0, nearly */
 #define MIN_SLOPE 0.1           /* of the range over the yaw, for the jitter [m/rad] */
 #define MAX_INCIDENCE 1.73      /* tangent of incidence (60 deg): flatter ones are mostly limbs of round things */
-#define EXPECTED_JITTER (0.1 * TAU / 360)   /* yaw jitter at which the estimate starts [rad] */
-#define MAX_SQUARE_RATIO 4.0    /* cap of a squared difference, in expected ones: beyond is a corner */
-#define CAPPED_SHARE 0.92       /* share of the mean square of normal errors that this cap leaves */
+#define EXPECTED_JITTER (0.1 * TAU / 360)   /* yaw jitter before the sweep is seen; its square's mean [rad] */
+#define MIN_CLEAR 0.2           /* share of a line's squared slopes that is not their noise */
+#define MAX_SQUARE_RATIO 2.0    /* cap of a squared turn, in expected ones: beyond is a bend */
+#define CAPPED_SHARE 0.742      /* share of the mean square of normal errors that this cap leaves */
+#define CAPPED_VARIANCE 0.964   /* of a square so capped, by the square of its mean */
 
 enum {
     BEAM_REACH = 4,             /* beams to each side, where lines have elevations of their own */
@@ -26,7 +30,7 @@ enum {
     LAGS = 6,                   /* beams within which the noise may be correlated */
     FAR_LAG = 10,               /* beams apart, what is common to both is no range noise */
     MIN_LINES = 10,             /* lines that an estimate of the jitter needs */
-    REWEIGHTINGS = 3,           /* iterations of the jitter's estimate */
+    REWEIGHTINGS = 8,           /* iterations of the jitter's estimate */
 };
 
 /* Return the k-th smallest of `n` values; reorders them. */
@@ -131,9 +135,32 @@ static void invert_lines(const Sweep *sweep, const uint8_t *valid, int64_t i, In
     for (int k = 0; k < ACROSS; k++) lines[k] = inverse->rows + (i - REACH + k) % ACROSS * sweep->n_beams;
 }
 
-/* Write what `difference_across` gives for all of line i, and the slopes. */
-static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i, InverseRanges *inverse,
-                            Across *out) {
+/* Make the differences of line i unknown where a surface ends among the seven lines: one reading of another
+ * surface at their end passes for a yaw error, the same at all heights. */
+static void leave_out_jumps(const Sweep *sweep, int64_t i, const double noise[2],
+                            const double *const lines[ACROSS], Across *out) {
+    const double *restrict ranges = sweep->ranges + i * sweep->stride;
+    const double *yaw = sweep->yaws + i * sweep->stride + sweep->n_beams / 2;
+    const double at_zero = noise[RANGE_SIGMA], growth = noise[RANGE_GROWTH];
+    const int64_t reach = sweep->ray_stride > 0 ? BEAM_REACH : 0, n_beams = sweep->n_beams;
+    double *restrict difference = out->difference, turns[ACROSS - 1];
+    for (int k = 0; k < ACROSS - 1; k++)
+        turns[k] = yaw[(k + 1 - REACH) * sweep->stride] - yaw[(k - REACH) * sweep->stride];
+    for (int64_t j = reach; j < n_beams - reach; j++) {
+        double r = ranges[j], slope = out->slope[j], per_yaw = slope / (r * r), most = 0;
+        for (int k = 0; k < ACROSS - 1; k++) {
+            double jump = fabs(lines[k + 1][j] - lines[k][j] - per_yaw * turns[k]);
+            most = jump > most ? jump : most;
+        }
+        double limit = MAX_JUMP * (at_zero + growth * r + EXPECTED_JITTER * fabs(slope));
+        if (reach > 0) limit += fabs(ranges[j + reach] - ranges[j - reach]) / (double)(2 * reach);
+        difference[j] = most * r * r > limit ? NAN : difference[j];
+    }
+}
+
+/* Write what `difference_across` gives for all of line i, and the slopes; no differences across jumps. */
+static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i, const double noise[2],
+                            InverseRanges *inverse, Across *out) {
     const double *ranges = sweep->ranges + i * sweep->stride, *lines[ACROSS];
     double *restrict difference = out->difference, *restrict slope = out->slope;
     invert_lines(sweep, valid, i, inverse, lines);
@@ -153,6 +180,7 @@ static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i,
         if (!isnan(difference[j]))
             difference[j] -= difference_by_elevation(sweep, valid, i, j, out->stencil);
     for (int64_t j = 0; j < sweep->n_beams; j++) difference[j] *= ranges[j] * ranges[j];
+    leave_out_jumps(sweep, i, noise, lines, out);
 }
 
 /* Write the range sigma at 0 m and its growth per metre, by the `stencils` of the lines. */
@@ -256,7 +284,7 @@ static double find_correlation(const Lagged *lagged) {
 typedef struct {
     int64_t n;
     double *square;         /* per line: square of the turn found, by what yaw errors of unit size give */
-    double *own, *gain;     /* per line: weight of its slopes, and what yaw errors of unit size give */
+    double *own, *gain;     /* per line: weight of what is known of the turn, and what yaw errors give */
     double found, assumed;  /* variance of the lines' sums, by what the regressions leave and by the noise */
 } Regressions;
 
@@ -278,6 +306,17 @@ static void weigh_beams(const Sweep *sweep, int64_t i, const double noise[2],
     }
 }
 
+/* Take what the noise of the slopes adds out of `shared`, the sums of products of line i's slopes with those of
+ * each of the seven lines, in sigmas, of `n` beams. */
+static void leave_out_slope_noise(const Across *lines, int64_t i, int64_t n, double shared[ACROSS]) {
+    const double *slope = lines[i % ACROSS].stencil->slope;
+    for (int k = -REACH; k <= REACH; k++) {
+        const double *other = lines[(i + k) % ACROSS].stencil->slope;
+        for (int m = k > 0 ? k : 0; m < (k < 0 ? ACROSS + k : ACROSS); m++)
+            shared[REACH + k] -= (double)n * slope[m] * other[m - k];
+    }
+}
+
 /* Add the regression of line i. `lines` are differences and slopes, line i in row i modulo their number;
  * `weights` has room for a number per beam. */
 static void add_regression(const Sweep *sweep, int64_t i, const double noise[2], const Across *lines,
@@ -288,24 +327,26 @@ static void add_regression(const Sweep *sweep, int64_t i, const double noise[2],
 
     /* sums over the beams, and what each line's error adds to them */
     double onto = 0, own = 0, shared[ACROSS] = {0}, by_noise = 0, by_both = 0, by_yaw = 0;
+    int64_t n = 0;
     for (int64_t j = 0; j < sweep->n_beams; j++) {
         double w = weights[j], slope = slopes[REACH][j];
         if (w == 0) continue;
         double score = w * slope * difference[j], weight = w * slope * slope;
-        onto += score, own += weight;
+        onto += score, own += weight, n++;
         by_noise += score * score, by_both += score * weight, by_yaw += weight * weight;
         for (int k = 0; k < ACROSS; k++) shared[k] += w * slope * slopes[k][j];
     }
-    if (!(own > 0)) return;
-    double gain = 0;
+    leave_out_slope_noise(lines, i, n, shared);
+    double clear = shared[REACH], gain = 0;
+    if (!(clear > MIN_CLEAR * own)) return;
     for (int k = 0; k < ACROSS; k++) {
-        double moved = lines[i % ACROSS].stencil->difference[k] * shared[k] / own;
+        double moved = lines[i % ACROSS].stencil->difference[k] * shared[k] / clear;
         gain += moved * moved;
     }
-    double turn = onto / own;
-    out->found += by_noise - 2 * turn * by_both + turn * turn * by_yaw, out->assumed += SQUARES * own;
+    double fitted = onto / own, turn = onto / clear;
+    out->found += by_noise - 2 * fitted * by_both + fitted * fitted * by_yaw, out->assumed += SQUARES * own;
     out->square[out->n] = turn * turn / gain;
-    out->own[out->n] = own, out->gain[out->n++] = gain;
+    out->own[out->n] = clear * clear / own, out->gain[out->n++] = gain;
 }
 
 /* Return the yaw jitter of the lines, a standard deviation: see scan_noise.py. */
@@ -320,20 +361,20 @@ static double find_yaw_jitter(const Regressions *lines, double correlation) {
         expected[k] = SQUARES * correlation / lines->own[k] / lines->gain[k] * larger;
 
     /* excess over range noise, reweighted */
-    double jitter = EXPECTED_JITTER * EXPECTED_JITTER, excess = 0, error = 0;
+    const double expected_square = EXPECTED_JITTER * EXPECTED_JITTER;
+    double jitter = expected_square;
     for (int round = 0; round < REWEIGHTINGS && n >= MIN_LINES; round++) {
-        double weights = 0, variance = 0;
-        excess = 0;
+        double weights = 0, excess = 0, variance = 0;
         for (int64_t k = 0; k < n; k++) {
             double likely = expected[k] + jitter, weight = 1 / (likely * likely);
             double capped = square[k] < MAX_SQUARE_RATIO * likely ? square[k] : MAX_SQUARE_RATIO * likely;
             excess += weight * (capped / CAPPED_SHARE - expected[k]);
-            variance += 2 * weight * likely * weight * likely;
+            variance += CAPPED_VARIANCE * weight * likely * weight * likely;
             weights += weight;
         }
-        excess /= weights;
-        error = sqrt(SQUARES / 400 * variance) / weights;
-        jitter = (excess + sqrt(excess * excess + TRUNCATED * error * error)) / 2;
+        variance *= SQUARES / INDEPENDENT / (weights * weights);
+        double likeliest = excess / weights - variance / expected_square;
+        jitter = (likeliest + sqrt(likeliest * likeliest + TRUNCATED * variance)) / 2;
     }
     return n < MIN_LINES ? 0 : sqrt(jitter);
 }
@@ -365,7 +406,7 @@ static int estimate_noise(const Sweep *sweep, const uint8_t *valid, double noise
         int multiplied = correlated && (i - REACH) % (step > 1 ? step : 1) == 0;
         if (!multiplied && !jittery) continue;
         lines[i % ACROSS].stencil = &stencils[i];
-        difference_line(sweep, valid, i, &inverse, &lines[i % ACROSS]);
+        difference_line(sweep, valid, i, noise, &inverse, &lines[i % ACROSS]);
         if (multiplied) add_line_products(sweep, i, noise, lines[i % ACROSS].difference, scratch, &lagged);
         if (jittery && i >= 3 * REACH)  /* the slopes of the neighbours on both sides are known */
             add_regression(sweep, i - REACH, noise, lines, scratch, &regressions);

@@ -11,17 +11,24 @@ noise, the two would look like a yaw error.
 **Range noise.** The median of |D| r^2 / sqrt(924) is taken over each quartile of the readings by
 range, and a straight line fitted through the four.
 
+A difference across the end of a surface is none: a single reading of what is behind, at the end of
+the seven lines, would pass for a yaw error, the same at all heights. Where the range steps off its
+slope by more than four standard deviations from one line to the next, there is no D.
+
 **Correlation.** Neighbouring beams share light and a filter, so that a mean along a line is less
 precise than of independent readings by 1 + 2 sum rho_k. The rho_k are those of D along the line,
 less what beams ten apart have in common: the yaw error of their lines.
 
 **Yaw jitter.** The yaw error d of a line moves its readings by d times the slope of the range over
 the yaw. The regression of a line's D on its slope has the variance g sigma^2 + 924 c k s^2 / sum
-slope^2, with g what the yaw errors of the seven lines add up to. The excess over the second term,
-weighted over all lines, is sigma^2. The factor k is by how much the noise exceeds s^2 where slopes
-are large, from what the regressions leave (White, Econometrica 48, 1980). Incidences beyond 60 deg
-take no part: most are limbs of round bodies, where noise is 3 to 10 times s. Where the excess is
-not significant, the mean of what is positive of its normal distribution stands for it, not zero.
+slope^2, with g what the yaw errors of the seven lines add up to. Noise of the slopes is taken out
+of sum slope^2 and g, else it hides part of sigma^2. The excess over the second term, weighted over
+all lines, is sigma^2; squares count up to twice what is expected, as some lines lie on bends. The
+factor k is by how much the noise exceeds s^2 where slopes are large, from what the regressions
+leave (White, Econometrica 48, 1980). Incidences beyond 60 deg take no part: most are limbs of round
+bodies, where noise is 3 to 10 times s. Before the sweep is seen sigma^2 is (0.1 deg)^2 in the mean,
+exponentially distributed (an assumption); the mean of the posterior is taken, so that jitter which
+the noise may hide is not zero.
 
 ``native/noise.h`` computes this.
 """
