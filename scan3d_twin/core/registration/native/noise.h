@@ -1,36 +1,21 @@
 /* Noise of a sweep, estimated from its own readings: scan_noise.py describes the method. */
 #pragma once
 
-#include "stencil.h"
-#include "surfels.h"
+#include "yaw_jitter.h"
 
 #define DEFAULT_SIGMA 0.004     /* range sigma of a URG-04LX at 0 m, if it cannot be estimated [m] */
 #define DEFAULT_GROWTH 0.0009   /* its growth per metre */
 #define MIN_SIGMA 0.0005        /* lower bound of range sigma [m]: half a millimetre's step */
 #define MIN_RANGE_VARIANCE 2.5e-4   /* of the quartiles' mean ranges, to fit a growth with range [m2] */
 #define MAD 1.4826              /* standard deviation per median absolute deviation */
-#define MAX_DEVIATION 3.0       /* of a difference, in standard deviations: beyond is an edge */
-#define MAX_JUMP 5.66           /* from line to line, beside the slope, in sigmas of a reading: 4 of a jump's */
 #define MAX_CORRELATION 8.0     /* of the correlation's factor */
-#define INDEPENDENT 400.0       /* of SQUARES: the share of the lines' squares that are as good as independent */
-#define TRUNCATED 2.5465        /* 8 / pi: the mean of a normal distribution cut off at 0, nearly */
-#define MIN_SLOPE 0.1           /* of the range over the yaw, for the jitter [m/rad] */
-#define MAX_INCIDENCE 1.73      /* tangent of incidence (60 deg): flatter ones are mostly limbs of round things */
-#define EXPECTED_JITTER (0.1 * TAU / 360)   /* yaw jitter before the sweep is seen; its square's mean [rad] */
-#define MIN_CLEAR 0.2           /* share of a line's squared slopes that is not their noise */
-#define MAX_SQUARE_RATIO 2.0    /* cap of a squared turn, in expected ones: beyond is a bend */
-#define CAPPED_SHARE 0.742      /* share of the mean square of normal errors that this cap leaves */
-#define CAPPED_VARIANCE 0.964   /* of a square so capped, by the square of its mean */
 
 enum {
-    BEAM_REACH = 4,             /* beams to each side, where lines have elevations of their own */
     MIN_READINGS = 200,         /* differences that an estimate needs */
     MAX_READINGS = 1200,        /* more are thinned out: this many give the estimate to 4 % */
     BINS = 256,                 /* of the histogram that finds the quartiles of the ranges */
     LAGS = 6,                   /* beams within which the noise may be correlated */
     FAR_LAG = 10,               /* beams apart, what is common to both is no range noise */
-    MIN_LINES = 10,             /* lines that an estimate of the jitter needs */
-    REWEIGHTINGS = 8,           /* iterations of the jitter's estimate */
 };
 
 /* Return the k-th smallest of `n` values; reorders them. */
@@ -73,114 +58,6 @@ static void assign_quartiles(const double *values, int64_t n, uint8_t *quartiles
     for (int b = 1; b <= BINS; b++) up_to[b] += up_to[b - 1];
     for (int64_t k = 0; k < n; k++)
         quartiles[k] = (uint8_t)((up_to[(int)((values[k] - low) * scale)] - 1) * 4 / n);
-}
-
-/* Sixth differences of the inverse range across seven lines, times the square of the range, and its
- * slope over the yaw, likewise. Both are NaN where a line has no reading. */
-typedef struct {
-    double *difference, *slope;
-    const Stencil *stencil;
-} Across;
-
-/* Return what the difference at a reading owes to the lines' own elevations. */
-static double difference_by_elevation(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j,
-                                      const Stencil *stencil) {
-    if (j < BEAM_REACH || j + BEAM_REACH >= sweep->n_beams) return NAN;
-    int64_t at = i * sweep->stride + j;
-    if (!valid[at - BEAM_REACH] || !valid[at + BEAM_REACH]) return NAN;
-    const double *ray = sweep->rays + i * sweep->ray_stride + 3 * j;
-    double along[3], square = 0, bend = 0;
-    for (int m = 0; m < 3; m++) {
-        along[m] = ray[m + 3 * BEAM_REACH] - ray[m - 3 * BEAM_REACH];
-        square += along[m] * along[m];
-    }
-    for (int k = -REACH; k <= REACH; k++)
-        for (int m = 0; m < 3; m++)
-            bend += stencil->difference[REACH + k] * (ray[k * sweep->ray_stride + m] - ray[m]) * along[m];
-    double rise = 1 / sweep->ranges[at + BEAM_REACH] - 1 / sweep->ranges[at - BEAM_REACH];
-    return rise * bend / square;
-}
-
-/* Return the difference of line i at beam j; a plane gives 0. */
-static double difference_across(const Sweep *sweep, const uint8_t *valid, int64_t i, int64_t j,
-                                const Stencil *stencil) {
-    double sum = 0;
-    for (int k = 0; k < ACROSS; k++) {
-        int64_t at = (i + k - REACH) * sweep->stride + j;
-        if (!valid[at]) return NAN;
-        sum += stencil->difference[k] / sweep->ranges[at];
-    }
-    if (sweep->ray_stride > 0) sum -= difference_by_elevation(sweep, valid, i, j, stencil);
-    double r = sweep->ranges[i * sweep->stride + j];
-    return r * r * sum;
-}
-
-/* Inverse ranges of the lines around the one in work, NaN where there is no reading: line i is row i modulo
- * their number. Lines before `next` are known. */
-typedef struct {
-    double *rows;
-    int64_t next;
-} InverseRanges;
-
-/* Write the inverse ranges of the lines about line i that are not known yet, and where each begins. */
-static void invert_lines(const Sweep *sweep, const uint8_t *valid, int64_t i, InverseRanges *inverse,
-                         const double *lines[ACROSS]) {
-    inverse->next = inverse->next > i - REACH ? inverse->next : i - REACH;
-    for (; inverse->next <= i + REACH; inverse->next++) {
-        const double *ranges = sweep->ranges + inverse->next * sweep->stride;
-        const uint8_t *known = valid + inverse->next * sweep->stride;
-        double *row = inverse->rows + inverse->next % ACROSS * sweep->n_beams;
-        for (int64_t j = 0; j < sweep->n_beams; j++) row[j] = known[j] ? 1 / ranges[j] : NAN;
-    }
-    for (int k = 0; k < ACROSS; k++) lines[k] = inverse->rows + (i - REACH + k) % ACROSS * sweep->n_beams;
-}
-
-/* Make the differences of line i unknown where a surface ends among the seven lines: one reading of another
- * surface at their end passes for a yaw error, the same at all heights. */
-static void leave_out_jumps(const Sweep *sweep, int64_t i, const double noise[2],
-                            const double *const lines[ACROSS], Across *out) {
-    const double *restrict ranges = sweep->ranges + i * sweep->stride;
-    const double *yaw = sweep->yaws + i * sweep->stride + sweep->n_beams / 2;
-    const double at_zero = noise[RANGE_SIGMA], growth = noise[RANGE_GROWTH];
-    const int64_t reach = sweep->ray_stride > 0 ? BEAM_REACH : 0, n_beams = sweep->n_beams;
-    double *restrict difference = out->difference, turns[ACROSS - 1];
-    for (int k = 0; k < ACROSS - 1; k++)
-        turns[k] = yaw[(k + 1 - REACH) * sweep->stride] - yaw[(k - REACH) * sweep->stride];
-    for (int64_t j = reach; j < n_beams - reach; j++) {
-        double r = ranges[j], slope = out->slope[j], per_yaw = slope / (r * r), most = 0;
-        for (int k = 0; k < ACROSS - 1; k++) {
-            double jump = fabs(lines[k + 1][j] - lines[k][j] - per_yaw * turns[k]);
-            most = jump > most ? jump : most;
-        }
-        double limit = MAX_JUMP * (at_zero + growth * r + EXPECTED_JITTER * fabs(slope));
-        if (reach > 0) limit += fabs(ranges[j + reach] - ranges[j - reach]) / (double)(2 * reach);
-        difference[j] = most * r * r > limit ? NAN : difference[j];
-    }
-}
-
-/* Write what `difference_across` gives for all of line i, and the slopes; no differences across jumps. */
-static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i, const double noise[2],
-                            InverseRanges *inverse, Across *out) {
-    const double *ranges = sweep->ranges + i * sweep->stride, *lines[ACROSS];
-    double *restrict difference = out->difference, *restrict slope = out->slope;
-    invert_lines(sweep, valid, i, inverse, lines);
-
-    /* sums across the lines, NaN where one has no reading, and slopes */
-    for (int64_t j = 0; j < sweep->n_beams; j++) {
-        double sum = 0, per_yaw = 0, r = ranges[j];
-        for (int k = 0; k < ACROSS; k++) {
-            sum += out->stencil->difference[k] * lines[k][j];
-            per_yaw += out->stencil->slope[k] * lines[k][j];
-        }
-        difference[j] = sum, slope[j] = r * r * per_yaw;
-    }
-
-    /* without what the lines' own elevations add */
-    for (int64_t j = 0; sweep->ray_stride > 0 && j < sweep->n_beams; j++)
-        if (!isnan(difference[j]))
-            difference[j] -= difference_by_elevation(sweep, valid, i, j, out->stencil);
-    for (int64_t j = 0; j < sweep->n_beams; j++) difference[j] *= ranges[j] * ranges[j];
-    leave_out_jumps(sweep, i, noise, lines, out);
 }
 
 /* Write the range sigma at 0 m and its growth per metre, by the `stencils` of the lines. */
@@ -278,105 +155,6 @@ static double find_correlation(const Lagged *lagged) {
     double common = sums[FAR_LAG] / counts[FAR_LAG], factor = 1, own = sums[0] / counts[0] - common;
     for (int lag = 1; lag < LAGS; lag++) factor += 2 * (sums[lag] / counts[lag] - common) / own;
     return factor > 1 ? factor < MAX_CORRELATION ? factor : MAX_CORRELATION : 1;
-}
-
-/* Regressions of the lines' differences on their slopes. */
-typedef struct {
-    int64_t n;
-    double *square;         /* per line: square of the turn found, by what yaw errors of unit size give */
-    double *own, *gain;     /* per line: weight of what is known of the turn, and what yaw errors give */
-    double found, assumed;  /* variance of the lines' sums, by what the regressions leave and by the noise */
-} Regressions;
-
-/* Write the weight of each beam of line i in its regression, 0 where it takes no part: what differs by more
- * than noise and jitter do is an edge. `slopes` are those of the line and its neighbours, all known where it
- * takes part. */
-static void weigh_beams(const Sweep *sweep, int64_t i, const double noise[2],
-                        const double *restrict difference, const double *const slopes[ACROSS],
-                        double *restrict weights) {
-    const double *restrict slope = slopes[REACH], *restrict ranges = sweep->ranges + i * sweep->stride;
-    const double at_zero = noise[RANGE_SIGMA], growth = noise[RANGE_GROWTH];
-    for (int64_t j = 0; j < sweep->n_beams; j++) {
-        double sigma = at_zero + growth * ranges[j], steep = fabs(slope[j]), known = 0;
-        double limit = sqrt(SQUARES) * (MAX_DEVIATION * sigma + 3 * EXPECTED_JITTER * steep);
-        for (int k = 0; k < ACROSS; k++) known += slopes[k][j];
-        int counts = (fabs(difference[j]) < limit) & (steep > MIN_SLOPE)
-                   & (steep <= MAX_INCIDENCE * ranges[j]) & !isnan(known);
-        weights[j] = counts ? 1 / (sigma * sigma) : 0;
-    }
-}
-
-/* Take what the noise of the slopes adds out of `shared`, the sums of products of line i's slopes with those of
- * each of the seven lines, in sigmas, of `n` beams. */
-static void leave_out_slope_noise(const Across *lines, int64_t i, int64_t n, double shared[ACROSS]) {
-    const double *slope = lines[i % ACROSS].stencil->slope;
-    for (int k = -REACH; k <= REACH; k++) {
-        const double *other = lines[(i + k) % ACROSS].stencil->slope;
-        for (int m = k > 0 ? k : 0; m < (k < 0 ? ACROSS + k : ACROSS); m++)
-            shared[REACH + k] -= (double)n * slope[m] * other[m - k];
-    }
-}
-
-/* Add the regression of line i. `lines` are differences and slopes, line i in row i modulo their number;
- * `weights` has room for a number per beam. */
-static void add_regression(const Sweep *sweep, int64_t i, const double noise[2], const Across *lines,
-                           double *weights, Regressions *out) {
-    const double *slopes[ACROSS], *difference = lines[i % ACROSS].difference;
-    for (int k = 0; k < ACROSS; k++) slopes[k] = lines[(i + k - REACH) % ACROSS].slope;
-    weigh_beams(sweep, i, noise, difference, slopes, weights);
-
-    /* sums over the beams, and what each line's error adds to them */
-    double onto = 0, own = 0, shared[ACROSS] = {0}, by_noise = 0, by_both = 0, by_yaw = 0;
-    int64_t n = 0;
-    for (int64_t j = 0; j < sweep->n_beams; j++) {
-        double w = weights[j], slope = slopes[REACH][j];
-        if (w == 0) continue;
-        double score = w * slope * difference[j], weight = w * slope * slope;
-        onto += score, own += weight, n++;
-        by_noise += score * score, by_both += score * weight, by_yaw += weight * weight;
-        for (int k = 0; k < ACROSS; k++) shared[k] += w * slope * slopes[k][j];
-    }
-    leave_out_slope_noise(lines, i, n, shared);
-    double clear = shared[REACH], gain = 0;
-    if (!(clear > MIN_CLEAR * own)) return;
-    for (int k = 0; k < ACROSS; k++) {
-        double moved = lines[i % ACROSS].stencil->difference[k] * shared[k] / clear;
-        gain += moved * moved;
-    }
-    double fitted = onto / own, turn = onto / clear;
-    out->found += by_noise - 2 * fitted * by_both + fitted * fitted * by_yaw, out->assumed += SQUARES * own;
-    out->square[out->n] = turn * turn / gain;
-    out->own[out->n] = clear * clear / own, out->gain[out->n++] = gain;
-}
-
-/* Return the yaw jitter of the lines, a standard deviation: see scan_noise.py. */
-static double find_yaw_jitter(const Regressions *lines, double correlation) {
-    const int64_t n = lines->n;
-    const double *square = lines->square;
-    double *expected = lines->own;  /* of `square`, by range noise */
-
-    /* noise where slopes are large: incidence makes it larger than elsewhere */
-    double larger = lines->assumed > 0 && lines->found > lines->assumed ? lines->found / lines->assumed : 1;
-    for (int64_t k = 0; k < n; k++)
-        expected[k] = SQUARES * correlation / lines->own[k] / lines->gain[k] * larger;
-
-    /* excess over range noise, reweighted */
-    const double expected_square = EXPECTED_JITTER * EXPECTED_JITTER;
-    double jitter = expected_square;
-    for (int round = 0; round < REWEIGHTINGS && n >= MIN_LINES; round++) {
-        double weights = 0, excess = 0, variance = 0;
-        for (int64_t k = 0; k < n; k++) {
-            double likely = expected[k] + jitter, weight = 1 / (likely * likely);
-            double capped = square[k] < MAX_SQUARE_RATIO * likely ? square[k] : MAX_SQUARE_RATIO * likely;
-            excess += weight * (capped / CAPPED_SHARE - expected[k]);
-            variance += CAPPED_VARIANCE * weight * likely * weight * likely;
-            weights += weight;
-        }
-        variance *= SQUARES / INDEPENDENT / (weights * weights);
-        double likeliest = excess / weights - variance / expected_square;
-        jitter = (likeliest + sqrt(likeliest * likeliest + TRUNCATED * variance)) / 2;
-    }
-    return n < MIN_LINES ? 0 : sqrt(jitter);
 }
 
 /* Write the noise of a sweep where it is NaN: range sigma at 0 m, its growth per metre, the factor for

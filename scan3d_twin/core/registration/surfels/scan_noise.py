@@ -30,7 +30,7 @@ bodies, where noise is 3 to 10 times s. Before the sweep is seen sigma^2 is (0.1
 exponentially distributed (an assumption); the mean of the posterior is taken, so that jitter which
 the noise may hide is not zero.
 
-``native/noise.h`` computes this.
+``native/noise.h``, ``differences.h`` and ``yaw_jitter.h`` compute this.
 """
 
 from __future__ import annotations
