@@ -7,7 +7,8 @@ runs}}, for each case of ``tests/degenerate_pairs.py`` and with and without a pr
   10 deg (of ``disjoint``: that are refused, not converged or ambiguous);
 * ``unreported_...``: share with an error beyond three predicted ones that nothing reports;
 * ``variance_low_...``, ``variance_high_...``: least and largest ratio of the reported variance and
-  the mean square error of a determined direction, over the results that have converged;
+  the mean square error of a determined direction, over the results that have converged and report
+  exactly the undetermined directions: along others they state no finite variance;
 * ``not_converged_...``: share of the tries that have not, or were refused.
 """
 
@@ -74,10 +75,9 @@ def count(name: str, pairs: list[SweepPair], with_prior: bool) -> Tally:
         if name == "disjoint":
             tally.right += reported or not math.isfinite(result.predicted_rmse)
             continue
-        tally.right += cloud_scenes.spans_agree(
-            result.degenerate_directions, pair.directions, reach
-        )
-        if not result.converged:
+        is_right = cloud_scenes.spans_agree(result.degenerate_directions, pair.directions, reach)
+        tally.right += is_right
+        if not (result.converged and is_right):
             continue
         error, variance = cloud_scenes.compare_determined(
             result, truth, pair.directions, points, PLANAR

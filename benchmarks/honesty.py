@@ -2,7 +2,7 @@
 
 Each pair is a view registered on the one before it, in a closed loop of the preset ``best`` on
 ``random:SEED``. Development used seeds from 20000 on and ``calibrate_error.py`` 1000 to 2999; 6000
-to 6899 were looked at before. Nothing was changed after 6900 to 7199 were run.
+to 8519 were run by earlier builds. No estimate was changed after 8520 to 8819 were run.
 
 With e the error of the planar pose (x, y, yaw about the target's origin), C its reported
 covariance, ``error`` the RMS displacement of the target's points by e, ``predicted`` the reported
@@ -56,7 +56,7 @@ from scan3d_twin.run.settings import build_settings, read_settings, world_option
 from scan3d_twin.sim.robot import open_sim
 from scan3d_twin.sim.scenes.load import load_scene
 
-FIRST_SEED = 6900
+FIRST_SEED = 8520
 """First of the seeds after which nothing was changed."""
 MOST_VIEWS = 7
 """Views of a loop: enough for a small target's tour, and no more time than needed."""
