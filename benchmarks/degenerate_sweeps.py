@@ -8,7 +8,7 @@ runs}}, for each case of ``tests/degenerate_pairs.py`` and with and without a pr
 * ``unreported_...``: share with an error beyond three predicted ones that nothing reports;
 * ``variance_low_...``, ``variance_high_...``: least and largest ratio of the reported variance and
   the mean square error of a determined direction, over the results that have converged and report
-  exactly the undetermined directions: along others they state no finite variance;
+  exactly the undetermined directions (one that reports more states no variance there);
 * ``not_converged_...``: share of the tries that have not, or were refused.
 """
 

@@ -50,7 +50,7 @@ MOST_INCIDENCE = 1.73
 MIN_LINES = 10
 """Least number of lines for an estimate of the jitter."""
 LIKELY_JITTER = np.radians(0.1)
-"""Yaw jitter before the sweep is seen; its square is the mean [rad]."""
+"""Yaw jitter before the sweep is seen: root of its mean square [rad]."""
 LEAST_CLEAR = 0.2
 """Share of a line's squared slopes that is not their noise."""
 OUTLIER, LEFT, SPREAD = 2.0, 0.742, 0.964
@@ -238,7 +238,8 @@ def yaw_jitter(
     """Return the standard deviation [rad] of the lines' ``yaws`` (n_lines,).
 
     The regression of a line's D on its slope is the sum of the yaw errors of seven lines, weighted
-    as in D and by how alike their slopes are, and noise of variance 924 c k / sum w slope^2.
+    as in D and by how alike their slopes are, and noise of variance 924 c k S / S'^2 with S the sum
+    of w slope^2 and S' what of it is not noise of the slopes.
     The factor k, at least 1, is what the squares of w slope (D - its regression) exceed
     924 w slope^2 by.
     """

@@ -214,6 +214,10 @@ def test_range_noise_is_estimated_of_unevenly_spaced_beams(shift: Shift, sigma: 
     at_median = found.range_sigma + found.range_sigma_per_metre * far
     assert at_median == pytest.approx(sigma, rel=0.15)
 
+    # What a beam's height changes is neither correlation nor jitter
+    assert found.correlation == pytest.approx(1.0, abs=0.1)
+    assert math.degrees(found.yaw_sigma) < 0.02
+
 
 @pytest.mark.parametrize("shift", [interleaved, irregular])
 def test_surfels_of_a_noise_free_wall_lie_on_it(shift: Shift) -> None:

@@ -6,7 +6,7 @@
 
 #define MAX_DEVIATION 3.0       /* of a difference, in standard deviations: beyond is an edge */
 #define MAX_JUMP 5.66           /* of a step from line to line beside the slope, in sigmas: 4 of a step are 4 sqrt(2) */
-#define EXPECTED_JITTER (0.1 * TAU / 360)   /* yaw jitter before the sweep is seen; its square's mean [rad] */
+#define EXPECTED_JITTER (0.1 * TAU / 360)   /* yaw jitter before the sweep is seen: root of its mean square [rad] */
 
 enum {
     BEAM_REACH = 4,             /* beams to each side, where lines have elevations of their own */
@@ -74,17 +74,17 @@ static void invert_lines(const Sweep *sweep, const uint8_t *valid, int64_t i, In
 
 /* Make the differences of line i unknown where a surface ends among the seven lines: one reading of another
  * surface at their end passes for a yaw error, the same at all heights. */
-static void leave_out_jumps(const Sweep *sweep, int64_t i, const double noise[2],
-                            const double *const lines[ACROSS], Across *out) {
+static void leave_out_jumps(const Sweep *sweep, int64_t i, const double noise[2], const double *const lines[ACROSS],
+                            const double *slopes, double *difference) {
     const double *restrict ranges = sweep->ranges + i * sweep->stride;
     const double *yaw = sweep->yaws + i * sweep->stride + sweep->n_beams / 2;
     const double at_zero = noise[RANGE_SIGMA], growth = noise[RANGE_GROWTH];
     const int64_t reach = sweep->ray_stride > 0 ? BEAM_REACH : 0, n_beams = sweep->n_beams;
-    double *restrict difference = out->difference, turns[ACROSS - 1];
+    double turns[ACROSS - 1];
     for (int k = 0; k < ACROSS - 1; k++)
         turns[k] = yaw[(k + 1 - REACH) * sweep->stride] - yaw[(k - REACH) * sweep->stride];
     for (int64_t j = reach; j < n_beams - reach; j++) {
-        double r = ranges[j], slope = out->slope[j], per_yaw = slope / (r * r), most = 0;
+        double r = ranges[j], slope = slopes[j], per_yaw = slope / (r * r), most = 0;
         for (int k = 0; k < ACROSS - 1; k++) {
             double jump = fabs(lines[k + 1][j] - lines[k][j] - per_yaw * turns[k]);
             most = jump > most ? jump : most;
@@ -117,5 +117,5 @@ static void difference_line(const Sweep *sweep, const uint8_t *valid, int64_t i,
         if (!isnan(difference[j]))
             difference[j] -= difference_by_elevation(sweep, valid, i, j, out->stencil);
     for (int64_t j = 0; j < sweep->n_beams; j++) difference[j] *= ranges[j] * ranges[j];
-    leave_out_jumps(sweep, i, noise, lines, out);
+    leave_out_jumps(sweep, i, noise, lines, slope, difference);
 }

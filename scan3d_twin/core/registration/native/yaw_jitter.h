@@ -3,25 +3,26 @@
 
 #include "differences.h"
 
-#define INDEPENDENT 400.0       /* of SQUARES: the share of the lines' squares that are as good as independent */
-#define TRUNCATED 2.5465        /* 8 / pi: the mean of a normal distribution cut off at 0, nearly */
+#define INDEPENDENT 400.0       /* of SQUARES lines, as many count as independent: differences overlap (assumption) */
+#define TRUNCATED 2.5465        /* 8 / pi, for the mean of a normal distribution cut off at 0: exact for one about 0,
+                                 * .64 times the mean where 0 is many deviations above its middle */
 #define MIN_SLOPE 0.1           /* of the range over the yaw, for the jitter [m/rad] */
 #define MAX_INCIDENCE 1.73      /* tangent of incidence (60 deg): flatter ones are mostly limbs of round things */
-#define MIN_CLEAR 0.2           /* share of a line's squared slopes that is not their noise */
+#define MIN_CLEAR 0.2           /* least share of a line's squared slopes that is not their noise */
 #define MAX_SQUARE_RATIO 2.0    /* cap of a squared turn, in expected ones: beyond is a bend */
 #define CAPPED_SHARE 0.742      /* share of the mean square of normal errors that this cap leaves */
 #define CAPPED_VARIANCE 0.964   /* of a square so capped, by the square of its mean */
 
 enum {
     MIN_LINES = 10,             /* lines that an estimate of the jitter needs */
-    REWEIGHTINGS = 8,           /* iterations of the jitter's estimate */
+    REWEIGHTINGS = 8,           /* iterations; the estimate may still fall a little where many lines lie on bends */
 };
 
 /* Regressions of the lines' differences on their slopes. */
 typedef struct {
     int64_t n;
     double *square;         /* per line: square of the turn found, by what yaw errors of unit size give */
-    double *own, *gain;     /* per line: weight of what is known of the turn, and what yaw errors give */
+    double *own, *gain;     /* per line: weight of the turn, and the variance that yaw errors of unit size give it */
     double found, assumed;  /* variance of the lines' sums, by what the regressions leave and by the noise */
 } Regressions;
 

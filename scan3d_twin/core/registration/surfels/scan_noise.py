@@ -11,24 +11,25 @@ noise, the two would look like a yaw error.
 **Range noise.** The median of |D| r^2 / sqrt(924) is taken over each quartile of the readings by
 range, and a straight line fitted through the four.
 
-A difference across the end of a surface is none: a single reading of what is behind, at the end of
-the seven lines, would pass for a yaw error, the same at all heights. Where the range steps off its
-slope by more than four standard deviations from one line to the next, there is no D.
+A difference across the end of a surface is not noise: a single reading of what is behind, at the
+end of the seven lines, would pass for a yaw error, the same at all heights. Where the range steps
+off its slope by more than four standard deviations of range noise and a jitter of 0.1 deg from one
+line to the next, D takes no part in correlation and jitter.
 
 **Correlation.** Neighbouring beams share light and a filter, so that a mean along a line is less
 precise than of independent readings by 1 + 2 sum rho_k. The rho_k are those of D along the line,
 less what beams ten apart have in common: the yaw error of their lines.
 
 **Yaw jitter.** The yaw error d of a line moves its readings by d times the slope of the range over
-the yaw. The regression of a line's D on its slope has the variance g sigma^2 + 924 c k s^2 / sum
-slope^2, with g what the yaw errors of the seven lines add up to. Noise of the slopes is taken out
-of sum slope^2 and g, else it hides part of sigma^2. The excess over the second term, weighted over
-all lines, is sigma^2; squares count up to twice what is expected, as some lines lie on bends. The
-factor k is by how much the noise exceeds s^2 where slopes are large, from what the regressions
-leave (White, Econometrica 48, 1980). Incidences beyond 60 deg take no part: most are limbs of round
-bodies, where noise is 3 to 10 times s. Before the sweep is seen sigma^2 is (0.1 deg)^2 in the mean,
-exponentially distributed (an assumption); the mean of the posterior is taken, so that jitter which
-the noise may hide is not zero.
+the yaw. With S the sum of a line's squared slopes and S' what of it is not their noise, the turn
+sum slope D / S' has the variance g sigma^2 + 924 c k s^2 S / S'^2, with g what the yaw errors of
+the seven lines add up to. The excess over the second term, weighted over all lines with S' > S / 5,
+is sigma^2; squares count up to twice what is expected, as some lines lie on bends. The factor k is
+by how much the noise exceeds s^2 where slopes are large, from what the regressions leave (White,
+Econometrica 48, 1980). Incidences beyond 60 deg take no part: most are limbs of round bodies, where
+noise is 3 to 10 times s. Before the sweep is seen sigma^2 is (0.1 deg)^2 in the mean, exponentially
+distributed (an assumption); the mean of the posterior, nearly, is taken, so that jitter which the
+noise may hide is not zero: 0.08 deg where lines tell nothing. Fewer than ten lines give none.
 
 ``native/noise.h``, ``differences.h`` and ``yaw_jitter.h`` compute this.
 """
@@ -154,7 +155,8 @@ class ScanNoise:
 def estimate_noise(image: RangeImage, valid: BoolArray) -> ScanNoise:
     """Return range noise, its correlation and yaw jitter estimated from a sweep.
 
-    A sweep with too few readings gives ``URG_RANGE_NOISE``, no correlation and no jitter.
+    A sweep with too few readings gives ``URG_RANGE_NOISE``, no correlation and no jitter, and one
+    with fewer than ten lines that could show jitter none of it.
 
     Args:
         image: The sweep.
