@@ -327,7 +327,7 @@ def place_at(bearing: float) -> Pose2:
     return Pose2(1.2 - 1.2 * math.cos(bearing), -1.2 * math.sin(bearing), bearing)
 
 
-def walk_round(settings: Config, bearings: tuple[float, ...]) -> Session:
+def walk_round(settings: Config, bearings: tuple[float, ...], seed: int = 0) -> Session:
     """Return a session of views of the statue by a base with that ``EXCESS``."""
     session = Session(settings, 0, np.array([[0.9, 0.0]]), np.array([-1.0, 0.0]))
     odometry, before = Pose2(), place_at(bearings[0])
@@ -340,7 +340,7 @@ def walk_round(settings: Config, bearings: tuple[float, ...]) -> Session:
         odometry, before = odometry @ drive, place_at(bearing)
 
         # Scan with the same turns
-        rng = np.random.default_rng(k)
+        rng = np.random.default_rng(100 * seed + k)
         image = observe(before, STATUE, room=False, sigma=0.003, rng=rng).image
         image = replace(image, yaws=read_only(image.yaws / (1 + EXCESS)))
         legs = ((first, length), (last, 0.0)) if k else ()
@@ -349,17 +349,19 @@ def walk_round(settings: Config, bearings: tuple[float, ...]) -> Session:
 
 
 def test_sweeps_are_corrected_by_the_turns_that_registration_has_shown() -> None:
-    bearings = tuple(math.radians(30.0 * k) for k in range(4))
-    session = walk_round(Config(), bearings)
-    turns = session.views[-1].turns
-    assert turns is not None
-    assert turns.scale == pytest.approx(EXCESS, abs=min(0.006, 3 * turns.sigma))
-    for view, bearing in zip(session.views, bearings, strict=True):
-        assert view.turns == turns
-        yaws = view.observation.image.yaws * (1 + EXCESS)
-        true = view.target.with_points_of(replace(view.image, yaws=yaws)).points
-        shown = view.T_world_scan.apply(view.target.points)
-        assert rms(shown - place_at(bearing).apply(true)) < 0.002
+    bearings, errors = tuple(math.radians(30.0 * k) for k in range(4)), []
+    for seed in range(6):
+        session = walk_round(Config(), bearings, seed)
+        turns = session.views[-1].turns
+        assert turns is not None
+        assert turns.scale == pytest.approx(EXCESS, abs=min(0.006, 3 * turns.sigma))
+        for view, bearing in zip(session.views, bearings, strict=True):
+            assert view.turns == turns
+            yaws = view.observation.image.yaws * (1 + EXCESS)
+            true = view.target.with_points_of(replace(view.image, yaws=yaws)).points
+            shown = view.T_world_scan.apply(view.target.points)
+            errors.append(rms(shown - place_at(bearing).apply(true)))
+    assert np.all(np.reshape(errors, (6, -1)).mean(axis=0) < 0.002), errors
 
 
 def test_a_correction_of_turns_with_which_views_do_not_match_is_not_made(

@@ -209,7 +209,7 @@ def test_a_simulated_scan_that_shows_too_little_keeps_the_odometry(
 def test_the_visible_planner_takes_the_smallest_overlap_that_stands_its_draws(
     pilasters: Session,
 ) -> None:
-    plan = make_planner("siicp").plan(pilasters, np.random.default_rng(0))
+    plan = make_planner("siicp").plan(pilasters, np.random.default_rng(1))
     assert not plan.fell_back
     assert plan.predicted_rmse <= CONFIG.planning.epsilon
     assert all(c.predicted_rmse > CONFIG.planning.epsilon for c in plan.candidates[:-1])
