@@ -52,15 +52,16 @@ MIN_LINES = 10
 LIKELY_JITTER = np.radians(0.1)
 """Yaw jitter before the sweep is seen: root of its mean square [rad]."""
 LEAST_CLEAR = 0.2
-"""Share of a line's squared slopes that is not their noise."""
+"""Least share of a line's squared slopes that is not their noise."""
 OUTLIER, LEFT, SPREAD = 2.0, 0.742, 0.964
 """Cap of a squared turn, in expected ones; the share of the mean square it leaves, and the variance
 of a capped square by the square of its mean."""
 ROUNDS = 8
 INDEPENDENT = 400.0
-"""Of 924: the share of the lines' squares that are as good as independent."""
+"""Of 924 lines, as many count as independent: their differences overlap (assumption)."""
 TRUNCATED = 2.5465
-"""8 / pi: the mean of the positive half of a normal distribution about 0, nearly."""
+"""8 / pi, for the mean of a normal distribution cut off at 0: exact for one about 0, .64 times the
+mean where 0 is many deviations above its middle."""
 
 
 def estimate_noise(

@@ -349,8 +349,9 @@ def walk_round(settings: Config, bearings: tuple[float, ...], seed: int = 0) -> 
 
 
 def test_sweeps_are_corrected_by_the_turns_that_registration_has_shown() -> None:
-    bearings, errors = tuple(math.radians(30.0 * k) for k in range(4)), []
-    for seed in range(6):
+    walks, errors = 6, []
+    bearings = tuple(math.radians(30.0 * k) for k in range(4))
+    for seed in range(walks):
         session = walk_round(Config(), bearings, seed)
         turns = session.views[-1].turns
         assert turns is not None
@@ -361,7 +362,7 @@ def test_sweeps_are_corrected_by_the_turns_that_registration_has_shown() -> None
             true = view.target.with_points_of(replace(view.image, yaws=yaws)).points
             shown = view.T_world_scan.apply(view.target.points)
             errors.append(rms(shown - place_at(bearing).apply(true)))
-    assert np.all(np.reshape(errors, (6, -1)).mean(axis=0) < 0.002), errors
+    assert np.all(np.reshape(errors, (walks, -1)).mean(axis=0) < 0.002), errors
 
 
 def test_a_correction_of_turns_with_which_views_do_not_match_is_not_made(
